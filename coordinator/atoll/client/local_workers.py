@@ -9,8 +9,9 @@ import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Self
 
 from atoll_core.command_line import TLS_OPTIONS
@@ -24,13 +25,16 @@ _SPEAKER: Final = b"island-worker: "
 """Begins lines of the log that are for people."""
 
 
-def start_apart(command: Sequence[str], **streams: Any) -> "subprocess.Popen[bytes]":
+def start_apart(
+    command: Sequence[str], given: Mapping[str, str] = MappingProxyType({}), **streams: Any
+) -> "subprocess.Popen[bytes]":
     """Start a program in a session of its own, since a Ctrl-C on the terminal is ours alone to handle.
 
-    Its environment is ours without certificates: on this machine alone nothing is encrypted.
+    Its environment is ours without certificates, since on this machine alone nothing is encrypted, and what is `given`.
     """
     certificates = {variable for variable, _ in TLS_OPTIONS.values()}
     environment = {name: value for name, value in os.environ.items() if name not in certificates}
+    environment |= given
     return subprocess.Popen[bytes](command, env=environment, start_new_session=True, **streams)
 
 

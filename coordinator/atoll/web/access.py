@@ -7,6 +7,8 @@ is refused all the same.
 
 import hashlib
 import hmac
+import os
+import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -17,6 +19,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from atoll.web.gateway import Gateway
 from atoll.web.problems import Problem
+from atoll_core.errors import UsageError
+
+TOKEN: Final = "ATOLL_WEB_TOKEN"
+"""The variable that gives the token; else one is made up."""
 
 SAFE: Final = ("GET", "HEAD")
 """Methods that change nothing; all others need a token."""
@@ -80,6 +86,16 @@ class Access:
 def digest_of(token: str) -> str:
     """Return the SHA-256 of a token, in hexadecimal."""
     return hashlib.sha256(token.encode()).hexdigest()
+
+
+def token_of(environment: Mapping[str, str] = os.environ) -> str:
+    """Return the token that the environment gives, or one that is made up; raises UsageError for one that is short."""
+    token = environment.get(TOKEN)
+    if token is None:
+        return secrets.token_urlsafe(24)
+    if len(token) < 16 or not token.isascii() or not token.isprintable() or " " in token:
+        raise UsageError(f"{TOKEN} must have at least 16 printable characters without blanks")
+    return token
 
 
 def gateway_of(request: Request) -> Gateway:

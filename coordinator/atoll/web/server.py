@@ -1,11 +1,9 @@
 """Serving the application: who may reach it and how, by TLS beyond this machine, until it is told to end."""
 
 import ipaddress
-import os
-import secrets
 import socket
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -18,9 +16,6 @@ from atoll.web.gateway import Gateway
 from atoll_core.errors import UsageError
 from atoll_core.wire.addresses import Destination, destination
 from atoll_core.wire.security.credentials import Credentials, credentials_of
-
-TOKEN: Final = "ATOLL_WEB_TOKEN"
-"""The variable that gives the token; else one is made up."""
 
 _STOP_LIMIT_S: Final = 2
 
@@ -115,13 +110,3 @@ def serve(listener: Listener, access: Access, token: str, say: Callable[[str], o
     )  # fmt: skip
     say(listener.url(opened.getsockname()[1], token))
     uvicorn.Server(config).run(sockets=[opened])
-
-
-def token_of(environment: Mapping[str, str] = os.environ) -> str:
-    """Return the token that the environment gives, or one that is made up; raises UsageError for one that is short."""
-    token = environment.get(TOKEN)
-    if token is None:
-        return secrets.token_urlsafe(24)
-    if len(token) < 16 or not token.isascii() or not token.isprintable() or " " in token:
-        raise UsageError(f"{TOKEN} must have at least 16 printable characters without blanks")
-    return token

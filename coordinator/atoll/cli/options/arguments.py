@@ -141,6 +141,10 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
     "run": ("search on this machine; nothing needs to be started beforehand", (
         *_JOB,
         _value(
+            "--web", "HOST:PORT", "show the job in a browser while it runs (default: 127.0.0.1:7480)",
+            nargs="?", const=("127.0.0.1", 7480), type=_host_and_port,
+        ),
+        _value(
             "--workers", "N", "worker processes (default: one per core this process may use)",
             type=whole_number(1, MOST_WORKERS),
         ),
@@ -166,6 +170,10 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         ),
         _value(
             "--metrics", "HOST:PORT", "answer Prometheus there over HTTP, such as 127.0.0.1:9464 (default: nowhere)",
+            type=_host_and_port,
+        ),
+        _value(
+            "--http", "HOST:PORT", "also start coordinator web there, such as 127.0.0.1:7480 (default: nowhere)",
             type=_host_and_port,
         ),
         *_SERVICE,

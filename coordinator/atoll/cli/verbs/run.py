@@ -16,6 +16,7 @@ from typing import Final
 from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from atoll.cli.options.values import job_id
 from atoll.cli.result_files import refuse_existing_result
+from atoll.cli.web_process import web_process
 from atoll.client.local_coordinator import local_processes
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
@@ -41,6 +42,7 @@ def run(options: argparse.Namespace) -> int:
         _log_in(folder),
         raising_interrupts(),
         local_processes(number, folder / _WORKER_LOG) as (endpoint, workers),
+        web_process(endpoint, None, options.web),
     ):
         from atoll.cli.local_run import run_locally
 

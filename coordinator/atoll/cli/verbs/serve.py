@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.listener import addresses_of, read_options, warnings_of
+from atoll.cli.web_process import web_process
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
@@ -59,7 +60,10 @@ def serve(options: argparse.Namespace) -> int:
             service.set_policy(limits, role_bindings)
             service.start()
             here = Destination(parse_address(bus.endpoint), wanted.credentials)
-            with announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)):
+            with (
+                announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)),
+                web_process(addresses_of(here, behind)[0], wanted.credentials, options.http),
+            ):
                 say(greeting(here, options.state, role_bindings, behind))
                 service.work(stop, lambda: _read_again(service, options) if _take(reload) else None)
     note("coordinator: stopped; jobs and results are kept")

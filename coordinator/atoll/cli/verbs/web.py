@@ -1,18 +1,27 @@
 """``coordinator web``: the service in a browser, and its API over HTTP; a client of the coordinator."""
 
 import argparse
+import os
+import signal
+import threading
+import time
 from pathlib import Path
+from typing import Final
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import address_of
+from atoll.cli.web_process import OWNER
 from atoll.terminal.output import say
 from atoll_core.errors import UsageError
+
+_LOOK_S: Final = 1.0
 
 
 def web(options: argparse.Namespace) -> int:
     """Answer browsers until SIGTERM or Ctrl-C; return 0. The coordinator may come later, or go and come back."""
     try:
-        from atoll.web.server import Listener, access_of, serve, token_of
+        from atoll.web.access import token_of
+        from atoll.web.server import Listener, access_of, serve
     except ImportError as error:
         raise UsageError(
             f"the browser page needs {error.name}, which is not installed; pip install 'atoll[web]'"
@@ -22,5 +31,19 @@ def web(options: argparse.Namespace) -> int:
     listener = Listener(host, port, options.allow_host, at.credentials)
     token = token_of()
     access = access_of(listener, at, token, Path(options.users) if options.users is not None else None)
+    _end_with(os.environ.get(OWNER))
     serve(listener, access, token, lambda url: say(f"open {url}"))
     return DONE
+
+
+def _end_with(owner: str | None) -> None:
+    """End this process when the one that has started it is gone, however that ended."""
+    if owner is None or not owner.isdecimal():
+        return
+
+    def watch() -> None:
+        while os.getppid() == int(owner):
+            time.sleep(_LOOK_S)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=watch, name="owner", daemon=True).start()

@@ -1,0 +1,60 @@
+"""Requests to an ASGI application, without a network."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import quote, urlencode
+
+LOCAL = {"host": "127.0.0.1:7480"}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What an application has answered."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.body)
+
+
+def ask(
+    app: Any, method: str, path: str, body: bytes | list[bytes] = b"", query: Mapping[str, str] | None = None,
+    **headers: str,
+) -> Answer:  # fmt: skip
+    """Return the answer to one request; the underscores of names of `headers` are hyphens."""
+    given = LOCAL | {name.replace("_", "-"): value for name, value in headers.items()}
+    return asyncio.run(_ask(app, method, path, body if isinstance(body, list) else [body], query or {}, given))
+
+
+async def _ask(
+    app: Any, method: str, path: str, body: list[bytes], query: Mapping[str, str], headers: Mapping[str, str]
+) -> Answer:  # fmt: skip
+    sent = _messages(body)
+    parts: list[dict[str, Any]] = []
+    scope = {
+        "type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "method": method, "scheme": "http",
+        "path": path, "raw_path": quote(path).encode(), "query_string": urlencode(query).encode(), "root_path": "",
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+        "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 7480),
+    }  # fmt: skip
+
+    async def send(message: dict[str, Any]) -> None:
+        parts.append(message)
+
+    await app(scope, sent.__anext__, send)
+    start = parts[0]
+    answered = {name.decode(): value.decode() for name, value in start["headers"]}
+    return Answer(start["status"], answered, b"".join(part.get("body", b"") for part in parts[1:]))
+
+
+async def _messages(body: list[bytes]) -> AsyncIterator[dict[str, Any]]:
+    for place, part in enumerate(body):
+        yield {"type": "http.request", "body": part, "more_body": place + 1 < len(body)}
+    while True:
+        yield {"type": "http.disconnect"}
