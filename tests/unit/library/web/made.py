@@ -7,18 +7,10 @@ from atoll_core.errors import RefusedError, UnknownJobError, UnreachableError
 from atoll_core.wire.addresses import destination
 from atoll_core.wire.messages.clients import JobList, QueueDepth
 from atoll_core.wire.messages.views import EventView, JobView, WorkerView
+from tests.views import job_view
 
 TOKEN = "a-token-of-sixteen-and-more"
 AUTHORIZED = f"Bearer {TOKEN}"
-
-
-def view(job: str = "j", **fields: Any) -> JobView:
-    """Return the view of a job."""
-    given = {
-        "job": job, "name": "n", "state": "running", "seed": 0, "preset": "default", "submitted": "2026-01-01",
-        "elapsed": 1.0, "workers": 0, "point_evaluations": 0, **fields,
-    }  # fmt: skip
-    return JobView.model_validate(given)
 
 
 class Asked:
@@ -87,9 +79,11 @@ class Asked:
         self._view(job, "result")
         return self.contents
 
-    def hand_in(self, job: str, name: str, config: Any, data: bytes, priority: int = 0, *, shared: bool = False) -> JobView:
+    def hand_in(
+        self, job: str, name: str, config: Any, data: bytes, priority: int = 0, *, shared: bool = False
+    ) -> JobView:
         self.calls.append(("submit", job, name, config, data, priority, shared))
-        self.views.setdefault(job, view(job, name=name))
+        self.views.setdefault(job, job_view(job=job, name=name))
         return self.views[job]
 
 

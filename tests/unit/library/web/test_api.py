@@ -1,0 +1,185 @@
+"""The API: what it asks the coordinator, what it answers, what it refuses."""
+
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from atoll.web import api as api_module
+from atoll.web.application import build_application
+from atoll.web.description import describe, to_text
+from atoll_core.data.table import Table
+from atoll_core.wire.messages.views import EventView
+from tests.http import Answer, ask
+from tests.unit.library.web.made import AUTHORIZED, Asked, AtHand, access
+from tests.views import job_view
+
+CSV = b"t,x\n" + b"".join(b"%d,%f\n" % (row, 0.9**row) for row in range(30))
+
+
+@pytest.fixture
+def client() -> Asked:
+    return Asked(job_view(job="a", state="done"), job_view(job="b"), job_view(job="c"))
+
+
+@pytest.fixture
+def app(client: Asked):
+    return build_application(access(AtHand(client)))
+
+
+def wrote(app, method: str, path: str, body: bytes = b"", **query: str) -> Answer:
+    return ask(app, method, f"/api/v1{path}", body, query, authorization=AUTHORIZED)
+
+
+def read(app, path: str, **query: str) -> Answer:
+    return ask(app, "GET", f"/api/v1{path}", query=query)
+
+
+def test_jobs_come_page_by_page_newest_first(app) -> None:
+    first = read(app, "/jobs", limit="2").json
+    assert [job["job"] for job in first["jobs"]] == ["c", "b"]
+    last = read(app, "/jobs", limit="2", cursor=str(first["next"])).json
+    assert ([job["job"] for job in last["jobs"]], last["next"]) == (["a"], None)
+    assert [job["job"] for job in read(app, "/jobs", state="done").json["jobs"]] == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "call"),
+    [
+        ("POST", "/jobs/b/cancel", b"", ("cancel", "b")),
+        ("POST", "/jobs/b/pause", b"", ("pause", True, "b")),
+        ("POST", "/jobs/b/resume", b"", ("pause", False, "b")),
+        ("PUT", "/jobs/b/priority", b'{"priority": -3}', ("priority", -3, "b")),
+        ("PUT", "/jobs/b/sharing", b'{"shared": true}', ("share", True, "b")),
+        ("POST", "/jobs/b/retry?", b"", None),
+    ],
+)
+def test_what_is_changed_is_asked_of_the_coordinator_and_needs_a_token(app, client, method, path, body, call) -> None:
+    refused = ask(app, method, f"/api/v1{path}".rstrip("?"), body)
+    assert (refused.status, client.calls) == (401, [])
+    assert refused.headers["content-type"] == "application/problem+json"
+    answer = wrote(app, method, path.rstrip("?"), body)
+    assert answer.json["job"] == "b"
+    assert call is None or client.calls == [call]
+
+
+def test_a_job_is_deleted_only_when_it_has_ended(app) -> None:
+    assert wrote(app, "DELETE", "/jobs/a").status == 204
+    refused = wrote(app, "DELETE", "/jobs/b")
+    assert (refused.status, refused.json["detail"]) == (409, "job b is running; cancel it")
+
+
+def test_a_file_is_submitted_with_options_under_an_id_of_ones_own(app, client) -> None:
+    options = json.dumps({"seed": "7", "max_epochs": "3"})
+    answer = wrote(app, "POST", "/jobs", CSV, filename="d.csv", options=options, id="mine", priority="2", shared="true")
+    assert (answer.status, answer.headers["location"]) == (201, "jobs/mine")
+    ((_, job, name, config, data, priority, shared),) = client.calls
+    assert (job, name, config.seed, config.budget.max_epochs, priority, shared) == ("mine", "d.csv", 7, 3, 2, True)
+    assert Table.from_bytes(data).names == ("t", "x")
+    again = ask(app, "POST", "/api/v1/jobs", data, {"filename": "d.csv", "id": "mine"},
+                authorization=AUTHORIZED, content_type="application/vnd.atoll.table")  # fmt: skip
+    assert again.status == 201
+
+
+@pytest.mark.parametrize(
+    ("query", "body", "said"),
+    [
+        ({"options": "[1]"}, CSV, "must be a JSON object"),
+        ({"options": '{"sead": "1"}'}, CSV, "sead is no option"),
+        ({"options": '{"seed": "x"}'}, CSV, "must be a whole number"),
+        ({"options": '{"seed": {}}'}, CSV, "must be a text"),
+        ({"filename": "../.."}, CSV, "name of the file"),
+        ({"filename": "a\nb"}, CSV, "name of the file"),
+        ({"id": "no id"}, CSV, "an id has"),
+        ({"priority": "11"}, CSV, "from -10 to 10"),
+        ({"shared": "yes"}, CSV, "true or false"),
+        ({}, b"", ""),
+        ({}, b"\x00\xff" * 50, ""),
+    ],
+)
+def test_what_cannot_be_submitted_is_refused_in_a_sentence(app, client, query, body, said) -> None:
+    answer = wrote(app, "POST", "/jobs", body, **query)
+    assert answer.status == 422
+    assert said in answer.json["detail"]
+    assert client.calls == []
+
+
+def test_an_outline_says_how_a_file_is_read_and_what_the_command_would_be(app) -> None:
+    made = wrote(app, "POST", "/outline", CSV, filename="d.csv", options='{"seed": "3", "robust": true}').json
+    assert [(column["name"], column["role"]) for column in made["columns"]] == [("t", "time"), ("x", "state")]
+    assert made["equations"][0]["lhs"] == "dx/dt"
+    assert made["command"] == "coordinator submit d.csv --seed 3 --robust"
+    assert "atoll.discover('d.csv', seed='3', robust=True)" in made["python"]
+    assert len(made["preview"]["columns"]["x"]) == 30
+
+
+def test_a_preview_has_smoothed_curves_and_derivatives_with_errors(app) -> None:
+    made = wrote(app, "POST", "/preview", CSV, filename="d.csv").json
+    (state,) = made["states"]
+    assert len(made["time"]) == len(state["smoothed"]) == len(state["derivative_sigma"]) == 30
+    assert state["derivative"][15] == pytest.approx(0.9**15 * -0.10536, rel=0.05)
+
+
+def test_bodies_are_bounded(app, client, monkeypatch) -> None:
+    monkeypatch.setattr(api_module, "MAX_BODY", 100)
+    parts = [b"x" * 60, b"x" * 60]
+    told = ask(app, "POST", "/api/v1/jobs", b"", authorization=AUTHORIZED, content_length="1000000")
+    untold = ask(app, "POST", "/api/v1/jobs", parts, authorization=AUTHORIZED)
+    assert [told.status, untold.status] == [413, 413]
+    assert "100 bytes" in told.json["detail"]
+    assert client.calls == []
+
+
+def test_a_silent_coordinator_is_said_to_be_so(app, client) -> None:
+    client.is_silent = True
+    answer = read(app, "/jobs/b")
+    assert (answer.status, answer.headers["retry-after"]) == (503, "1")
+    assert read(app, "/health").status == 503
+
+
+def test_what_is_not_there_is_not_found(app) -> None:
+    for path in ("/jobs/none", "/jobs/no%20id", "/nothing", "/jobs/b/exports/exe"):
+        answer = read(app, path)
+        assert answer.status in (404, 422), path
+        assert answer.json["status"] == answer.status
+
+
+def test_logs_are_given_after_a_number(app, client) -> None:
+    client.happened = [EventView(number=n, time="", event="log", text=str(n), job="b") for n in (1, 2, 3)]
+    events = read(app, "/jobs/b/logs", after="1").json["events"]
+    assert [event["number"] for event in events] == [2, 3]
+
+
+def test_the_description_is_that_of_the_routes_and_the_file_is_up_to_date() -> None:
+    from importlib.resources import files
+
+    assert files("atoll.web").joinpath("openapi.json").read_text("utf-8") == to_text(), (
+        "run: python -m atoll.web.description"
+    )
+    paths = describe()["paths"]
+    assert sum(len(operations) for operations in paths.values()) == len(api_module.Api().routes())
+
+
+PATHS = sorted(describe()["paths"])
+TEXTS = st.text(max_size=20)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    path=st.sampled_from(PATHS), job=st.sampled_from(["a", "b", "x y", "é", "..", "%2e"]), body=st.binary(max_size=50),
+    method=st.sampled_from(["GET", "POST", "PUT", "DELETE", "PATCH"]),
+    query=st.dictionaries(
+        st.sampled_from("limit cursor state prefix options filename id priority after shared".split()),
+        TEXTS | st.integers().map(str), max_size=4,
+    ),
+)  # fmt: skip
+def test_whatever_is_asked_nothing_of_ours_breaks(path, job, body, method, query) -> None:
+    client = Asked(job_view(job="a", state="done"), job_view(job="b"))
+    if path in ("/events", "/jobs/{job}/report", "/jobs/{job}/islands", "/coordinator", "/workers/{worker}/service",
+                "/coordinator/queue"):  # fmt: skip
+        return  # streams, and what this client does not have
+    asked = path.replace("{job}", job).replace("{format}", "python")
+    answer = ask(build_application(access(AtHand(client))), method, f"/api/v1{asked}", body, query,
+                 authorization=AUTHORIZED)  # fmt: skip
+    assert answer.status < 500
