@@ -23,10 +23,12 @@ USAGE: Final = 2
 
 
 @contextlib.contextmanager
-def web_process(address: str, own: Credentials | None, listen: tuple[str, int] | None) -> Iterator[None]:
+def web_process(
+    address: str, listen: tuple[str, int] | None, own: Credentials | None = None, users: str | None = None
+) -> Iterator[None]:
     """Show the coordinator at an address to browsers while the block lasts; nothing unless `listen` is given.
 
-    It shows the coordinator's `own` certificate to browsers and to the bus, if there is one.
+    It shows the coordinator's `own` certificate to browsers and to the bus, if there is one; `users` is a file.
     """
     if listen is None:
         yield
@@ -37,6 +39,9 @@ def web_process(address: str, own: Credentials | None, listen: tuple[str, int] |
     command = [sys.executable, "-m", "atoll", "web", "--connect", address, "--listen", f"{host}:{port}"]
     if own is not None:
         command += ["--tls-ca", str(own.authority), "--tls-cert", str(own.certificate), "--tls-key", str(own.key)]
+        command += ["--cert", str(own.certificate), "--key", str(own.key)]
+    if users is not None:
+        command += ["--users", users]
     given = {TOKEN: token_of(os.environ), OWNER: str(os.getpid())}  # the same token after a death: pages go on
     stop = threading.Event()
     keeper = threading.Thread(target=_keep, args=(command, given, stop), name="web", daemon=True)

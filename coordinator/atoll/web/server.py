@@ -15,19 +15,20 @@ from atoll.web.application import build_application
 from atoll.web.gateway import Gateway
 from atoll_core.errors import UsageError
 from atoll_core.wire.addresses import Destination, destination
-from atoll_core.wire.security.credentials import Credentials, credentials_of
+from atoll_core.wire.security.credentials import credentials_of
 
 _STOP_LIMIT_S: Final = 2
 
 
 @dataclass(frozen=True)
 class Listener:
-    """Where the process listens, under which further names it may be addressed, and its certificate for that."""
+    """Where the process listens, under which further names it may be addressed, and its files for TLS."""
 
     host: str
     port: int
     names: Sequence[str] = ()
-    credentials: Credentials | None = None
+    certificate: str | None = None
+    key: str | None = None
 
     @property
     def is_local(self) -> bool:
@@ -44,7 +45,7 @@ class Listener:
         host = f"[{self.host}]" if ":" in self.host else self.host
         if host in ("0.0.0.0", "[::]"):
             host = socket.gethostname()
-        return f"{'https' if self.credentials else 'http'}://{host}:{port}/?token={token}"
+        return f"{'https' if self.certificate else 'http'}://{host}:{port}/?token={token}"
 
 
 def access_of(listener: Listener, at: Destination, token: str, users: Path | None) -> Access:
@@ -53,10 +54,10 @@ def access_of(listener: Listener, at: Destination, token: str, users: Path | Non
     Raises:
         UsageError: the file of users cannot be used, or what listens beyond this machine has no certificate.
     """
-    if not listener.is_local and listener.credentials is None:
+    if not listener.is_local and listener.certificate is None:
         raise UsageError(
-            f"--listen {listener.host} can be reached from other machines, which needs TLS; give --tls-ca, --tls-cert "
-            "and --tls-key, or listen on 127.0.0.1 behind a proxy"
+            f"--listen {listener.host} can be reached from other machines, which needs TLS; give --cert and --key, "
+            "or listen on 127.0.0.1 behind a proxy"
         )
     own = Gateway(at)
     gateways = {digest_of(token): own} | (_gateways(users, at) if users is not None else {})
@@ -101,12 +102,11 @@ def serve(listener: Listener, access: Access, token: str, say: Callable[[str], o
     except OSError as error:
         opened.close()
         raise UsageError(f"--listen {listener.host}:{listener.port} is not possible: {error.strerror}") from error
-    own = listener.credentials
     config = uvicorn.Config(
         build_application(access), log_level="warning", access_log=False, server_header=False, date_header=False,
         timeout_graceful_shutdown=_STOP_LIMIT_S, timeout_keep_alive=30, h11_max_incomplete_event_size=64 * 1024,
         ws="none", limit_concurrency=2_000, proxy_headers=True, forwarded_allow_ips="127.0.0.1",
-        ssl_certfile=str(own.certificate) if own else None, ssl_keyfile=str(own.key) if own else None,
+        ssl_certfile=listener.certificate, ssl_keyfile=listener.key,
     )  # fmt: skip
     say(listener.url(opened.getsockname()[1], token))
     uvicorn.Server(config).run(sockets=[opened])

@@ -176,6 +176,7 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
             "--http", "HOST:PORT", "also start coordinator web there, such as 127.0.0.1:7480 (default: nowhere)",
             type=_host_and_port,
         ),
+        _value("--http-users", "FILE", "as --users of coordinator web; --http needs it where there is a --roster"),
         *_SERVICE,
         _value("--limits", "FILE", "how much users may have (TOML; read again, as --roster is, at a SIGHUP)"),
         _value(
@@ -187,10 +188,12 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         *_CONNECT,
         _value(
             "--listen", "HOST:PORT", default=("127.0.0.1", 7480), type=_host_and_port,
-            text="where browsers connect (default: 127.0.0.1:7480); beyond this machine with certificates alone",
+            text="where browsers connect (default: 127.0.0.1:7480); beyond this machine with --cert and --key alone",
         ),
         _repeatable("--allow-host", "NAME", "a further name under which browsers find it, such as that of a proxy"),
-        _value("--users", "FILE", "tokens of users, each with a certificate (TOML; see docs/web.md)"),
+        _value("--cert", "FILE", "certificate for HTTPS, which beyond this machine is needed"),
+        _value("--key", "FILE", "its key"),
+        _value("--users", "FILE", "tokens of users, each with a certificate for the coordinator (TOML; docs/web.md)"),
     )),
     "backup": ("copy a coordinator's job store into a file, also while it is served", (
         _value("file", "FILE", "the copy; it must not exist yet"), _STATE, _JSON,

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
         _log_in(folder),
         raising_interrupts(),
         local_processes(number, folder / _WORKER_LOG) as (endpoint, workers),
-        web_process(endpoint, None, options.web),
+        web_process(endpoint, options.web),
     ):
         from atoll.cli.local_run import run_locally
 

@@ -40,6 +40,8 @@ def serve(options: argparse.Namespace) -> int:
     """Serve until SIGTERM or Ctrl-C; return 0. A hang-up has limits and roster read again, where there are some."""
     wanted, role_bindings = read_options(options, options.router)
     limits = _limits(options)
+    if options.http is not None and role_bindings is not None and options.http_users is None:
+        raise UsageError("--http shows nothing where there is a --roster, unless --http-users says who may see what")
     if options.standby:
         refuse_network(Path(options.state))
     from atoll_coordinator.service.monitoring.metrics import served
@@ -62,7 +64,7 @@ def serve(options: argparse.Namespace) -> int:
             here = Destination(parse_address(bus.endpoint), wanted.credentials)
             with (
                 announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)),
-                web_process(addresses_of(here, behind)[0], wanted.credentials, options.http),
+                web_process(addresses_of(here, behind)[0], options.http, wanted.credentials, options.http_users),
             ):
                 say(greeting(here, options.state, role_bindings, behind))
                 service.work(stop, lambda: _read_again(service, options) if _take(reload) else None)

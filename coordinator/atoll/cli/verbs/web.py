@@ -28,7 +28,9 @@ def web(options: argparse.Namespace) -> int:
         ) from error
     at = address_of(options)
     host, port = options.listen
-    listener = Listener(host, port, options.allow_host, at.credentials)
+    if (options.cert is None) != (options.key is None):
+        raise UsageError("--cert and --key belong together; give both, or none")
+    listener = Listener(host, port, options.allow_host, options.cert, options.key)
     token = token_of()
     access = access_of(listener, at, token, Path(options.users) if options.users is not None else None)
     _end_with(os.environ.get(OWNER))

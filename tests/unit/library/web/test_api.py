@@ -163,6 +163,7 @@ def test_the_description_is_that_of_the_routes_and_the_file_is_up_to_date() -> N
 
 PATHS = sorted(describe()["paths"])
 TEXTS = st.text(max_size=20)
+FIELDS = ["limit", "cursor", "state", "prefix", "options", "filename", "id", "priority", "after", "shared"]
 
 
 @settings(max_examples=300, deadline=None)
@@ -170,7 +171,7 @@ TEXTS = st.text(max_size=20)
     path=st.sampled_from(PATHS), job=st.sampled_from(["a", "b", "x y", "é", "..", "%2e"]), body=st.binary(max_size=50),
     method=st.sampled_from(["GET", "POST", "PUT", "DELETE", "PATCH"]),
     query=st.dictionaries(
-        st.sampled_from("limit cursor state prefix options filename id priority after shared".split()),
+        st.sampled_from(FIELDS),
         TEXTS | st.integers().map(str), max_size=4,
     ),
 )  # fmt: skip
