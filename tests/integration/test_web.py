@@ -212,7 +212,7 @@ def _names(lab: Lab) -> Mapping[str, Any]:
 def _address(process: Any) -> str:
     for line in process.stdout:
         if "island-worker --connect" in line:
-            return str(line.split()[-1])
+            return f"tls/127.0.0.1:{line.split()[-1].rpartition(chr(58))[2]}"
     raise AssertionError("the coordinator never said how to start a worker")
 
 

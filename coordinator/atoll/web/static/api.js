@@ -1,0 +1,83 @@
+// Requests to the service. Addresses are relative to the page, so that it works under any path.
+
+const STORE = `atoll-token ${location.pathname}`;
+export const session = { user: null, may_write: false, version: "" };
+
+/** Takes the token from the address, where history and screenshots would keep it, into the store of this tab. */
+function takeToken() {
+  const here = new URL(location.href);
+  const given = here.searchParams.get("token");
+  if (given === null) return;
+  sessionStorage.setItem(STORE, given);
+  here.searchParams.delete("token");
+  history.replaceState(null, "", here);
+}
+
+takeToken(); // before anything asks for something
+
+export function token() { return sessionStorage.getItem(STORE); }
+
+/** What a request failed with: a sentence for people, and the HTTP status, 0 where nothing answered. */
+export class ApiError extends Error {
+  constructor(sentence, status) {
+    super(sentence);
+    this.status = status;
+  }
+}
+
+export function address(path, query = {}) {
+  const made = new URL(`api/v1/${path}`, document.baseURI);
+  made.hash = "";
+  for (const [name, value] of Object.entries(query)) {
+    for (const part of [value].flat()) {
+      if (part !== null && part !== undefined && part !== "") made.searchParams.append(name, part);
+    }
+  }
+  return made;
+}
+
+/** Sends a request and returns the response, whatever its status; raises ApiError where nothing answers. */
+export async function send(path, { query, headers, ...options } = {}) {
+  const known = token();
+  const all = { ...headers, ...(known ? { Authorization: `Bearer ${known}` } : {}) };
+  try {
+    return await fetch(address(path, query), { ...options, headers: all });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new ApiError("The service does not answer.", 0);
+  }
+}
+
+/** Raises what a response complains about. */
+export async function check(response) {
+  if (response.ok || response.status === 304) return response;
+  let sentence = `The service answered ${response.status} ${response.statusText}`.trim();
+  try {
+    const problem = await response.json();
+    sentence = problem.detail ?? problem.title ?? sentence;
+  } catch {
+    // not a problem document: the status has to do
+  }
+  if (response.status === 401 && !token()) sentence += " Open the address with the token that `coordinator web` prints.";
+  throw new ApiError(sentence, response.status);
+}
+
+export async function get(path, query, signal) { return (await check(await send(path, { query, signal }))).json(); }
+
+export async function getText(path, query) { return (await check(await send(path, { query }))).text(); }
+
+/** Changes something; `json` is the body. */
+export async function change(method, path, json) {
+  const body = json === undefined ? {} : { body: JSON.stringify(json), headers: { "Content-Type": "application/json" } };
+  const response = await check(await send(path, { method, ...body }));
+  return response.status === 204 ? null : response.json();
+}
+
+/** Sends the bytes of a file. */
+export async function upload(path, file, query, signal) {
+  const headers = { "Content-Type": "application/octet-stream" };
+  return (await check(await send(path, { method: "POST", body: file, query, headers, signal }))).json();
+}
+
+const job = (id) => `jobs/${encodeURIComponent(id)}`;
+export const paths = { job, of: (id, what) => `${job(id)}/${what}` };

@@ -1,0 +1,333 @@
+// Charts by uPlot, which is loaded with the first of them. Colours are those of the style sheet, in both schemes.
+
+import { h } from "./dom.js";
+import { number } from "./format.js";
+
+const HEIGHT = 260;
+export const COLOURS = 6;
+const dark = matchMedia("(prefers-color-scheme: dark)");
+const charts = new Set();
+let loading = null;
+
+dark.addEventListener("change", () => charts.forEach((chart) => chart.redraw(false, true)));
+
+function load() {
+  loading ??= new Promise((done, failed) => {
+    const from = (name) => new URL(name, import.meta.url).href;
+    document.head.append(
+      h("link", { rel: "stylesheet", href: from("uPlot.min.css") }),
+      h("script", { src: from("uPlot.iife.min.js"), onload: () => done(window.uPlot), onerror: () => failed(new Error("uPlot cannot be loaded")) }),
+    );
+  });
+  return loading;
+}
+
+/** Returns a colour of the style sheet as it is now. */
+export function colour(name) { return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim(); }
+
+export function cycled(index) { return `c${index % COLOURS}`; }
+
+/** Returns a legend: a mark of its colour before each name. */
+export function legend(entries) {
+  return h("ul", { class: "legend" }, entries.map(([name, label]) => {
+    const mark = h("span", { class: "swatch", "aria-hidden": "true" });
+    mark.classList.add(name);
+    return h("li", {}, mark, label);
+  }));
+}
+
+/** One chart in an element: made when it has data for the first time, made anew when the kind of its series changes. */
+export class Chart {
+  #plot = null;
+  #shape = "";
+  #isClosed = false;
+
+  constructor(label, { height = HEIGHT } = {}) {
+    this.height = height;
+    this.box = h("div", { class: "chart", role: "img", "aria-label": label });
+    this.box.style.height = `${height}px`;
+    this.observer = new ResizeObserver(() => this.#fit());
+    this.observer.observe(this.box);
+  }
+
+  /** Shows data; `options` returns what uPlot is made with, and `shape` says when that is no longer right. */
+  async set(data, shape, options) {
+    this.next = { data, shape, options };
+    const UPlot = await load();
+    if (this.#isClosed || !this.next) return;
+    const wanted = this.next;
+    this.next = null;
+    if (this.#plot && wanted.shape === this.#shape) return this.#plot.setData(wanted.data);
+    this.#drop();
+    this.#shape = wanted.shape;
+    this.#plot = new UPlot({ ...this.#size(), ...wanted.options(UPlot) }, wanted.data, this.box);
+    charts.add(this.#plot);
+  }
+
+  get plot() { return this.#plot; }
+
+  close() {
+    this.#isClosed = true;
+    this.observer.disconnect();
+    this.#drop();
+  }
+
+  #drop() {
+    if (!this.#plot) return;
+    charts.delete(this.#plot);
+    this.#plot.destroy();
+    this.#plot = null;
+  }
+
+  #size() { return { width: Math.max(this.box.clientWidth, 200), height: this.height }; }
+
+  #fit() {
+    if (this.#plot && this.box.clientWidth && this.#plot.width !== this.box.clientWidth) this.#plot.setSize(this.#size());
+  }
+}
+
+function axis(label, isLog, more = {}) {
+  return {
+    label, labelSize: 20, labelFont: "12px system-ui, sans-serif", font: "11px system-ui, sans-serif",
+    stroke: () => colour("faint"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("grid"), width: 1 },
+    values: (plot, splits) => splits.map((split) => (split === null ? "" : tick(split, isLog))), ...more,
+  };
+}
+
+function tick(value, isLog) {
+  if (isLog && value !== 0) {
+    const power = Math.log10(value);
+    if (Math.abs(power - Math.round(power)) < 1e-9 && Math.abs(power) >= 3) return `1e${Math.round(power)}`;
+  }
+  return Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? value.toExponential(1) : String(+value.toPrecision(6));
+}
+
+/** Returns the options that all charts share. */
+function frame(xLabel, yLabel, { isLogX = false, isLogY = false, bounds = {}, series, ...more }) {
+  const scale = (isLog, range) => ({ time: false, ...(isLog ? { distr: 3 } : {}), ...(range ? { range: () => range } : {}) });
+  return {
+    legend: { show: false }, cursor: { drag: { x: false, y: false } },
+    scales: { x: scale(isLogX, bounds.x), y: scale(isLogY, bounds.y) },
+    axes: [axis(xLabel, isLogX), axis(yLabel, isLogY, { size: 62 })],
+    series, padding: [10, 14, 0, 0], ...more,
+  };
+}
+
+const stroke = (name) => () => colour(name);
+const isWide = (values) => {
+  const above = values.filter((value) => value > 0);
+  return above.length > 0 && above.length === values.length && Math.max(...above) > 10 * Math.min(...above);
+};
+
+/** A logarithm needs numbers above zero: an exact equation is drawn a decade below the next. */
+function positive(errors) {
+  const least = Math.min(...errors.filter((error) => error > 0), 1);
+  return errors.map((error) => (error > 0 ? error : least / 10));
+}
+
+/** Fronts of complexity against error; a click chooses a point of the first. */
+export class FrontChart {
+  constructor(label, choose) {
+    this.chart = new Chart(label);
+    this.choose = choose;
+    this.box = this.chart.box;
+  }
+
+  /** `fronts` are lists of points; `chosen` is an index into the first. */
+  set(fronts, chosen = null, bounds = null) {
+    const xs = [...new Set(fronts.flat().map((point) => point.complexity))].sort((a, b) => a - b);
+    if (!xs.length) return;
+    const all = positive(fronts.flat().map(errorOf));
+    const columns = fronts.map((front) => {
+      const errors = new Map(front.map((point) => [point.complexity, errorOf(point)]));
+      const lowest = Math.min(...all);
+      return xs.map((x) => (errors.has(x) ? Math.max(errors.get(x), lowest) : null));
+    });
+    const mark = xs.map((x, index) => (chosen !== null && fronts[0][chosen]?.complexity === x ? columns[0][index] : null));
+    this.bounds = bounds ?? { x: [0, Math.max(...xs) + 1], y: decades(all) };
+    this.points = fronts[0];
+    this.xs = xs;
+    this.chart.set([xs, ...columns, mark], `front ${fronts.length}`, (UPlot) => this.#options(UPlot, fronts.length));
+  }
+
+  #options(UPlot, count) {
+    const steps = UPlot.paths.stepped({ align: 1 });
+    const series = Array.from({ length: count }, (_, index) => ({
+      stroke: stroke(cycled(index)), width: 1, dash: index ? [5, 4] : undefined, paths: steps, spanGaps: true,
+      points: { show: true, size: 8, fill: stroke(cycled(index)), stroke: stroke("ground"), width: 1 },
+    }));
+    const chosen = { stroke: stroke("text"), paths: () => null, points: { show: true, size: 14, width: 2, fill: "transparent", stroke: stroke("text") } };
+    const options = frame("complexity", "error (normalized)", { isLogY: true, series: [{}, ...series, chosen] });
+    options.scales.x.range = () => this.bounds.x;
+    options.scales.y.range = () => this.bounds.y;
+    options.cursor = { ...options.cursor, y: false, points: { size: 10 } };
+    options.hooks = { ready: [(plot) => plot.over.addEventListener("click", () => this.#click(plot))] };
+    return options;
+  }
+
+  #click(plot) {
+    const index = this.points.findIndex((point) => point.complexity === this.xs[plot.cursor.idx]);
+    if (index >= 0) this.choose?.(index);
+  }
+
+  close() { this.chart.close(); }
+}
+
+/** Returns the whole decades around errors, none of which lies on an edge. */
+function decades(errors) {
+  return [10 ** (Math.ceil(Math.log10(Math.min(...errors))) - 1), 10 ** (Math.floor(Math.log10(Math.max(...errors))) + 1)];
+}
+
+export function errorOf(point) { return point.normalized_error ?? point.error; }
+
+/** Errors of islands over generations, with the generation from which on nothing got better. */
+export class ConvergenceChart {
+  constructor(label) {
+    this.chart = new Chart(label);
+    this.box = this.chart.box;
+  }
+
+  set(curves, plateau) {
+    const kept = curves.filter((curve) => curve.generations.length);
+    if (!kept.length) return;
+    this.plateau = plateau;
+    const xs = [...new Set(kept.flatMap((curve) => curve.generations))].sort((a, b) => a - b);
+    const columns = kept.map((curve) => lastValues(curve, xs));
+    const [isLogX, isLogY] = [isWide(xs), isWide(kept.flatMap((curve) => curve.errors))];
+    const names = kept.map((curve) => curve.island);
+    this.chart.set([xs, ...columns], `curves ${names} ${isLogX} ${isLogY}`, (UPlot) => this.#options(UPlot, names, isLogX, isLogY));
+  }
+
+  #options(UPlot, names, isLogX, isLogY) {
+    const paths = UPlot.paths.stepped({ align: 1 });
+    const series = names.map((_, index) => ({ stroke: stroke(cycled(index)), width: 1.4, paths, spanGaps: true, points: { show: false } }));
+    return frame("generation", "error (normalized)", {
+      isLogX, isLogY, series: [{}, ...series], hooks: { draw: [(plot) => this.#drawPlateau(plot)] },
+    });
+  }
+
+  #drawPlateau(plot) {
+    if (this.plateau === null || this.plateau === undefined) return;
+    const { ctx, bbox } = plot;
+    const x = plot.valToPos(this.plateau, "x", true);
+    if (x < bbox.left || x > bbox.left + bbox.width) return;
+    ctx.save();
+    ctx.strokeStyle = ctx.fillStyle = colour("faint");
+    ctx.setLineDash([6, 5]);
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+    ctx.textAlign = x > bbox.left + bbox.width / 2 ? "right" : "left";
+    ctx.fillText(" plateau ", x, bbox.top + 12 * devicePixelRatio);
+    ctx.restore();
+  }
+
+  close() { this.chart.close(); }
+}
+
+/** An island may report several errors of one generation: the last is what it had then. */
+function lastValues(curve, xs) {
+  const values = new Map(curve.generations.map((generation, index) => [generation, curve.errors[index]]));
+  const first = curve.generations[0];
+  const end = curve.errors.at(-1);
+  return xs.map((x, index) => values.get(x) ?? (index === xs.length - 1 && x > first ? end : null));
+}
+
+/** Curves over one axis: `lines` holds {values, colour, isPoints, band: [low, high]}. */
+export class LinesChart {
+  constructor(label, options) {
+    this.chart = new Chart(label, options);
+    this.box = this.chart.box;
+  }
+
+  set(xLabel, yLabel, xs, lines) {
+    const data = [xs];
+    const series = [{}];
+    const bands = [];
+    for (const line of lines) {
+      if (line.band) {
+        data.push(line.band[1], line.band[0]);
+        bands.push({ series: [series.length, series.length + 1], fill: () => `${colour(line.colour)}38` });
+        const edge = { stroke: "transparent", width: 0, points: { show: false } };
+        series.push(edge, edge);
+      }
+      data.push(line.values);
+      const points = line.isPoints ? { show: true, size: 4, fill: stroke(line.colour), stroke: stroke(line.colour), width: 0 } : { show: false };
+      series.push({ stroke: stroke(line.colour), width: 1.6, spanGaps: !line.isPoints, points, ...(line.isPoints ? { paths: () => null } : {}) });
+    }
+    const shape = `${xLabel} ${yLabel} ${lines.map((line) => `${line.colour} ${line.isPoints} ${Boolean(line.band)}`)}`;
+    this.chart.set(data, shape, () => frame(xLabel, yLabel, { series, bands }));
+  }
+
+  close() { this.chart.close(); }
+}
+
+/** One state over another. `trails` holds {xs, ys, colour, isPoints}. */
+export class PhaseChart {
+  constructor(label) {
+    this.chart = new Chart(label, { height: 320 });
+    this.box = this.chart.box;
+  }
+
+  set(xLabel, yLabel, trails) {
+    const bounds = { x: extent(trails.flatMap((trail) => trail.xs)), y: extent(trails.flatMap((trail) => trail.ys)) };
+    const facets = [{ scale: "x", auto: true }, { scale: "y", auto: true }];
+    const series = trails.map((trail) => ({ facets, paths: (plot, index) => drawTrail(plot, index, trail) }));
+    const options = () => frame(xLabel, yLabel, { mode: 2, bounds, series: [null, ...series], cursor: { show: false } });
+    this.chart.set([null, ...trails.map((trail) => [trail.xs, trail.ys])], `${xLabel} ${yLabel} ${bounds.x} ${bounds.y}`, options);
+  }
+
+  close() { this.chart.close(); }
+}
+
+function extent(values) {
+  const known = values.filter((value) => value !== null && Number.isFinite(value));
+  const [low, high] = [Math.min(...known), Math.max(...known)];
+  const margin = 0.05 * (high - low || Math.abs(high) || 1);
+  return [low - margin, high + margin];
+}
+
+function drawTrail(plot, index, trail) {
+  const { ctx } = plot;
+  const [xs, ys] = plot.data[index];
+  const path = new Path2D();
+  for (let i = 0; i < xs.length; i += 1) {
+    if (xs[i] === null || ys[i] === null) continue;
+    const [x, y] = [plot.valToPos(xs[i], "x", true), plot.valToPos(ys[i], "y", true)];
+    if (trail.isPoints) path.rect(x - devicePixelRatio, y - devicePixelRatio, 2 * devicePixelRatio, 2 * devicePixelRatio);
+    else path.lineTo(x, y);
+  }
+  ctx.save();
+  ctx.strokeStyle = ctx.fillStyle = colour(trail.colour);
+  ctx.lineWidth = 1.6 * devicePixelRatio;
+  if (trail.isPoints) ctx.fill(path);
+  else ctx.stroke(path);
+  ctx.restore();
+  return null;
+}
+
+/** Makes an element that arrow keys move through a front, as a slider says it to screen readers. */
+export function steerable(element, label, { count, at, choose, say }) {
+  element.setAttribute("role", "slider");
+  element.setAttribute("tabindex", "0");
+  element.setAttribute("aria-label", label);
+  element.addEventListener("keydown", (event) => {
+    const last = count() - 1;
+    const steps = { ArrowRight: at() + 1, ArrowUp: at() + 1, ArrowLeft: at() - 1, ArrowDown: at() - 1, Home: 0, End: last, Enter: at() };
+    if (!(event.key in steps) || last < 0) return;
+    event.preventDefault();
+    choose(Math.max(0, Math.min(last, steps[event.key])));
+  });
+  return () => {
+    element.setAttribute("aria-valuemin", "0");
+    element.setAttribute("aria-valuemax", String(Math.max(0, count() - 1)));
+    element.setAttribute("aria-valuenow", String(Math.max(0, at())));
+    element.setAttribute("aria-valuetext", say());
+  };
+}
+
+export function sayPoint(point) {
+  return point ? `complexity ${point.complexity}, error ${number(errorOf(point))}: ${point.expression}` : "no equation yet";
+}

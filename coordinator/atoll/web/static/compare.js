@@ -1,0 +1,120 @@
+// Two jobs side by side: their equations by variable, their fronts on the same axes, and what differs otherwise.
+
+import { get, paths } from "./api.js";
+import { FrontChart, cycled, legend } from "./charts.js";
+import { h, setText, show, viewHeading } from "./dom.js";
+import { follow } from "./events.js";
+import { duration, largestError, number, stateOf } from "./format.js";
+import { formula } from "./mathml.js";
+
+const PAUSE = 3000;
+
+export default function open(root, { parameters }, app) {
+  return new Comparison(root, [parameters.get("a") ?? "", parameters.get("b") ?? ""], app);
+}
+
+class Comparison {
+  #charts = new Map();
+  #timer = null;
+
+  constructor(root, ids, app) {
+    Object.assign(this, { ids, app });
+    this.fault = h("p", { class: "fault", role: "alert", hidden: true });
+    [this.jobs, this.equations, this.options, this.data] = Array.from({ length: 4 }, () => h("div", { class: "wide" }));
+    root.append(viewHeading("Compare jobs"), this.fault, this.jobs, h("h2", {}, "Equations"), this.equations,
+      h("h2", {}, "Options that differ"), this.options, h("h2", {}, "Data that differ"), this.data);
+    follow(ids, { job: () => (this.#timer ??= setTimeout(() => this.again(), PAUSE)) });
+    this.again();
+  }
+
+  async again() {
+    clearTimeout(this.#timer);
+    this.#timer = null;
+    try {
+      const all = await Promise.all(this.ids.map((id) => this.#fetch(id)));
+      if (this.isClosed) return;
+      show(this.fault, false);
+      this.#draw(all);
+    } catch (error) {
+      if (error.status === 0) this.app.connection(false);
+      setText(this.fault, error.message);
+      show(this.fault, true);
+    }
+  }
+
+  /** A job that is not over has no result yet, one that has just begun no progress either. */
+  async #fetch(id) {
+    const [job, progress, result] = await Promise.all([
+      get(paths.job(id)), get(paths.of(id, "progress")).catch(() => ({ equations: [] })), get(paths.of(id, "result")).catch(() => null)]);
+    return { job, equations: progress.equations, result };
+  }
+
+  #draw(all) {
+    const jobs = all.map(({ job }) => job);
+    const names = jobs.map((job, index) => h("a", { href: `#/jobs/${encodeURIComponent(job.job)}` }, h("span", { class: `swatch ${cycled(index)}`, "aria-hidden": "true" }), `${job.name} (${job.job})`));
+    const facts = [["State", stateOf], ["Best error", (job) => number(largestError(job))], ["Elapsed", (job) => duration(job.elapsed)], ["Seed", (job) => job.seed], ["Preset", (job) => job.preset]];
+    this.jobs.replaceChildren(pairTable("Jobs", names, facts.map(([label, say]) => [label, ...jobs.map(say)])));
+    this.#drawEquations(all);
+    const plain = jobs.map((job) => job.name);
+    const [configs, data] = [all.map(({ result }) => flat(result?.config)), all.map(({ result }) => dataFacts(result))];
+    const waits = all.some(({ result }) => !result) ? "Known when both jobs have ended." : "";
+    this.options.replaceChildren(waits || differences("Options that differ", plain, configs));
+    this.data.replaceChildren(waits || differences("Data that differ", plain, data));
+  }
+
+  #drawEquations(all) {
+    const variables = [...new Set(all.flatMap(({ job, equations }) => [...(job.variables ?? []), ...equations].map((equation) => equation.variable)))];
+    for (const variable of variables) {
+      const pair = all.map(({ equations }) => equations.find((equation) => equation.variable === variable));
+      const place = this.#place(variable);
+      place.formulas.replaceChildren(...pair.map((equation, index) => h("div", { class: "side" },
+        h("p", { class: "faint" }, h("span", { class: `swatch ${cycled(index)}`, "aria-hidden": "true" }), all[index].job.name),
+        h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `${variable} of ${all[index].job.name}` },
+          equation ? formula(equation.mathml, `${equation.lhs} = ${equation.expression}`) : "No equation."), this.#verdict(all[index].job, variable))));
+      place.chart.set(pair.map((equation) => equation?.front ?? []));
+    }
+  }
+
+  #verdict(job, variable) {
+    const view = job.variables?.find((one) => one.variable === variable);
+    if (!view) return null;
+    return h("p", { class: "numbers" }, `error ${number(view.normalized_error)}, complexity ${view.complexity ?? "–"}${view.verdict ? `, ${view.verdict}` : ""}`);
+  }
+
+  #place(variable) {
+    if (!this.#charts.has(variable)) {
+      const chart = new FrontChart(`Fronts of ${variable} of both jobs`);
+      const formulas = h("div", { class: "pair" });
+      this.equations.append(h("article", { class: "equation" }, h("h3", {}, variable), formulas, chart.box, legend([["c0", "first job"], ["c1", "second job"]])));
+      this.#charts.set(variable, { chart, formulas });
+    }
+    return this.#charts.get(variable);
+  }
+
+  close() {
+    this.isClosed = true;
+    clearTimeout(this.#timer);
+    this.#charts.forEach(({ chart }) => chart.close());
+  }
+}
+
+function flat(value, prefix = "") {
+  if (value === null || typeof value !== "object" || Array.isArray(value)) return prefix ? { [prefix]: JSON.stringify(value) } : {};
+  return Object.assign({}, ...Object.entries(value).map(([name, part]) => flat(part, prefix ? `${prefix}.${name}` : name)));
+}
+
+function dataFacts(result) {
+  const data = result?.data ?? {};
+  return { files: (data.files ?? []).join(", "), rows: String(data.rows ?? "–"), "read as": data.read_as ?? "–", trajectories: String(data.trajectories?.length ?? "–"), sha256: data.digest ?? "–" };
+}
+
+function differences(caption, names, [a, b]) {
+  const rows = [...new Set([...Object.keys(a), ...Object.keys(b)])].filter((key) => a[key] !== b[key]).map((key) => [key, a[key] ?? "(default)", b[key] ?? "(default)"]);
+  return rows.length ? pairTable(caption, names, rows) : "None.";
+}
+
+function pairTable(caption, names, rows) {
+  const heads = ["", ...names].map((name) => (name ? h("th", { scope: "col" }, name) : h("td")));
+  return h("table", { class: "sides" }, h("caption", { class: "unseen" }, caption), h("thead", {}, h("tr", {}, heads)),
+    h("tbody", {}, rows.map(([label, ...values]) => h("tr", {}, h("th", { scope: "row" }, label), values.map((value) => h("td", {}, String(value)))))));
+}

@@ -1,0 +1,52 @@
+// The coordinator: its queue, what it takes, and whether it takes up jobs.
+
+import { change, session } from "./api.js";
+import { facts, h, setText, show, viewHeading } from "./dom.js";
+import { bytes, duration } from "./format.js";
+import { Poll } from "./poll.js";
+
+export default function open(root, _place, app) {
+  const [queue, process] = [h("div"), h("div")];
+  const state = h("span", { class: "state" });
+  const fault = h("p", { class: "fault", role: "alert", hidden: true });
+  const toggle = h("button", { type: "button", hidden: true, onclick: turn }, "Pause the queue");
+  let isPaused = false;
+  root.append(h("div", { class: "head" }, viewHeading("Coordinator"), state), h("h2", {}, "Queue"), queue, h("p", { class: "bar" }, toggle), fault, h("h2", {}, "Process"), process);
+  const poll = new Poll("coordinator", app, (answer) => {
+    const { coordinator } = answer;
+    isPaused = coordinator.paused;
+    setText(state, isPaused ? "queue paused" : "takes up jobs");
+    state.className = `state ${isPaused ? "paused" : "running"}`;
+    setText(toggle, isPaused ? "Let the queue go on" : "Pause the queue");
+    show(toggle, session.may_write);
+    queue.replaceChildren(facts(queueFacts(answer.queue)));
+    process.replaceChildren(facts(processFacts(coordinator)));
+  });
+  async function turn() {
+    try {
+      await change("PUT", "coordinator/queue", { paused: !isPaused });
+      show(fault, false);
+      poll.again();
+    } catch (error) {
+      setText(fault, error.message);
+      show(fault, true);
+    }
+  }
+  return poll;
+}
+
+function queueFacts(queue) {
+  const words = { tasks_ready: "Tasks ready", workers_wanted: "Workers wanted" };
+  return Object.entries(queue).map(([name, amount]) => [words[name] ?? name[0].toUpperCase() + name.slice(1), String(amount)]);
+}
+
+function processFacts({ version, incarnation, seconds, counters, store }) {
+  const mean = store.transactions ? (1000 * store.total_s) / store.transactions : 0;
+  const sum = (what) => (counters.traffic ?? []).reduce((total, kind) => total + kind[what], 0);
+  return [
+    ["Version", version], ["Uptime", duration(seconds)], ["Starts", String(incarnation)],
+    ["Memory", bytes(counters.memory_bytes)], ["CPU", `${duration(counters.cpu_s)} (${((100 * counters.cpu_s) / Math.max(seconds, 1)).toFixed(1)} %)`],
+    ["Received", bytes(sum("bytes_in"))], ["Sent", bytes(sum("bytes_out"))],
+    ["Store", `${store.transactions} transactions, ${mean.toFixed(1)} ms each, the longest ${(1000 * store.worst_s).toFixed(0)} ms`],
+  ];
+}

@@ -1,0 +1,110 @@
+// Elements are made here and nowhere else: text is always set as text, never parsed as markup.
+
+/** Returns an element; `on…` properties are listeners, null and false are left out, other properties are attributes. */
+export function h(tag, properties = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties ?? {})) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "value" || name === "checked") element[name] = value;
+    else element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+/** Sets a text only where it differs, so that nothing is laid out again or announced again without need. */
+export function setText(element, text) {
+  const wanted = String(text ?? "");
+  if (element.textContent !== wanted) element.textContent = wanted;
+}
+
+export function setClass(element, name) { if (element.className !== name) element.className = name; }
+
+export function show(element, isShown) { if (element.hidden === isShown) element.hidden = !isShown; }
+
+/** Makes the children of `place` those of `items`: elements are kept by key, so that focus and scrolling stay. */
+export function keyed(place, items, key, make, update) {
+  const known = place.keyed ?? (place.keyed = new Map());
+  const wanted = new Set(items.map(key));
+  for (const [name, element] of known) {
+    if (!wanted.has(name)) {
+      element.remove();
+      known.delete(name);
+    }
+  }
+  let next = place.firstElementChild;
+  for (const item of items) {
+    const name = key(item);
+    let element = known.get(name);
+    if (!element) known.set(name, (element = make(item)));
+    if (element === next) next = next.nextElementSibling;
+    else place.insertBefore(element, next);
+    update?.(element, item);
+  }
+}
+
+/** Returns a function that has `draw` run once before the next frame, however often it is called. */
+export function framed(draw) {
+  let isDue = false;
+  return () => {
+    if (isDue) return;
+    isDue = true;
+    requestAnimationFrame(() => {
+      isDue = false;
+      draw();
+    });
+  };
+}
+
+/** Says something to people who cannot see what changed. */
+export function announce(sentence) { setText(document.getElementById("announcer"), sentence); }
+
+/** Returns a heading and lets it take the focus when a view begins. */
+export function viewHeading(text) { return h("h1", { tabindex: "-1" }, text); }
+
+/** Returns a list of terms; `pairs` holds [term, element or text]. */
+export function facts(pairs) {
+  const items = pairs.filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return h("dl", { class: "facts" }, items.map(([term, value]) => h("div", {}, h("dt", {}, term), h("dd", {}, value))));
+}
+
+/** Returns a button that asks for a confirmation inside the page before it does `act`. */
+export function confirmed(label, question, yes, act) {
+  const open = h("button", { type: "button", onclick: () => toggle(true) }, label);
+  const agree = h("button", { type: "button", class: "danger", onclick: () => (toggle(false), act()) }, yes);
+  const refuse = h("button", { type: "button", onclick: () => toggle(false) }, "No");
+  const box = h("span", { class: "confirm", role: "group", "aria-label": question, hidden: true }, question, agree, refuse);
+  box.addEventListener("keydown", (event) => event.key === "Escape" && toggle(false));
+  function toggle(isAsking) {
+    show(box, isAsking);
+    show(open, !isAsking);
+    (isAsking ? refuse : open).focus();
+  }
+  return h("span", {}, open, box);
+}
+
+/** Returns a text to copy with its button. */
+export function copyable(label, text) {
+  const code = h("pre", { tabindex: "0", "aria-label": label }, text);
+  const button = h("button", { type: "button", class: "small", onclick: copy }, "Copy");
+  async function copy() {
+    try {
+      await navigator.clipboard.writeText(code.textContent);
+    } catch {
+      getSelection().selectAllChildren(code); // without HTTPS browsers give no clipboard; the old way still works
+      document.execCommand("copy");
+    }
+    setText(button, "Copied");
+    announce(`${label} copied`);
+    setTimeout(() => setText(button, "Copy"), 2000);
+  }
+  return h("div", { class: "copyable" }, h("div", { class: "bar" }, h("span", { class: "label" }, label), button), code);
+}
+
+/** Gives somebody a text as a file. */
+export function download(name, text, type = "text/plain") {
+  const address = URL.createObjectURL(new Blob([text], { type }));
+  h("a", { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}

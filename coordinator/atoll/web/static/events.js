@@ -1,0 +1,171 @@
+// All tabs of a browser share one connection: browsers open only six to a host over HTTP/1.1.
+//
+// Tabs elect a leader by an exclusive lock. Each visible tab tells which jobs it watches; the leader reads the events of
+// them all and hands them out. A hidden tab watches nothing and leads nobody. Without locks each tab reads for itself.
+
+import { token } from "./api.js";
+import { Stream } from "./stream.js";
+
+const WISH_AGAIN = 20_000;
+/** A tab that died says no goodbye: its wish is dropped when it was not repeated for so long. */
+const WISH_DIES = 60_000;
+const SETTLE = 100;
+/** Tabs of another path or of another user see other jobs, so that they have an election of their own. */
+const NAME = `atoll-events ${hash(`${new URL(".", document.baseURI).pathname} ${token() ?? ""}`)}`;
+
+function hash(text) {
+  let value = 2166136261;
+  for (const letter of text) value = Math.imul(value ^ letter.codePointAt(0), 16777619) >>> 0;
+  return value.toString(36);
+}
+
+const tab = Math.random().toString(36).slice(2);
+const hasLocks = Boolean(navigator.locks) && typeof BroadcastChannel === "function";
+const channel = hasLocks ? new BroadcastChannel(NAME) : null;
+const listeners = new Set();
+let jobs = null;
+let view = null;
+let last = null;
+let leader = null;
+let waiting = null;
+
+/** Has a view told of jobs ("all", or a list of ids): `told` has job(change) and happened(event). */
+export function follow(wanted, told) {
+  jobs = wanted;
+  view = told;
+  tellWish();
+}
+
+/** Calls `listener({connected, reason})` whenever the connection comes or goes. */
+export function onConnection(listener) { listeners.add(listener); }
+
+/** Begins: from now on this tab takes part. */
+export function startEvents() {
+  channel?.addEventListener("message", ({ data }) => hear(data));
+  document.addEventListener("visibilitychange", appear);
+  addEventListener("pagehide", vanish);
+  addEventListener("pageshow", (event) => event.persisted && appear());
+  setInterval(tellWish, WISH_AGAIN);
+  appear();
+}
+
+function appear() {
+  if (document.visibilityState === "hidden") return vanish();
+  if (hasLocks) runForLeader();
+  else leader ??= new Leader();
+  tellWish();
+}
+
+function vanish() {
+  channel?.postMessage({ kind: "wish", tab, jobs: null });
+  waiting?.abort();
+  waiting = null;
+  leader?.resign();
+  leader = null;
+}
+
+/** Waits for the lock in the line of all visible tabs. */
+function runForLeader() {
+  if (leader || waiting) return;
+  const candidacy = new AbortController();
+  waiting = candidacy;
+  const lead = () => new Promise((resign) => {
+    if (candidacy.signal.aborted) return resign();
+    waiting = null;
+    leader = new Leader(resign);
+    tellWish();
+  });
+  navigator.locks.request(NAME, { signal: candidacy.signal }, lead).catch(() => {}); // given up before it was our turn
+}
+
+function tellWish() {
+  const wish = { kind: "wish", tab, jobs: document.visibilityState === "hidden" ? null : jobs };
+  if (leader) leader.hear(wish);
+  else channel?.postMessage(wish);
+}
+
+function hear(message) {
+  if (message.kind === "wish") leader?.hear(message);
+  else if (message.kind === "who") tellWish();
+  else if (message.kind === "connection") listeners.forEach((listener) => listener(message));
+  else if (message.kind === "event") take(message);
+}
+
+/** Hands an event to the view of this tab, if it is about what the view watches. */
+function take({ type, id, data }) {
+  if (id !== null) last = id;
+  if (!view || jobs === null) return;
+  const isOurs = jobs === "all" || !data.job || jobs.includes(data.job);
+  if (isOurs && type === "job") view.job?.(data);
+  if (isOurs && type === "happened") view.happened?.(data);
+}
+
+/** Reads the events of all tabs' jobs while this tab has the lock. */
+class Leader {
+  #wishes = new Map();
+  #stream = null;
+  #reads = null;
+  #due = null;
+  #state = { kind: "connection", connected: true, reason: "" };
+
+  constructor(resign = () => {}) {
+    this.give = resign;
+    this.timer = setInterval(() => this.#settle(), WISH_AGAIN);
+    channel?.postMessage({ kind: "who" });
+  }
+
+  resign() {
+    clearInterval(this.timer);
+    clearTimeout(this.#due);
+    this.#stream?.close();
+    this.give();
+  }
+
+  hear({ tab: name, jobs: wanted }) {
+    const isNew = !this.#wishes.has(name);
+    if (wanted === null) this.#wishes.delete(name);
+    else this.#wishes.set(name, { jobs: wanted, heard: Date.now() });
+    if (isNew && name !== tab && !this.#state.connected) channel?.postMessage(this.#state);
+    this.#due ??= setTimeout(() => this.#settle(), SETTLE); // views change in steps: read once they have settled
+  }
+
+  #settle() {
+    this.#due = null;
+    for (const [name, wish] of this.#wishes) { if (Date.now() - wish.heard > WISH_DIES) this.#wishes.delete(name); }
+    const union = this.#union();
+    if (JSON.stringify(union) === JSON.stringify(this.#reads)) return;
+    this.#reads = union;
+    this.#stream?.close();
+    this.#stream = union.length ? this.#open(union) : null;
+    if (!this.#stream) this.#say(true, ""); // whoever reads nothing misses nothing
+  }
+
+  #union() {
+    const all = [...this.#wishes.values()].map((wish) => wish.jobs);
+    return all.includes("all") ? ["all"] : [...new Set(all.flat())].sort();
+  }
+
+  #open(union) {
+    return new Stream(union, last, {
+      opened: () => this.#say(true, ""),
+      lost: (reason) => this.#say(false, reason),
+      message: (type, id, data) => this.#pass(type, id, data),
+    });
+  }
+
+  #pass(type, id, data) {
+    if (type === "connection") this.#say(data.connected, data.reason);
+    else this.#tell({ kind: "event", type, id, data });
+  }
+
+  #say(connected, reason) {
+    if (connected === this.#state.connected && reason === this.#state.reason) return;
+    this.#state = { kind: "connection", connected, reason };
+    this.#tell(this.#state);
+  }
+
+  #tell(message) {
+    channel?.postMessage(message);
+    hear(message);
+  }
+}

@@ -1,0 +1,174 @@
+// One job: what it is about, its equations as they get better, where its islands are, and what happened.
+
+import { get, paths, session } from "./api.js";
+import { follow } from "./events.js";
+import { announce, facts, framed, h, setClass, setText, show, viewHeading } from "./dom.js";
+import { ENDED, count, duration, moment, plural, stateOf } from "./format.js";
+import { Actions } from "./job_actions.js";
+import { EquationCard } from "./job_equation.js";
+import { Islands } from "./job_islands.js";
+import { Log } from "./job_log.js";
+import { Outcome } from "./job_outcome.js";
+import { Progress } from "./job_progress.js";
+
+export default function open(root, { id }, app) { return new JobPage(root, id, app); }
+
+class JobPage {
+  #job = null;
+  #cards = new Map();
+  #isClosed = false;
+
+  constructor(root, id, app) {
+    this.id = id;
+    this.app = app;
+    this.draw = framed(() => this.#draw());
+    this.actions = new Actions(id, app, (job) => this.#merge(job));
+    this.progress = new Progress(id, (equations) => this.#showEquations(equations));
+    this.islands = new Islands(id);
+    this.log = new Log(id);
+    this.outcome = new Outcome(id);
+    this.#build(root);
+    follow([id], { job: (change) => this.#change(change), happened: (event) => this.#happened(event) });
+    this.again();
+  }
+
+  #build(root) {
+    this.heading = viewHeading(`Job ${this.id}`);
+    this.state = h("span", { class: "state" });
+    this.reason = h("p", { class: "reason" });
+    this.notes = h("ul", { class: "notes" });
+    this.facts = h("div");
+    this.fault = h("p", { class: "fault", role: "alert", hidden: true });
+    this.equations = h("div", { class: "equations" }, h("p", { class: "faint" }, "No equations yet."));
+    this.body = h("div", { hidden: true },
+      this.reason, this.notes, this.facts, this.actions.box,
+      h("section", { "aria-label": "Equations" }, h("h2", {}, "Equations"), this.equations),
+      this.outcome.box, this.islands.box, this.log.box);
+    root.append(h("p", { class: "crumb" }, h("a", { href: "#/jobs" }, "Jobs")), h("div", { class: "head" }, this.heading, this.state), this.fault, this.body);
+  }
+
+  async again() {
+    try {
+      this.#merge(await get(paths.job(this.id)));
+      show(this.fault, false);
+    } catch (error) {
+      this.#fail(error);
+      return;
+    }
+    this.progress.fetch();
+    this.islands.fetch();
+    this.log.fetch();
+  }
+
+  #fail(error) {
+    if (error.status === 0) this.app.connection(false);
+    setText(this.fault, error.message);
+    show(this.fault, true);
+  }
+
+  #change({ changes, deleted }) {
+    if (deleted) {
+      announce("The job is deleted.");
+      location.hash = "#/jobs";
+    } else if (this.#job || changes?.job) {
+      this.#merge(changes);
+      if (changes.variables) this.progress.fetchSoon();
+      if (changes.workers !== undefined) this.islands.fetchSoon();
+    }
+  }
+
+  #happened(event) {
+    if (event.job !== this.id && !(event.worker && this.islands.has(event.worker))) return;
+    this.log.add([event]);
+    this.islands.happened(event);
+  }
+
+  #merge(changes) {
+    const before = this.#job && stateOf(this.#job);
+    this.#job = { ...this.#job, ...changes };
+    const after = stateOf(this.#job);
+    if (before && before !== after) {
+      announce(`The job is ${after}.`);
+      this.progress.fetchSoon();
+    }
+    this.draw();
+  }
+
+  #draw() {
+    if (this.#isClosed) return;
+    const job = this.#job;
+    const state = stateOf(job);
+    show(this.body, true);
+    setText(this.heading, job.name || job.job);
+    this.app.title(`${job.name || job.job}: ${state}`);
+    setText(this.state, state);
+    setClass(this.state, `state ${state}`);
+    setText(this.reason, job.reason ?? "");
+    show(this.reason, Boolean(job.reason));
+    this.#drawNotes(job);
+    this.#drawFacts(job);
+    this.actions.update(job, session.may_write);
+    this.#drawCards(job);
+    this.outcome.update(job);
+    this.islands.update(job);
+  }
+
+  /** What one has to know before believing or waiting. */
+  #drawNotes(job) {
+    const isGoing = !ENDED.includes(job.state);
+    const notes = [
+      ...(job.stalls ?? []).map((text) => ["bad", "Stands still", text]),
+      ...(job.warnings ?? []).map((text) => ["doubtful", "Note", text]),
+      ...(isGoing && job.ahead ? [["", "Waits", `${plural(job.ahead, "job")} before it in the line.`]] : []),
+      ...(isGoing && job.held && !job.paused ? [["", "Waits", "It has begun and waits for a place."]] : []),
+      ...(job.state === "running" && job.workers === 0 ? [["doubtful", "Waits", "No worker computes for it now."]] : []),
+    ];
+    const said = JSON.stringify(notes);
+    if (this.notes.dataset.said === said) return;
+    this.notes.dataset.said = said;
+    this.notes.replaceChildren(...notes.map(([severity, label, text]) => h("li", { class: severity }, h("b", {}, `${label}: `), text)));
+  }
+
+  #drawFacts(job) {
+    const rate = job.point_evaluations_per_second;
+    const pairs = [
+      ["Job", h("code", {}, job.job)],
+      ["Submitted", moment(job.submitted)], ["Owner", job.submitter ?? "–"], ["Elapsed", duration(job.elapsed)],
+      ["Workers", String(job.workers)], ["Points evaluated", count(job.point_evaluations)],
+      ["Points per second", rate ? count(rate) : null],
+      ["Seed", String(job.seed)], ["Preset", job.preset], ["Priority", String(job.priority)],
+      ["Deaths", job.counters?.deaths ? String(job.counters.deaths) : null],
+      ["Waited for migrants", job.counters?.waited_s ? duration(job.counters.waited_s) : null],
+    ];
+    const said = pairs.map(([, value]) => value?.textContent ?? value).join();
+    if (this.facts.dataset.said === said) return;
+    this.facts.dataset.said = said;
+    this.facts.replaceChildren(facts(pairs));
+  }
+
+  #drawCards(job) { for (const variable of job.variables ?? []) this.#card(variable.variable).update(variable, job); }
+
+  #showEquations(equations) {
+    if (this.#isClosed) return;
+    for (const equation of equations) this.#card(equation.variable).show(equation);
+    this.outcome.name(equations.map((equation) => equation.variable));
+  }
+
+  #card(variable) {
+    if (!this.#cards.has(variable)) {
+      if (!this.#cards.size) this.equations.replaceChildren();
+      const card = new EquationCard(variable);
+      this.#cards.set(variable, card);
+      this.equations.append(card.box);
+    }
+    return this.#cards.get(variable);
+  }
+
+  close() {
+    this.#isClosed = true;
+    this.progress.close();
+    this.islands.close();
+    this.outcome.close();
+    this.#cards.forEach((card) => card.close());
+  }
+}

@@ -1,0 +1,142 @@
+// One equation of a job: what it is now, its front of complexity against error, how the islands got there.
+
+import { ConvergenceChart, FrontChart, cycled, errorOf, legend, sayPoint, steerable } from "./charts.js";
+import { framed, h, keyed, setClass, setText, show } from "./dom.js";
+import { formula } from "./mathml.js";
+import { count, number } from "./format.js";
+
+const WHY = {
+  target: "found: its error is below the target", law: "found: an exact law", stagnation: "ended: nothing got better any more",
+  "max-epochs": "ended: all epochs are done", "max-time": "ended: the time is over", cancelled: "ended: cancelled", known: "given, not searched",
+};
+
+export class EquationCard {
+  #equation = null;
+  #chosen = null;
+  #shown = "";
+
+  constructor(variable) {
+    this.variable = variable;
+    this.draw = framed(() => this.#draw());
+    this.#build();
+  }
+
+  #build() {
+    this.title = h("h3", {}, this.variable);
+    this.verdict = h("span", { class: "verdict", hidden: true });
+    this.now = h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `Equation of ${this.variable}` }, "No equation yet.");
+    this.facts = h("p", { class: "faint numbers" });
+    this.front = new FrontChart(`Front of ${this.variable}`, (index) => this.#choose(index));
+    this.curves = new ConvergenceChart(`Errors of the islands of ${this.variable} over generations`);
+    this.picked = h("p", { class: "faint numbers" });
+    this.pickedFormula = h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `Chosen equation of ${this.variable}` });
+    this.islands = h("div");
+    this.rows = h("tbody");
+    this.mark = steerable(this.front.box, `Front of ${this.variable}: choose an equation`, {
+      count: () => this.#points.length, at: () => this.#index, choose: (index) => this.#choose(index), say: () => sayPoint(this.#points[this.#index]),
+    });
+    this.box = h("article", { class: "equation", "aria-label": `Equation of ${this.variable}` },
+      h("div", { class: "head" }, this.title, this.verdict), this.now, this.facts,
+      h("div", { class: "pair" },
+        h("figure", {}, h("figcaption", {}, "Front: the least error for each complexity. Click a point, or use arrow keys."), this.front.box, this.picked, this.pickedFormula),
+        h("figure", {}, h("figcaption", {}, "Convergence: the error of each island over generations."), this.curves.box, this.islands)),
+      this.#table());
+  }
+
+  #table() {
+    const heads = ["Complexity", "Error", "Equation"].map((text, index) => h("th", { scope: "col", class: index < 2 ? "number" : null }, text));
+    const table = h("table", {}, h("caption", { class: "unseen" }, `Front of ${this.variable}`), h("thead", {}, h("tr", {}, heads)), this.rows);
+    return h("details", {}, h("summary", {}, "The front as a table"), h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Front of ${this.variable} as a table` }, table));
+  }
+
+  /** Shows what the job says of this equation. */
+  update(view, job) {
+    setText(this.title, view.lhs || view.variable);
+    show(this.verdict, Boolean(view.verdict));
+    setText(this.verdict, view.verdict ?? "");
+    setClass(this.verdict, `verdict ${(view.verdict ?? "").replace(" ", "-")}`);
+    const state = view.why ? WHY[view.why] : job.state === "running" ? "searched" : "";
+    const target = job.target_error ? ` (target ${number(job.target_error)})` : "";
+    const parts = [
+      `error ${number(view.normalized_error)}${target}`, view.complexity === null ? null : `complexity ${view.complexity}`,
+      `epoch ${view.epoch}`, `${count(view.point_evaluations)} points`, view.converged ? "islands agree" : null, state,
+    ];
+    setText(this.facts, parts.filter(Boolean).join(" · "));
+    if (!this.#equation && view.expression) setText(this.now, `${view.lhs} = ${view.expression}`);
+  }
+
+  /** Shows an equation of the progress. */
+  show(equation) {
+    this.#equation = equation;
+    this.draw();
+  }
+
+  get #points() { return this.#equation?.front ?? []; }
+
+  /** The chosen point stays chosen while the front grows; without a choice it is the one that the search holds best. */
+  get #index() {
+    const points = this.#points;
+    const isChosen = (point) => (this.#chosen === null ? point.selected : point.complexity === this.#chosen);
+    const index = points.findIndex(isChosen);
+    return index >= 0 ? index : points.length - 1;
+  }
+
+  #choose(index) {
+    this.#chosen = this.#points[index]?.complexity ?? null;
+    this.draw();
+  }
+
+  #draw() {
+    const { lhs, expression, mathml, convergence, plateau } = this.#equation;
+    const key = `${mathml}`;
+    if (this.#shown !== key) {
+      this.#shown = key;
+      this.now.replaceChildren(formula(mathml, `${lhs} = ${expression ?? "…"}`));
+    }
+    this.front.set([this.#points], this.#index);
+    this.curves.set(convergence ?? [], plateau);
+    this.#drawLegend(convergence ?? []);
+    this.#drawPicked(this.#points[this.#index]);
+    this.#drawTable();
+    this.mark();
+  }
+
+  #drawLegend(curves) {
+    const names = curves.map((curve) => (typeof curve.island === "number" ? `island ${curve.island}` : String(curve.island)));
+    if (this.islands.dataset.names === names.join()) return;
+    this.islands.dataset.names = names.join();
+    this.islands.replaceChildren(legend(names.map((name, index) => [cycled(index), name])));
+  }
+
+  #drawPicked(point) {
+    setText(this.picked, point ? `complexity ${point.complexity} · error ${number(errorOf(point), 4)}` : "");
+    const key = point?.mathml ?? point?.expression ?? "";
+    if (this.pickedFormula.dataset.key === key) return;
+    this.pickedFormula.dataset.key = key;
+    this.pickedFormula.replaceChildren(point ? formula(point.mathml, point.expression) : "");
+  }
+
+  #drawTable() {
+    const points = this.#points;
+    const chosen = this.#index;
+    keyed(this.rows, points.map((point, index) => ({ point, index })), ({ point }) => point.complexity,
+      ({ point }) => {
+        const button = h("button", { type: "button", class: "link" });
+        button.addEventListener("click", () => this.#choose(this.#points.findIndex(({ complexity }) => complexity === point.complexity)));
+        return h("tr", {}, h("td", { class: "number" }), h("td", { class: "number" }), h("td", {}, button));
+      },
+      (row, { point, index }) => {
+        const [complexity, error, expression] = row.children;
+        setText(complexity, point.complexity);
+        setText(error, number(errorOf(point), 4));
+        setText(expression.firstChild, point.expression);
+        setClass(row, index === chosen ? "chosen" : "");
+        expression.firstChild.setAttribute("aria-pressed", String(index === chosen));
+      });
+  }
+
+  close() {
+    this.front.close();
+    this.curves.close();
+  }
+}

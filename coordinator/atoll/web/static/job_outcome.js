@@ -1,0 +1,143 @@
+// What a job gives: refining under way, then simulation, phase portrait, report and files to take along.
+
+import { check, get, getText, paths, send } from "./api.js";
+import { LinesChart, PhaseChart, cycled, legend } from "./charts.js";
+import { announce, download, h, setText, show } from "./dom.js";
+
+const ASK_AGAIN = 1000;
+const ENDINGS = { python: "py", c: "c", julia: "jl", matlab: "m", modelica: "mo", sbml: "xml", petab: "txt", xppaut: "ode", latex: "tex", sympy: "py" };
+
+export class Outcome {
+  #state = null;
+  #charts = [];
+  #isClosed = false;
+
+  constructor(id) {
+    this.id = id;
+    this.names = [];
+    this.refining = h("div", { class: "refining", hidden: true }, h("p", {}, "Refining: constants are fitted to the whole trajectories, candidates are compared, errors are estimated."),
+      h("progress", { "aria-label": "Refining" }));
+    this.report = h("button", { type: "button", onclick: () => this.#openReport() }, "Open the report");
+    this.reportSaid = h("span", { class: "faint", role: "status" });
+    this.files = h("span", { class: "bar" });
+    this.charts = h("div", { class: "pair" });
+    this.done = h("div", { hidden: true }, h("div", { class: "bar" }, this.report, this.reportSaid), h("p", { class: "label" }, "Take along"), this.files, this.charts);
+    this.box = h("section", { "aria-label": "Outcome", hidden: true }, h("h2", {}, "Outcome"), this.refining, this.done);
+  }
+
+  name(names) { this.names = names; }
+
+  update(job) {
+    if (job.state === this.#state) return;
+    this.#state = job.state;
+    const isDone = job.state === "done" || job.state === "cancelled";
+    show(this.refining, job.state === "refining");
+    show(this.done, isDone);
+    show(this.box, isDone || job.state === "refining");
+    if (isDone) this.#load();
+  }
+
+  async #load() {
+    const [exports, simulation, result] = await Promise.allSettled([
+      get(paths.of(this.id, "exports")), get(paths.of(this.id, "simulation")), get(paths.of(this.id, "result")),
+    ]);
+    if (this.#isClosed) return;
+    const formats = exports.value?.formats ?? [];
+    const files = formats.map((format) => [format, () => this.#download(`exports/${format}`, `${this.id}.${ENDINGS[format] ?? "txt"}`)]);
+    if (result.value) files.unshift(["result.json", () => download(`${this.id}.json`, JSON.stringify(result.value, null, 1), "application/json")]);
+    this.files.replaceChildren(...files.map(([name, onclick]) => h("button", { type: "button", class: "small", onclick }, name)));
+    if (simulation.value) this.#drawCharts(simulation.value, result.value);
+  }
+
+  async #download(what, name) {
+    try {
+      download(name, await getText(paths.of(this.id, what)));
+    } catch (error) { setText(this.reportSaid, error.message); }
+  }
+
+  #drawCharts({ time, columns }, result) {
+    const times = columns[time];
+    const states = Object.keys(columns).filter((name) => name !== time && columns[name]?.length === times?.length);
+    if (!times || !states.length) return;
+    const data = result?.data?.trajectories?.[0];
+    const measured = data?.times?.length === undefined ? null : data;
+    this.#drawSimulation(time, times, states, columns, measured);
+    if (states.length > 1) this.#drawPhase(states, columns, measured);
+  }
+
+  #drawSimulation(time, times, states, columns, measured) {
+    const chart = this.#keep(new LinesChart("Simulation of the model"));
+    const shown = states.slice(0, 6);
+    this.charts.append(h("figure", {}, h("figcaption", {}, `Simulation from the first measured state${measured ? ", and what was measured" : ""}.`), chart.box,
+      legend(shown.map((name, index) => [cycled(index), name]))));
+    const lines = shown.map((name, index) => ({ values: columns[name], colour: cycled(index) }));
+    if (!measured) return chart.set(time, "", times, lines);
+    const xs = [...new Set([...times, ...measured.times])].sort((a, b) => a - b);
+    const on = (ts, values) => {
+      const known = new Map(ts.map((t, index) => [t, values[index]]));
+      return xs.map((x) => known.get(x) ?? null);
+    };
+    const points = shown.filter((name) => measured.measured?.[name])
+      .map((name) => ({ values: on(measured.times, measured.measured[name]), colour: cycled(shown.indexOf(name)), isPoints: true }));
+    return chart.set(time, "", xs, [...lines.map((line) => ({ ...line, values: on(times, line.values) })), ...points]);
+  }
+
+  #drawPhase(states, columns, measured) {
+    const chart = this.#keep(new PhaseChart("Phase portrait"));
+    const selects = [0, 1].map((index) => {
+      const select = h("select", { onchange: () => draw() }, states.map((name) => h("option", { value: name }, name)));
+      select.value = states[index];
+      return select;
+    });
+    const draw = () => {
+      const [x, y] = selects.map((select) => select.value);
+      const trails = [{ xs: columns[x], ys: columns[y], colour: "c0" }];
+      if (measured?.measured?.[x] && measured.measured[y]) trails.push({ xs: measured.measured[x], ys: measured.measured[y], colour: "c1", isPoints: true });
+      chart.set(x, y, trails);
+    };
+    const axes = h("span", { class: "bar" }, h("label", {}, "across ", selects[0]), h("label", {}, "up ", selects[1]));
+    this.charts.append(h("figure", {}, h("figcaption", {}, "Phase portrait"), states.length > 2 ? axes : null, chart.box));
+    draw();
+  }
+
+  #keep(chart) {
+    this.#charts.push(chart);
+    return chart;
+  }
+
+  /** The report needs the token, which a plain link would not send: it is fetched and opened as a page of its own. */
+  async #openReport() {
+    this.report.disabled = true;
+    const tab = window.open("", "_blank"); // at once, or it would count as a pop-up that nobody asked for
+    try {
+      const text = await this.#fetchReport();
+      const page = URL.createObjectURL(new Blob([text], { type: "text/html" }));
+      if (tab) tab.location.replace(page);
+      setText(this.reportSaid, "");
+    } catch (error) {
+      tab?.close();
+      setText(this.reportSaid, error.message);
+    }
+    this.report.disabled = false;
+  }
+
+  async #fetchReport() {
+    setText(this.reportSaid, "A worker makes the report…");
+    for (;;) {
+      const response = await send(paths.of(this.id, "report"));
+      if (response.status !== 202) {
+        announce("The report is ready.");
+        return (await check(response)).text();
+      }
+      const { waits_for: reason } = await response.json();
+      if (reason) setText(this.reportSaid, `Waits for ${reason}.`);
+      await new Promise((done) => setTimeout(done, ASK_AGAIN));
+      if (this.#isClosed) throw new Error("");
+    }
+  }
+
+  close() {
+    this.#isClosed = true;
+    this.#charts.forEach((chart) => chart.close());
+  }
+}

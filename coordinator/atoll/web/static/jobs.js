@@ -1,0 +1,254 @@
+// The list of jobs: newest first as the service gives them, sorted and filtered here, kept up to date by events.
+
+import { get } from "./api.js";
+import { follow } from "./events.js";
+import { framed, h, keyed, setClass, setText, show, viewHeading } from "./dom.js";
+import { ENDED, duration, largestError, moment, number, plural, stateOf } from "./format.js";
+
+const STATES = ["queued", "preparing", "running", "refining", "done", "failed", "cancelled"];
+const PAGE = 50;
+/** What can be sorted by: heading, value, whether the largest come first. */
+const COLUMNS = {
+  state: { title: "State", value: (job) => STATES.indexOf(job.state) },
+  name: { title: "Name", value: (job) => job.name.toLowerCase() },
+  error: { title: "Best error", value: (job) => largestError(job) ?? Infinity, isNumber: true },
+  verdict: { title: "Verdicts", value: (job) => verdicts(job).join() },
+  progress: { title: "Progress", value: (job) => epochs(job)[1], isDown: true },
+  owner: { title: "Owner", value: (job) => job.submitter ?? "" },
+  submitted: { title: "Submitted", value: (job) => job.submitted, isDown: true },
+  elapsed: { title: "Elapsed", value: (job) => job.elapsed, isNumber: true, isDown: true },
+};
+
+export default function open(root, { parameters }, app) { return new Jobs(root, parameters, app); }
+
+class Jobs {
+  #jobs = new Map();
+  #chosen = new Set();
+  #next = null;
+  #isLoaded = false;
+
+  constructor(root, parameters, app) {
+    this.app = app;
+    this.filter = parameters.get("state") ?? "";
+    this.text = parameters.get("text") ?? "";
+    this.sort = parameters.get("sort") in COLUMNS ? parameters.get("sort") : "submitted";
+    this.isDown = parameters.has("down") ? parameters.get("down") === "yes" : Boolean(COLUMNS[this.sort].isDown);
+    this.draw = framed(() => this.#draw());
+    this.#build(root);
+    follow("all", { job: (change) => this.#change(change) });
+    this.again();
+  }
+
+  #build(root) {
+    this.heading = viewHeading("Jobs");
+    this.status = h("p", { class: "faint", role: "status" }, "Loading…");
+    this.fault = h("p", { class: "fault", role: "alert", hidden: true });
+    this.compare = h("a", { class: "button", hidden: true }, "Compare the two");
+    this.body = h("tbody");
+    this.table = h("table", { class: "list stacked", hidden: true }, h("caption", { class: "unseen" }, "Jobs"), this.#head(), this.body);
+    this.more = h("button", { type: "button", hidden: true, onclick: () => this.#load(this.#next) }, "More jobs");
+    this.empty = this.#welcome();
+    root.append(this.heading, this.#tools(), this.fault, h("div", { class: "wide" }, this.table), this.empty, h("p", { class: "bar" }, this.more, this.status));
+  }
+
+  #tools() {
+    const states = [["", "all"], ...STATES.map((state) => [state, state])].map(([value, label]) => h("option", { value }, label));
+    this.state = h("select", { value: "", onchange: () => this.#filterBy({ filter: this.state.value }) }, states);
+    this.state.value = STATES.includes(this.filter) ? this.filter : "";
+    this.search = h("input", { type: "search", value: this.text, oninput: () => this.#filterBy({ text: this.search.value }) });
+    this.order = h("select", { onchange: () => this.#sortBy(this.order.value) },
+      Object.entries(COLUMNS).map(([name, { title }]) => h("option", { value: name }, title)));
+    this.order.value = this.sort;
+    return h("div", { class: "tools" },
+      h("label", {}, "State ", this.state), h("label", {}, "Text ", this.search),
+      h("label", { class: "narrow" }, "Sort by ", this.order), this.compare);
+  }
+
+  #head() {
+    this.heads = Object.entries(COLUMNS).map(([name, { title, isNumber }]) => {
+      const button = h("button", { type: "button", class: "sort", onclick: () => this.#sortBy(name) }, title);
+      return h("th", { scope: "col", class: isNumber ? "number" : null, "data-name": name }, button);
+    });
+    return h("thead", {}, h("tr", {}, h("th", { scope: "col" }, h("span", { class: "unseen" }, "Compare")), this.heads));
+  }
+
+  /** An empty service says what to do next. */
+  #welcome() {
+    const file = h("input", { type: "file", class: "unseen", id: "first-file", onchange: () => this.#take(file.files[0]) });
+    return h("section", { class: "welcome", hidden: true },
+      h("h2", {}, "No jobs yet"),
+      h("ol", {},
+        h("li", {}, "Drop a data file anywhere on this page, or ", file, h("label", { for: "first-file", class: "button" }, "choose a file"),
+          ": one row per moment, one column per quantity, such as CSV."),
+        h("li", {}, "Have at least one worker running, on this or any other machine: ",
+          h("code", {}, `island-worker --connect tcp/${location.hostname}:7447`)),
+        h("li", {}, "No data at hand? ", h("a", { class: "button", href: "#/new?demo=yes" }, "Try the demo data"))));
+  }
+
+  #take(file) {
+    this.app.dropped = file;
+    location.hash = "#/new";
+  }
+
+  again() { return this.#load(null); }
+
+  async #load(cursor) {
+    try {
+      const page = await get("jobs", { limit: PAGE, cursor, state: this.filter });
+      if (cursor === null) this.#jobs.clear();
+      for (const job of page.jobs) this.#jobs.set(job.job, job);
+      this.#next = page.next;
+      this.#isLoaded = true;
+      show(this.fault, false);
+    } catch (error) {
+      if (error.status === 0) this.app.connection(false);
+      setText(this.fault, error.message);
+      show(this.fault, true);
+    }
+    this.draw();
+  }
+
+  #change({ job: id, changes, deleted }) {
+    const known = this.#jobs.get(id);
+    const job = { ...known, ...changes };
+    if (deleted || (this.filter && job.state !== this.filter)) this.#jobs.delete(id);
+    else if (known || this.#belongs(job)) this.#jobs.set(id, job);
+    else return;
+    this.draw();
+  }
+
+  /** A job that is new to this page belongs to it unless it comes only after what was loaded. */
+  #belongs(job) {
+    if (job.submitted === undefined || !this.#isLoaded) return false;
+    const oldest = [...this.#jobs.values()].reduce((least, { submitted }) => (submitted < least ? submitted : least), "~");
+    return !this.#next || job.submitted > oldest;
+  }
+
+  #filterBy(values) {
+    const isOther = "filter" in values;
+    Object.assign(this, values);
+    this.#keep();
+    if (isOther) this.again();
+    else this.draw();
+  }
+
+  #sortBy(name) {
+    this.isDown = this.sort === name ? !this.isDown : Boolean(COLUMNS[name].isDown);
+    this.sort = name;
+    this.order.value = name;
+    this.#keep();
+    this.draw();
+  }
+
+  /** The address keeps what is shown, without a new step of the history for each letter. */
+  #keep() {
+    const kept = new URLSearchParams();
+    if (this.filter) kept.set("state", this.filter);
+    if (this.text) kept.set("text", this.text);
+    if (this.sort !== "submitted" || !this.isDown) kept.set("sort", this.sort);
+    if (kept.has("sort")) kept.set("down", this.isDown ? "yes" : "no");
+    history.replaceState(null, "", `#/jobs${kept.size ? `?${kept}` : ""}`);
+  }
+
+  #shown() {
+    const words = this.text.toLowerCase();
+    const { value } = COLUMNS[this.sort];
+    const sign = this.isDown ? -1 : 1;
+    const isFound = (job) => !words || [job.name, job.job, job.submitter ?? "", job.reason ?? ""].some((text) => text.toLowerCase().includes(words));
+    const order = (a, b) => {
+      const [x, y] = [value(a), value(b)];
+      if (x === y) return a.submitted < b.submitted ? 1 : -1;
+      return (x < y ? -1 : 1) * sign;
+    };
+    return [...this.#jobs.values()].filter(isFound).sort(order);
+  }
+
+  #draw() {
+    const jobs = this.#shown();
+    const isEmpty = this.#isLoaded && !this.#jobs.size && !this.filter;
+    for (const head of this.heads) {
+      const order = head.dataset.name === this.sort ? (this.isDown ? "descending" : "ascending") : "none";
+      head.setAttribute("aria-sort", order);
+    }
+    keyed(this.body, jobs, (job) => job.job, (job) => this.#row(job), (row, job) => this.#fill(row, job));
+    show(this.table, jobs.length > 0);
+    show(this.empty, isEmpty);
+    show(this.more, Boolean(this.#next));
+    setText(this.status, this.#isLoaded ? (isEmpty ? "" : this.#summary(jobs)) : "Loading…");
+    this.#offerComparison();
+  }
+
+  #summary(jobs) {
+    if (!jobs.length) return "No job fits; change the state or the text.";
+    return `${plural(jobs.length, "job")} shown${this.#next ? ", sorted among those that are loaded" : ""}`;
+  }
+
+  #offerComparison() {
+    const two = [...this.#chosen].filter((id) => this.#jobs.has(id));
+    show(this.compare, two.length === 2);
+    if (two.length === 2) this.compare.href = `#/compare?a=${encodeURIComponent(two[0])}&b=${encodeURIComponent(two[1])}`;
+    for (const box of this.body.querySelectorAll("input")) box.disabled = two.length === 2 && !box.checked;
+  }
+
+  #row(job) {
+    const box = h("input", { type: "checkbox", "aria-label": `Compare ${job.name} (${job.job})`, onchange: () => this.#choose(job.job, box.checked) });
+    box.checked = this.#chosen.has(job.job);
+    const link = h("a", { href: `#/jobs/${encodeURIComponent(job.job)}` });
+    const cell = (name, isNumber) => h("td", { "data-head": COLUMNS[name].title, class: isNumber ? "number" : null });
+    const row = h("tr", {}, h("td", { class: "check" }, box));
+    row.parts = {
+      state: h("span", { class: "state" }), link, id: h("small", { class: "faint" }),
+      error: cell("error", true), verdict: h("span", { class: "verdicts" }), progress: cell("progress"),
+      owner: cell("owner"), submitted: cell("submitted"), elapsed: cell("elapsed", true),
+    };
+    const parts = row.parts;
+    const state = cell("state"), name = cell("name"), verdict = cell("verdict");
+    name.classList.add("title");
+    state.append(parts.state);
+    name.append(link, " ", parts.id);
+    verdict.append(parts.verdict);
+    row.append(state, name, parts.error, verdict, parts.progress, parts.owner, parts.submitted, parts.elapsed);
+    return row;
+  }
+
+  #fill(row, job) {
+    const parts = row.parts;
+    setText(parts.state, stateOf(job));
+    setClass(parts.state, `state ${stateOf(job)}`);
+    parts.state.title = job.reason ?? "";
+    setText(parts.link, job.name || job.job);
+    setText(parts.id, job.job);
+    setText(parts.error, number(largestError(job)));
+    setText(parts.progress, progress(job));
+    setText(parts.owner, job.submitter ?? "–");
+    setText(parts.submitted, moment(job.submitted));
+    setText(parts.elapsed, duration(job.elapsed));
+    const said = verdicts(job);
+    if (parts.verdict.dataset.said === said.join()) return;
+    parts.verdict.dataset.said = said.join();
+    parts.verdict.replaceChildren(...(said.length ? said.map((verdict) => h("span", { class: `verdict ${verdict.replace(" ", "-")}` }, verdict)) : ["–"]));
+  }
+
+  #choose(id, isChosen) {
+    if (isChosen) this.#chosen.add(id);
+    else this.#chosen.delete(id);
+    this.draw();
+  }
+}
+
+function verdicts(job) { return (job.variables ?? []).map((variable) => variable.verdict).filter(Boolean); }
+
+/** Returns the least and the most epochs of a job's equations. */
+function epochs(job) {
+  const all = (job.variables ?? []).map((variable) => variable.epoch);
+  return all.length ? [Math.min(...all), Math.max(...all)] : [0, 0];
+}
+
+function progress(job) {
+  const [least, most] = epochs(job);
+  const all = job.variables ?? [];
+  if (!all.length) return job.ahead ? `${job.ahead} ahead` : "–";
+  const found = all.filter((variable) => variable.finished).length;
+  const end = ENDED.includes(job.state) || !found ? "" : `, ${found} of ${all.length} finished`;
+  return `epoch ${least === most ? most : `${least}–${most}`}${end}`;
+}

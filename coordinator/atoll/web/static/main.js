@@ -1,0 +1,126 @@
+// The frame of the page: which view is shown, the banner of a lost connection, files dropped anywhere.
+
+import { get, session } from "./api.js";
+import { announce, h, setText, viewHeading } from "./dom.js";
+import { follow, onConnection, startEvents } from "./events.js";
+
+const main = document.getElementById("main");
+const banner = document.getElementById("banner");
+/** Views are loaded when they are first seen: the list of jobs needs neither charts nor forms. */
+const VIEWS = {
+  jobs: { title: "Jobs", load: () => import("./jobs.js") },
+  job: { title: "Job", load: () => import("./job.js") },
+  compare: { title: "Compare jobs", load: () => import("./compare.js") },
+  workers: { title: "Workers", load: () => import("./workers.js") },
+  coordinator: { title: "Coordinator", load: () => import("./coordinator.js") },
+  new: { title: "New job", load: () => import("./new.js") },
+};
+
+let current = null;
+let visits = 0;
+let isConnected = true;
+
+/** What views get of the frame. */
+const app = { dropped: null, connection, title };
+
+/** Returns the view of an address such as #/jobs/ID or #/compare?a=ID&b=ID, with its parameters. */
+function place() {
+  const [path, query] = location.hash.replace(/^#\/?/, "").split("?");
+  const [name, id] = path.split("/").map(decodeURIComponent);
+  const parameters = new URLSearchParams(query ?? "");
+  if (name === "jobs" && id) return { name: "job", id, parameters };
+  return { name: name in VIEWS && name !== "job" ? name : "jobs", parameters };
+}
+
+async function visit() {
+  const visitNumber = ++visits;
+  const { name, id, parameters } = place();
+  current?.close?.();
+  current = null;
+  follow(null, null);
+  mark(name);
+  title(VIEWS[name].title);
+  const root = h("div", { class: `view ${name}` });
+  main.replaceChildren(root);
+  try {
+    const { default: open } = await VIEWS[name].load();
+    if (visitNumber !== visits) return;
+    current = open(root, { id, parameters }, app);
+  } catch {
+    root.replaceChildren(viewHeading("This view cannot be loaded"), h("p", {}, "The service does not answer. Load the page again."));
+  }
+  if (visitNumber > 1) focus(root);
+}
+
+/** Keyboards and screen readers begin at the heading of a new view. */
+function focus(root) {
+  (root.querySelector("h1") ?? main).focus({ preventScroll: true });
+  scrollTo(0, 0);
+}
+
+function mark(name) {
+  const views = { job: "jobs", compare: "jobs" };
+  for (const link of document.querySelectorAll("header nav a")) {
+    if (link.hash === `#/${views[name] ?? name}`) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+}
+
+function title(text) { document.title = `${text} · Atoll`; }
+
+/** Says that the service cannot be reached, and has the view fetch everything anew when it can be again. */
+function connection(connected, reason = "") {
+  const sentence = reason || "The connection to the service is lost.";
+  setText(banner, connected ? "" : `${sentence} What you see is as it was; it goes on by itself as soon as the service answers.`);
+  const isBack = connected && !isConnected;
+  isConnected = connected;
+  if (!isBack) return;
+  announce("The service answers again.");
+  loadSession();
+  current?.again?.();
+}
+
+async function loadSession() {
+  try {
+    Object.assign(session, await get("session"));
+  } catch (error) {
+    if (error.status === 0) connection(false);
+    return;
+  }
+  const who = session.may_write ? session.user ?? "signed in" : "looking only";
+  setText(document.getElementById("session"), `${who} · ${session.version}`);
+}
+
+function acceptFiles() {
+  const holdsFile = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
+  addEventListener("dragover", (event) => {
+    if (!holdsFile(event)) return;
+    event.preventDefault();
+    document.body.classList.add("dropping");
+  });
+  addEventListener("dragleave", (event) => event.relatedTarget ?? document.body.classList.remove("dropping"));
+  addEventListener("drop", (event) => {
+    document.body.classList.remove("dropping");
+    if (!holdsFile(event)) return;
+    event.preventDefault();
+    app.dropped = event.dataTransfer.files[0];
+    if (current?.take) current.take(app.dropped);
+    else location.hash = "#/new";
+  });
+}
+
+async function begin() {
+  document.getElementById("skip").addEventListener("click", (event) => {
+    event.preventDefault(); // the address holds the view, not a place in the page
+    main.focus();
+  });
+  acceptFiles();
+  onConnection((state) => connection(state.connected, state.reason));
+  document.addEventListener("visibilitychange", () => document.visibilityState === "visible" && current?.again?.());
+  await loadSession();
+  addEventListener("hashchange", visit);
+  await visit();
+  startEvents();
+}
+
+begin();

@@ -1,0 +1,35 @@
+// MathML that the service sends is copied element by element, so that nothing but formulas can come of it.
+
+import { h } from "./dom.js";
+
+const NAMESPACE = "http://www.w3.org/1998/Math/MathML";
+const ATTRIBUTES = new Set([
+  "display", "mathvariant", "stretchy", "fence", "separator", "form", "lspace", "rspace", "columnalign", "rowspacing", "linethickness",
+]);
+const known = new Map();
+
+/** Returns a formula as an element; `text` stands in where there is no MathML or none that can be read. */
+export function formula(markup, text) {
+  const math = markup ? parsed(markup) : null;
+  return math ? math.cloneNode(true) : h("code", { class: "expression" }, text ?? "–");
+}
+
+/** Formulas of a front come again with each answer: they are parsed once. */
+function parsed(markup) {
+  if (!known.has(markup)) {
+    if (known.size > 2000) known.clear();
+    const top = new DOMParser().parseFromString(markup, "application/xml").documentElement;
+    known.set(markup, top.namespaceURI === NAMESPACE && top.localName === "math" ? copy(top) : null);
+  }
+  return known.get(markup);
+}
+
+function copy(element) {
+  const made = document.createElementNS(NAMESPACE, element.localName);
+  for (const { name, value } of element.attributes) { if (ATTRIBUTES.has(name)) made.setAttribute(name, value); }
+  for (const child of element.childNodes) {
+    if (child.nodeType === Node.TEXT_NODE) made.append(child.data);
+    else if (child.nodeType === Node.ELEMENT_NODE && child.namespaceURI === NAMESPACE) made.append(copy(child));
+  }
+  return made;
+}

@@ -1,0 +1,252 @@
+// A new job: a file, how it is read, what it looks like smoothed, the options, and the same as a command.
+
+import { get, paths, session, upload } from "./api.js";
+import { LinesChart, legend } from "./charts.js";
+import { announce, copyable, facts, h, setText, show, viewHeading } from "./dom.js";
+import { plural } from "./format.js";
+
+const ROLES = ["time", "state", "input", "trajectory", "weights", "unused"];
+/** The option that each role of a column becomes. */
+const OPTION_OF = { time: "time", state: "states", input: "inputs", trajectory: "trajectory", weights: "weights" };
+const SETTLE = 500;
+const MOST_CHARTS = 6;
+
+export default function open(root, { parameters }, app) { return new NewJob(root, parameters, app); }
+
+class NewJob {
+  #options = {};
+  #fields = new Map();
+  #charts = [];
+  #file = null;
+  #columns = [];
+  #asked = null;
+  #timer = null;
+
+  constructor(root, parameters, app) {
+    this.app = app;
+    this.#build(root);
+    this.#begin(parameters);
+  }
+
+  #build(root) {
+    const file = h("input", { type: "file", id: "file", onchange: () => this.take(file.files[0]) });
+    const demo = h("button", { type: "button", onclick: () => this.#takeDemo() }, "Use the demo data");
+    this.hint = h("p", { class: "faint", role: "status" });
+    this.fault = h("p", { class: "fault", role: "alert", hidden: true });
+    [this.outline, this.preview, this.commands] = [h("div"), h("div"), h("div")];
+    this.form = h("div");
+    this.name = h("input", { maxlength: "200" });
+    this.priority = h("input", { type: "number", min: "-10", max: "10", value: "0" });
+    this.shared = h("input", { type: "checkbox" });
+    this.send = h("button", { class: "primary", disabled: true }, "Submit the job");
+    const step = (title, ...parts) => h("section", {}, h("h2", {}, title), parts);
+    root.append(viewHeading("New job"), h("form", { onsubmit: (event) => this.#submit(event) },
+      step("Data", h("div", { class: "drop" }, h("label", { for: "file" }, "A data file: drop it here, or choose one "), file, demo), this.hint, this.outline),
+      (this.seen = step("Smoothed", this.preview)), step("Options", this.form), (this.same = step("The same elsewhere", this.commands)),
+      step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You are looking only: open the address with the token to submit."),
+        h("div", { class: "tools" }, h("label", {}, "Name ", this.name), h("label", {}, "Priority ", this.priority),
+          h("label", {}, this.shared, " everybody may see it"), this.send), this.fault)));
+    show(this.seen, false);
+    show(this.same, false);
+  }
+
+  async #begin(parameters) {
+    try {
+      this.#drawForm((await get("options")).groups);
+      if (parameters.has("from")) await this.#takeOver(parameters.get("from"));
+    } catch (error) { this.#complain(error); }
+    if (this.app.dropped) this.take(this.app.dropped);
+    else if (parameters.has("demo")) this.#takeDemo();
+    this.app.dropped = null;
+  }
+
+  take(file) {
+    if (!file) return;
+    this.#file = file;
+    this.#columns = [];
+    this.name.placeholder = file.name;
+    setText(this.hint, `${file.name} is read…`);
+    this.#ask();
+  }
+
+  async #takeDemo() {
+    try {
+      const { filename, text } = await get("demo");
+      this.take(new File([text], filename, { type: "text/csv" }));
+    } catch (error) { this.#complain(error); }
+  }
+
+  /** Takes over the options of another job; its data are not given out, so that the file has to be chosen again. */
+  async #takeOver(id) {
+    const job = await get(paths.job(id));
+    this.name.value = job.name;
+    this.priority.value = job.priority;
+    this.shared.checked = job.shared;
+    const result = await get(paths.of(id, "result")).catch(() => null);
+    const files = result?.data?.files?.join(", ");
+    this.#options = result?.command ? this.#optionsOf(result.command) : { seed: String(job.seed), preset: job.preset };
+    this.#fields.forEach((field, name) => field.show(this.#options[name]));
+    setText(this.hint, `Options are those of ${job.name}. Choose its data again${files ? `: ${files}` : ""}.`);
+  }
+
+  /** Returns the options that a command line gives. */
+  #optionsOf(command) {
+    const words = [...command.matchAll(/(?:[^\s'"\\]|\\.|'[^']*'|"(?:[^"\\]|\\.)*")+/g)].map(([word]) =>
+      word.replace(/'([^']*)'|"((?:[^"\\]|\\.)*)"|\\(.)/g, (_, single, double, plain) => single ?? double?.replace(/\\(.)/g, "$1") ?? plain));
+    const known = new Map([...this.#fields.values()].map(({ option }) => [option.flag, option]));
+    const options = {};
+    for (let i = 0; i < words.length; i += 1) {
+      const [flag, joined] = words[i].split(/=(.*)/s);
+      const option = words[i].startsWith("--") && known.get(flag);
+      if (!option) continue;
+      const value = option.metavar === null ? true : joined ?? words[(i += 1)];
+      if (option.is_repeatable) (options[option.name] ??= []).push(value);
+      else options[option.name] = value;
+    }
+    return options;
+  }
+
+  #drawForm(groups) {
+    this.form.replaceChildren(...Object.entries(groups).map(([heading, options]) => h("details", {},
+      h("summary", {}, heading, h("span", { class: "faint" }, ` · ${plural(options.length, "option")}`)),
+      h("div", { class: "options" }, options.map((option) => this.#field(option))))));
+  }
+
+  #field(option) {
+    const id = `option-${option.name}`;
+    const choices = /^[a-z0-9]+(\|[a-z0-9]+)+$/.test(option.metavar ?? "") ? ["", ...option.metavar.split("|")] : null;
+    const read = () => {
+      const lines = option.metavar === null ? input.checked : option.is_repeatable ? input.value.split("\n").filter((line) => line.trim()) : input.value.trim();
+      this.#set(option.name, lines);
+    };
+    const common = { id, "aria-describedby": `${id}-help`, oninput: read };
+    const input = option.metavar === null ? h("input", { type: "checkbox", ...common })
+      : choices ? h("select", common, choices.map((choice) => h("option", { value: choice }, choice || "(default)")))
+        : option.is_repeatable ? h("textarea", { rows: "1", placeholder: `${option.metavar}, one a line`, ...common })
+          : h("input", { placeholder: option.metavar, autocomplete: "off", ...common });
+    const fill = (value) => {
+      if (option.metavar === null) input.checked = Boolean(value);
+      else input.value = [value ?? ""].flat().join("\n");
+    };
+    this.#fields.set(option.name, { option, show: fill });
+    return h("div", { class: "field" }, h("label", { for: id }, h("code", {}, option.flag)), input, h("small", { class: "faint", id: `${id}-help` }, option.help));
+  }
+
+  #set(name, value) {
+    if (value === "" || value === false || value?.length === 0) delete this.#options[name];
+    else this.#options[name] = value;
+    this.#askSoon();
+  }
+
+  #askSoon() {
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.#ask(), SETTLE);
+  }
+
+  get #query() { return { filename: this.#file.name, options: JSON.stringify(this.#options) }; }
+
+  /** Asks how the data are read with these options, then how they look smoothed. */
+  async #ask() {
+    if (!this.#file) return;
+    this.#asked?.abort();
+    const { signal } = (this.#asked = new AbortController());
+    try {
+      this.#drawOutline(await upload("outline", this.#file, this.#query, signal));
+      this.send.disabled = !session.may_write;
+      show(this.fault, false);
+      this.#drawPreview(await upload("preview", this.#file, this.#query, signal));
+    } catch (error) {
+      if (error.name === "AbortError") return;
+      this.#complain(error);
+      setText(this.hint, `${this.#file.name} cannot be used like this.`);
+    }
+  }
+
+  #complain(error) {
+    setText(this.fault, error.message);
+    show(this.fault, true);
+  }
+
+  #drawOutline(outline) {
+    setText(this.hint, `${this.#file.name}, read as ${outline.read_as}: ${plural(outline.rows, "row")}, ${plural(outline.equations.length, "equation")} to find.`);
+    if (this.#columns.join() !== outline.columns.map((column) => `${column.name} ${column.role}`).join() || !this.outline.firstChild) {
+      this.#columns = outline.columns.map((column) => `${column.name} ${column.role}`);
+      this.#drawColumns(outline);
+    }
+    this.commands.replaceChildren(copyable("Command line", outline.command), copyable("Python", outline.python));
+    show(this.same, true);
+  }
+
+  #drawColumns({ columns, equations }) {
+    const focused = document.activeElement?.id; // the table is drawn anew under the hands of whoever changes it
+    const heads = ["Column", "Role", "Unit", "First values"].map((head) => h("th", { scope: "col" }, head));
+    const rows = columns.map((column, index) => {
+      const roles = ROLES.includes(column.role) ? ROLES : [...ROLES, column.role];
+      const role = h("select", { id: `role-${index}`, "aria-label": `Role of ${column.name}`, onchange: () => this.#setRoles(columns) }, roles.map((name) => h("option", {}, name)));
+      role.value = column.role;
+      const unit = h("input", { id: `unit-${index}`, size: "8", value: column.unit ?? "", "aria-label": `Unit of ${column.name}`, onchange: () => this.#setUnits(columns) });
+      return h("tr", {}, h("th", { scope: "row" }, column.name), h("td", { "data-head": "Role" }, role), h("td", { "data-head": "Unit" }, unit),
+        h("td", { class: "numbers", "data-head": "First values" }, column.first.join(", ")));
+    });
+    const sought = equations.map((equation) => [equation.lhs, equation.known ? `given: ${equation.known}` : `of ${[equation.variables].flat().join(", ")}${equation.guesses?.length ? `, beginning from ${[equation.guesses].flat().join("; ")}` : ""}`]);
+    this.outline.replaceChildren(h("div", { class: "wide" }, h("table", { class: "stacked" }, h("caption", { class: "unseen" }, "Columns"), h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
+      h("h3", {}, "Equations to find"), facts(sought));
+    if (/^(role|unit)-/.test(focused ?? "")) document.getElementById(focused)?.focus();
+  }
+
+  /** The selects decide all roles: each option names its columns, quoted where a name has a comma. */
+  #setRoles(columns) {
+    const named = Object.fromEntries(ROLES.map((role) => [role, []]));
+    columns.forEach((column, index) => (named[document.getElementById(`role-${index}`).value] ?? named.unused).push(column.name));
+    for (const [role, option] of Object.entries(OPTION_OF)) this.#put(option, named[role].map(quoted).join(","));
+  }
+
+  #setUnits(columns) {
+    const units = columns.map((column, index) => [column.name, document.getElementById(`unit-${index}`).value.trim()]);
+    this.#put("unit", units.filter(([, unit]) => unit).map(([name, unit]) => `${name}=${unit}`));
+  }
+
+  #put(name, value) {
+    this.#fields.get(name)?.show(value);
+    this.#set(name, value);
+  }
+
+  #drawPreview({ time, states }) {
+    this.#charts.forEach((chart) => chart.close());
+    const isSorted = time.every((moment, index) => index === 0 || moment > time[index - 1]);
+    const [xs, label] = isSorted ? [time, "time"] : [time.map((_, index) => index), "row"]; // several trajectories begin anew
+    const band = (values, sigma) => (sigma ? [0, 1].map((side) => values.map((value, i) => value + (side ? 2 : -2) * sigma[i])) : null);
+    const pictures = states.slice(0, MOST_CHARTS).flatMap((state) => {
+      const [curve, slope] = [new LinesChart(`${state.name}, smoothed`, { height: 200 }), new LinesChart(`Derivative of ${state.name}`, { height: 200 })];
+      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: state.measured, colour: "c1", isPoints: true }]);
+      slope.set(label, `d${state.name}/d${label}`, xs, [{ values: state.derivative, colour: "c2", band: band(state.derivative, state.derivative_sigma) }]);
+      this.#charts.push(curve, slope);
+      return [curve.box, slope.box];
+    });
+    this.preview.replaceChildren(legend([["c1", "measured"], ["c0", "smoothed, ± 2 standard errors"], ["c2", "derivative, ± 2 standard errors"]]), h("div", { class: "pair" }, pictures));
+    show(this.seen, true);
+  }
+
+  async #submit(event) {
+    event.preventDefault();
+    if (!this.#file) return;
+    this.send.disabled = true;
+    try {
+      const more = { name: this.name.value, priority: this.priority.value, shared: String(this.shared.checked) };
+      const job = await upload("jobs", this.#file, { ...this.#query, ...more });
+      announce("The job is submitted.");
+      location.hash = `#/jobs/${encodeURIComponent(job.job)}`;
+    } catch (error) {
+      this.#complain(error);
+      this.send.disabled = false;
+    }
+  }
+
+  close() {
+    clearTimeout(this.#timer);
+    this.#asked?.abort();
+    this.#charts.forEach((chart) => chart.close());
+  }
+}
+
+function quoted(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }

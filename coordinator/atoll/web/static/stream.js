@@ -1,0 +1,99 @@
+// One connection to api/v1/events that heals by itself. EventSource cannot send a token, hence fetch.
+
+import { check, send } from "./api.js";
+
+const LEAST_PAUSE = 500;
+const LONGEST_PAUSE = 10_000;
+/** Keep-alive comments come every 10 s; a connection that is silent for longer is dead, even if nobody closed it. */
+const LONGEST_SILENCE = 25_000;
+
+/** Reads events of some jobs until it is closed; `on` has message(type, id, data), opened() and lost(sentence). */
+export class Stream {
+  #end = new AbortController();
+
+  constructor(jobs, last, on) {
+    this.last = last;
+    this.on = on;
+    this.#keepReading(jobs);
+  }
+
+  close() { this.#end.abort(); }
+
+  async #keepReading(jobs) {
+    let pause = LEAST_PAUSE;
+    while (!this.#end.signal.aborted) {
+      try {
+        await this.#read(jobs, () => (pause = LEAST_PAUSE));
+        if (!this.#end.signal.aborted) this.on.lost("The service ended the connection.");
+      } catch (error) {
+        if (this.#end.signal.aborted) return;
+        this.on.lost(error.status === undefined ? "The connection to the service is lost." : error.message);
+      }
+      await this.#rest(pause * (0.8 + 0.4 * Math.random())); // or all tabs would come back at the same instant
+      pause = Math.min(2 * pause, LONGEST_PAUSE);
+    }
+  }
+
+  #rest(milliseconds) {
+    return new Promise((done) => {
+      setTimeout(done, milliseconds);
+      this.#end.signal.addEventListener("abort", done, { once: true });
+    });
+  }
+
+  async #read(jobs, began) {
+    const attempt = new AbortController();
+    const stop = () => attempt.abort();
+    this.#end.signal.addEventListener("abort", stop, { once: true });
+    let watch = setTimeout(stop, LONGEST_SILENCE);
+    try {
+      const headers = { Accept: "text/event-stream", ...(this.last === null ? {} : { "Last-Event-ID": this.last }) };
+      const response = await check(await send("events", { query: { jobs }, headers, signal: attempt.signal, cache: "no-store" }));
+      const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+      const parser = new Parser((type, id, data) => this.#take(type, id, data));
+      began();
+      this.on.opened();
+      for (;;) {
+        const { done, value } = await reader.read();
+        if (done) return;
+        clearTimeout(watch);
+        watch = setTimeout(stop, LONGEST_SILENCE);
+        parser.add(value);
+      }
+    } finally {
+      clearTimeout(watch);
+      this.#end.signal.removeEventListener("abort", stop);
+      attempt.abort();
+    }
+  }
+
+  #take(type, id, data) {
+    if (id !== null) this.last = id;
+    this.on.message(type, id, JSON.parse(data));
+  }
+}
+
+/** Cuts text/event-stream into its events. */
+class Parser {
+  #rest = "";
+
+  constructor(take) { this.take = take; }
+
+  add(text) {
+    const blocks = (this.#rest + text).replaceAll("\r\n", "\n").split("\n\n");
+    this.#rest = blocks.pop();
+    blocks.forEach((block) => this.#event(block));
+  }
+
+  #event(block) {
+    let [type, id] = ["message", null];
+    const data = [];
+    for (const line of block.split("\n")) {
+      const [, field, value] = /^([a-z]*): ?(.*)$/.exec(line) ?? [];
+      if (field === "event") type = value;
+      else if (field === "id") id = value;
+      else if (field === "data") data.push(value);
+    }
+    if (data.length) this.take(type, id, data.join("\n"));
+  }
+}

@@ -1,0 +1,71 @@
+// The workers: what each computes and takes, and whether it is given more.
+
+import { change, session } from "./api.js";
+import { h, keyed, setClass, setText, show, viewHeading } from "./dom.js";
+import { bytes, duration, plural } from "./format.js";
+import { Poll } from "./poll.js";
+
+const HEADS = ["Worker", "State", "Doing", "Islands", "CPU", "Memory", "Received", "Sent", "Version", "Service"];
+const NUMBERS = new Set(["Islands", "CPU", "Memory", "Received", "Sent"]);
+const SERVICES = { open: [["Cordon", "cordoned"], ["Drain", "draining"]], cordoned: [["Uncordon", "open"], ["Drain", "draining"]], draining: [["Uncordon", "open"]] };
+const SILENT = 5;
+
+export default function open(root, _place, app) {
+  const summary = h("p", { class: "faint" }, "Loading…");
+  const fault = h("p", { class: "fault", role: "alert", hidden: true });
+  const body = h("tbody");
+  const heads = HEADS.map((head) => h("th", { scope: "col", class: NUMBERS.has(head) ? "number" : null }, head));
+  const table = h("table", { class: "list stacked", hidden: true }, h("caption", { class: "unseen" }, "Workers"), h("thead", {}, h("tr", {}, heads)), body);
+  const none = h("p", { hidden: true }, "Start one on any machine that can reach the coordinator: ", h("code", {}, `island-worker --connect tcp/${location.hostname}:7447`));
+  root.append(viewHeading("Workers"), summary, fault, h("div", { class: "wide" }, table), none);
+  const poll = new Poll("workers", app, ({ workers }) => {
+    const alive = workers.filter((worker) => worker.state !== "lost").length;
+    setText(summary, workers.length ? `${plural(alive, "worker")}${workers.length > alive ? `, ${workers.length - alive} lost` : ""}.` : "No workers yet.");
+    show(table, workers.length > 0);
+    show(none, !workers.length);
+    keyed(body, workers, (worker) => worker.worker, () => row(serve), fill);
+  });
+  async function serve(worker, service) {
+    try {
+      await change("PUT", `workers/${encodeURIComponent(worker)}/service`, { service });
+      show(fault, false);
+      poll.again();
+    } catch (error) {
+      setText(fault, error.message);
+      show(fault, true);
+    }
+  }
+  return poll;
+}
+
+function row(serve) {
+  const made = h("tr", {}, HEADS.map((head) => h("td", { "data-head": head, class: NUMBERS.has(head) ? "number" : head === "Worker" ? "title" : null })));
+  made.children[1].append(h("span"), h("small", { class: "faint" }));
+  made.children[9].append(h("span"), h("span", { class: "bar" }));
+  made.serve = serve;
+  return made;
+}
+
+function fill(made, worker) {
+  const [name, state, doing, islands, cpu, memory, received, sent, version, service] = made.children;
+  const traffic = worker.counters?.traffic ?? [];
+  const sum = (what) => traffic.reduce((total, kind) => total + kind[what], 0);
+  setText(name, worker.worker);
+  name.title = `process ${worker.pid} on ${worker.host}`;
+  setText(state.firstChild, worker.state);
+  setClass(state.firstChild, `state ${worker.state}`);
+  setText(state.lastChild, worker.silent > SILENT ? ` silent for ${duration(worker.silent)}` : "");
+  setText(doing, [worker.doing || worker.detail, worker.standing > SILENT ? `(for ${duration(worker.standing)})` : ""].join(" ").trim() || "–");
+  setText(islands, worker.islands);
+  setText(cpu, duration(worker.counters?.cpu_s));
+  setText(memory, bytes(worker.counters?.memory_bytes));
+  setText(received, bytes(sum("bytes_in")));
+  setText(sent, bytes(sum("bytes_out")));
+  setText(version, worker.version);
+  setText(service.firstChild, worker.service);
+  const kind = session.may_write && worker.state !== "lost" ? worker.service : "";
+  if (service.dataset.kind === kind) return; // or a button would be lost under the finger every two seconds
+  service.dataset.kind = kind;
+  service.lastChild.replaceChildren(...(SERVICES[kind] ?? []).map(([label, wanted]) =>
+    h("button", { type: "button", class: "small", "aria-label": `${label} ${worker.worker}`, onclick: () => made.serve(worker.worker, wanted) }, label)));
+}
