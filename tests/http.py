@@ -56,5 +56,4 @@ async def _ask(
 async def _messages(body: list[bytes]) -> AsyncIterator[dict[str, Any]]:
     for place, part in enumerate(body):
         yield {"type": "http.request", "body": part, "more_body": place + 1 < len(body)}
-    while True:
-        yield {"type": "http.disconnect"}
+    await asyncio.Event().wait()  # the other side stays
