@@ -55,6 +55,7 @@ CONTENTS: Final = {
     ),
     "Operations": (
         "service",
+        "web",
         "operations",
         "scale",
         "project/deploy/README",

@@ -75,7 +75,7 @@ def test_options_and_files_may_come_in_any_order() -> None:
 
 def test_submit_knows_every_option_of_the_data_the_search_and_the_budget_that_run_knows() -> None:
     run, submit = vars(parse(["run", "a"])), vars(parse(["submit", "a"]))
-    assert set(run) - set(submit) == {"workers"}
+    assert set(run) - set(submit) == {"web", "workers"}
 
 
 def test_abbreviated_options_are_not_guessed() -> None:

@@ -73,6 +73,8 @@ def test_a_second_coordinator_behind_one_router_is_refused(
             serve.refuse_another(bus, central.endpoint)
     place = str(tmp_path / "two")
     options = Namespace(
+        http=None,
+        http_users=None,
         metrics=None,
         router=central.endpoint,
         listen=None,
@@ -89,6 +91,8 @@ def test_a_second_coordinator_behind_one_router_is_refused(
 
 def test_a_coordinator_whose_router_is_not_there_says_so_after_the_wait(tmp_path: Path) -> None:
     options = Namespace(
+        http=None,
+        http_users=None,
         metrics=None,
         router="tcp/127.0.0.1:9",
         listen=None,

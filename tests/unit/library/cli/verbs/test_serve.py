@@ -41,6 +41,8 @@ def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
     place = tmp_path / "file"
     place.write_text("")
     options = Namespace(
+        http=None,
+        http_users=None,
         metrics=None,
         listen="tcp/127.0.0.1:0",
         router=None,
