@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from atoll.web.access import TOKEN as VARIABLE
+from atoll.client.over_http import TOKEN as VARIABLE
 from atoll_core.wire.messages.views import FINAL_STATES
 from tests.certificates import HAS_OPENSSL, Lab
 from tests.programs import done, serving, started, until
@@ -147,6 +147,13 @@ def test_a_job_by_http_ends_as_one_by_the_command_line_and_its_stream_survives_k
         )
         until(lambda: page.ask("GET", "jobs/j1/report")[0] == 200)
         assert page.ask("GET", "jobs/j1/report")[1].startswith("<!DOCTYPE html>")
+        url = f"{page.base}/?token={TOKEN}"
+        shown = done(place, "coordinator", "result", "j1", "--connect", url)
+        assert (shown.returncode, shown.stdout.startswith("dx/dt = ")) == (0, True), shown.stderr
+        again = done(place, "coordinator", "submit", "d.csv", "--seed", "3", "--id", "j2", "--json", "--connect", url)
+        assert json.loads(again.stdout)["digest"] == alone["digest"], again.stderr
+        refused = done(place, "coordinator", "ping", "--connect", f"{page.base}/?token=another")
+        assert (refused.returncode, "token is not known" in refused.stderr) == (2, True)
         assert page.ask("DELETE", "jobs/j1")[0] == 204
         assert page.ask("GET", "jobs/j1")[0] == 404
         process.send_signal(signal.SIGTERM)

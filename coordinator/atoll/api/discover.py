@@ -14,15 +14,14 @@ from atoll.client.client import connected
 from atoll.client.configure import configure
 from atoll.client.follower import Display, Follower
 from atoll.client.options import OPTIONS
+from atoll.client.over_http import Whereabouts, coordinator_at
 from atoll.model.model import Model
 from atoll.terminal.progress import is_screen, open_display
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
 from atoll_core.hints import did_you_mean
 from atoll_core.quoting import shown
-from atoll_core.wire.addresses import Destination, destination
 from atoll_core.wire.messages.views import JobView
-from atoll_core.wire.security.credentials import credentials_of
 
 CONNECT_LIMIT_S: Final = 20.0
 _TLS: Final = ("ca", "cert", "key")
@@ -32,7 +31,7 @@ _INSTEAD: Final = {"report": "write the page of the model that comes back with m
 class Job:
     """A job that was submitted. Every call opens a connection of its own and closes it: nothing of it stays behind."""
 
-    def __init__(self, id: str, address: str | Destination) -> None:
+    def __init__(self, id: str, address: str | Whereabouts) -> None:
         """`id` of a job of the coordinator at `address`; `is_interrupted`: a Ctrl-C ended it."""
         self.id = id
         self.is_interrupted = False
@@ -164,7 +163,7 @@ def config_of(options: Mapping[str, object]) -> JobConfig:
     return configure(values, job_file)
 
 
-def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers: int | None) -> str | Destination:
+def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers: int | None) -> str | Whereabouts:
     if connect is None:
         return local_address(workers)
     if not isinstance(connect, str):
@@ -172,7 +171,7 @@ def _address(connect: str | None, tls: Mapping[str, str | Path] | None, workers:
     if tls is not None and not (isinstance(tls, Mapping) and set(tls) <= set(_TLS)):
         raise UsageError(f"tls must have the files {', '.join(_TLS)} by these names, but {shown(tls)} was given")
     files = {f"tls_{name}": str(file) for name, file in (tls or {}).items()}
-    return destination(connect, credentials_of(files, os.environ, "connect"))
+    return coordinator_at(connect, files, os.environ)
 
 
 def _display(progress: bool | None) -> Display:

@@ -13,13 +13,13 @@ from atoll.cli.options.values import job_id
 from atoll.client.client import Client, connected
 from atoll.client.configure import configure
 from atoll.client.options import OPTIONS, Repeated
+from atoll.client.over_http import Whereabouts, coordinator_at
 from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
 from atoll_core.errors import DataError, RefusedError, UsageError
 from atoll_core.hints import similar_file
-from atoll_core.wire.addresses import Destination, destination
+from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import JobView
-from atoll_core.wire.security.credentials import credentials_of
 from atoll_core.wire.topics import is_id
 
 if TYPE_CHECKING:
@@ -153,9 +153,17 @@ def result_of(name: str, options: argparse.Namespace) -> "Result":
         return Result.of(client.result(client.resolve(name)))
 
 
-def address_of(options: argparse.Namespace) -> Destination:
+def address_of(options: argparse.Namespace) -> Whereabouts:
     """Return where the coordinator is, by ``--connect`` and ``--tls-*`` or the environment; raises UsageError."""
     address = options.connect or os.environ.get("ATOLL_CONNECT")
     if not address:
         raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
-    return destination(address, credentials_of(vars(options), os.environ, "connect"))
+    return coordinator_at(address, vars(options), os.environ)
+
+
+def bus_address_of(options: argparse.Namespace) -> Destination:
+    """Return where the coordinator is on the bus; raises UsageError where HTTP is named."""
+    address = address_of(options)
+    if not isinstance(address, Destination):
+        raise UsageError(f"{address} is no address on the bus, which is needed here; give one such as tcp/HOST:PORT")
+    return address

@@ -33,7 +33,8 @@ def web_process(
     if listen is None:
         yield
         return
-    from atoll.web.access import TOKEN, token_of
+    from atoll.client.over_http import TOKEN
+    from atoll.web.access import token_of
 
     host, port = listen
     command = [sys.executable, "-m", "atoll", "web", "--connect", address, "--listen", f"{host}:{port}"]

@@ -12,8 +12,9 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Final, TypeVar
+from typing import Final, Protocol, TypeVar
 
+from atoll.client.over_http import HttpLine, WebAddress
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
 from atoll_core.errors import (
@@ -27,7 +28,7 @@ from atoll_core.errors import (
 )
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
-from atoll_core.wire.bus.interface import Bus, Event, Message, Reply
+from atoll_core.wire.bus.interface import Event, Message, Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
@@ -75,13 +76,25 @@ _Question = (
 )  # fmt: skip
 
 
+class Line(Protocol):
+    """What a client needs of a bus, see `atoll_core.wire.bus.interface.Bus`."""
+
+    def subscribe(self, key_expression: str) -> None: ...
+
+    def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int: ...
+
+    def receive(self, timeout_s: float) -> Event | None: ...
+
+    def now(self) -> float: ...
+
+
 class Client:
     """Asks one coordinator; not thread-safe, like its bus."""
 
     welcome: Welcome
     """What the coordinator said of itself, once it was greeted."""
 
-    def __init__(self, bus: Bus, address: str, principal: str = "client") -> None:
+    def __init__(self, bus: Line, address: str, principal: str = "client") -> None:
         """Use a `bus` that the caller closes. `address` is for messages; `principal` is of our certificate, if any."""
         self._bus = bus
         self._address = address
@@ -364,6 +377,12 @@ class Client:
         """Return the bus's monotonic seconds."""
         return self._bus.now()
 
+    def exchange(self, request: messages.Request) -> bytes | None:
+        """Return the coordinator's answer to a question of somebody else, as it came; None: none in time."""
+        key = topics.client(self._cluster or self.greet(), self._name)
+        limit_s = CHUNK_LIMIT_S if isinstance(request.body, messages.Upload) else ANSWER_LIMIT_S
+        return next(self._answers(encode(request), limit_s, key), (key, None))[1]
+
     def _ask(self, body: _Question, kind: type[A], what: str, limit_s: float = ANSWER_LIMIT_S) -> A:
         """Return the answer to a question; raises UnreachableError when there is none within `limit_s` seconds."""
         key = topics.client(self._cluster or self.greet(), self._name)
@@ -414,11 +433,16 @@ def _whole(parts: list[bytes], digest: str) -> bytes:
 
 
 @contextmanager
-def connected(address: str | Destination, wait_s: float = 5.0) -> Iterator[Client]:
+def connected(address: str | Destination | WebAddress, wait_s: float = 5.0) -> Iterator[Client]:
     """Open a client of the coordinator at `address`, such as ``tcp/host:7447``; close it at the end.
 
     Raises as `Client.greet` does when nobody answers within `wait_s` seconds.
     """
+    if isinstance(address, WebAddress):
+        client = Client(HttpLine(address), str(address))
+        client.greet(wait_s)
+        yield client
+        return
     from atoll_core.wire.bus.zenoh_bus import open_client
 
     credentials = address.credentials if isinstance(address, Destination) else None

@@ -17,12 +17,10 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from atoll.client.over_http import TOKEN
 from atoll.web.gateway import Gateway
 from atoll.web.problems import Problem
 from atoll_core.errors import UsageError
-
-TOKEN: Final = "ATOLL_WEB_TOKEN"
-"""The variable that gives the token; else one is made up."""
 
 SAFE: Final = ("GET", "HEAD")
 """Methods that change nothing; all others need a token."""

@@ -19,6 +19,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import BaseRoute, Route
 
 from atoll.client.client import Client
+from atoll.client.over_http import MESSAGE
 from atoll.export.formats import LANGUAGES, OF_RESULTS, written
 from atoll.model.model import Model
 from atoll.tasks.analyses import FUNCTIONS, Report, answered
@@ -28,8 +29,11 @@ from atoll.web.progress import progress, some
 from atoll.web.submission import Submission, options_by_heading
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll_core.errors import AtollError, UnreachableError
-from atoll_core.wire.messages.limits import MAX_PAGE_JOBS, Priority
+from atoll_core.errors import AtollError, RemoteProtocolError, UnreachableError
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import Request as Question
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello
+from atoll_core.wire.messages.limits import MAX_MESSAGE, MAX_PAGE_JOBS, Priority
 from atoll_core.wire.messages.views import JobView, WorkerService
 from atoll_core.wire.topics import is_id
 from atoll_core.wire.values import encode_value
@@ -101,6 +105,7 @@ class Api:
             ("GET", "/options", self.options),
             ("GET", "/demo", self.demo),
             ("GET", "/events", self.events),
+            ("POST", "/messages", self.messages),
             ("GET", "/jobs", self.jobs),
             ("POST", "/jobs", self.submit),
             ("POST", "/outline", self.outline),
@@ -267,6 +272,26 @@ class Api:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
         return StreamingResponse(_until_broken(told), media_type="text/event-stream", headers=headers)
 
+    async def messages(self, request: Request) -> Response:
+        """Answer a message of a client, as on the bus: programs of this version that a firewall keeps from it."""
+        body = await _body(request, MAX_MESSAGE)
+        gateway = gateway_of(request)
+        try:
+            hello = decode(body, Greeting)
+        except RemoteProtocolError:
+            try:
+                question = decode(body, Question)
+            except RemoteProtocolError as error:
+                raise HTTPException(422, f"this is no message of protocol {PROTOCOL_VERSION}: {error}") from error
+            answer = await gateway.ask(lambda client: client.exchange(question))
+        else:
+            require_same_version(hello.body)
+            welcome = await gateway.ask(lambda client: client.welcome)
+            answer = encode(GreetingAnswer(body=welcome))
+        if answer is None:
+            raise HTTPException(503, "the coordinator did not answer in time")
+        return Response(answer, media_type=MESSAGE)
+
     # ---------------------------------------------------------------------------------------------- results
 
     async def result(self, request: Request) -> Response:
@@ -397,6 +422,16 @@ def _job(request: Request) -> str:
     if not is_id(job):
         raise HTTPException(404, "there is no such job: ids have 1 to 64 letters, digits, _ or -")
     return job
+
+
+def require_same_version(hello: Hello) -> None:
+    """Raise HTTPException where a program is of a version that speaks otherwise."""
+    if (hello.protocol, hello.engine) != (PROTOCOL_VERSION, ENGINE_REVISION):
+        raise HTTPException(
+            409,
+            f"this program is Atoll {hello.version} (protocol {hello.protocol}), and {VERSION} (protocol "
+            f"{PROTOCOL_VERSION}) answers; install the same version",
+        )
 
 
 def _whole(request: Request, name: str, default: int | None, least: int, most: int = 2**63 - 1) -> Any:

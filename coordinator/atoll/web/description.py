@@ -11,6 +11,7 @@ from typing import Any, Final
 from pydantic import BaseModel
 from starlette.routing import Route
 
+from atoll.client.over_http import MESSAGE
 from atoll.web.api import BODIES, Api
 from atoll.web.submission import TABLE
 from atoll_core import VERSION
@@ -87,6 +88,7 @@ _VIEWS: Final = ("job", "submit", "cancel", "pause", "resume", "retry", "set_pri
 
 _MEDIA: Final[Mapping[str, str]] = {
     "events": "text/event-stream", "report": "text/html", "export": "text/plain", "metrics": "text/plain",
+    "messages": MESSAGE,
 }  # fmt: skip
 
 MODELS: Final[tuple[type[BaseModel], ...]] = (JobView, EventView, WorkerView, IslandView, CoordinatorView, QueueDepth)
@@ -145,6 +147,8 @@ def _operation(route: Route) -> dict[str, Any]:
     if name in BODIES:
         content = {"application/json": {"schema": _of(BODIES[name])}}
         operation["requestBody"] = {"required": True, "content": content}
+    elif name == "messages":
+        operation["requestBody"] = {"required": True, "content": {MESSAGE: {}}}
     elif QUERIES.get(name, {}).get("filename"):
         kinds: dict[str, Any] = {"application/octet-stream": {}, "text/csv": {}, TABLE: {}}
         operation["requestBody"] = {"required": True, "content": kinds}

@@ -14,7 +14,7 @@ from typing import Final
 from atoll.cli.adapt.adapt_policy import AdaptPolicy, Decision, Limits, Need
 from atoll.cli.adapt.slurm import Slurm, SlurmError
 from atoll.cli.exit_codes import DONE
-from atoll.cli.request import CONNECT_LIMIT_S, address_of
+from atoll.cli.request import CONNECT_LIMIT_S, bus_address_of
 from atoll.client.client import Client, connected
 from atoll.terminal.output import note, say
 from atoll_core.errors import UnreachableError, UsageError
@@ -34,7 +34,7 @@ def adapt(options: argparse.Namespace) -> int:
     if options.minimum > options.maximum:
         raise UsageError(f"--minimum {options.minimum} is more than --maximum {options.maximum}")
     configure(options.log_format, options.log_level)
-    address, stop = address_of(options), threading.Event()
+    address, stop = bus_address_of(options), threading.Event()
     with stopping(stop):
         with connected(address, CONNECT_LIMIT_S) as client:
             name = f"atoll-{client.welcome.realm}"

@@ -10,11 +10,11 @@ from atoll.cli.exit_codes import DONE, end_of_cancelled, finish
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower
+from atoll.client.over_http import Whereabouts
 from atoll.terminal.output import as_json, clipped, count, duration, say, table
 from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
-from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 _SHOWN: Final = 20
@@ -45,7 +45,7 @@ def status(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _follow_job(options: argparse.Namespace, address: Destination) -> int:
+def _follow_job(options: argparse.Namespace, address: Whereabouts) -> int:
     """Show a job, the only one under way unless it is named, whenever it changes; return its exit code."""
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
         job = _chosen_job(client, options.job)

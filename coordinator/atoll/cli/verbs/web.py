@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.request import address_of
+from atoll.cli.request import bus_address_of
 from atoll.cli.web_process import OWNER
 from atoll.terminal.output import say
 from atoll_core.errors import UsageError
@@ -26,7 +26,7 @@ def web(options: argparse.Namespace) -> int:
         raise UsageError(
             f"the browser page needs {error.name}, which is not installed; pip install 'atoll[web]'"
         ) from error
-    at = address_of(options)
+    at = bus_address_of(options)
     host, port = options.listen
     if (options.cert is None) != (options.key is None):
         raise UsageError("--cert and --key belong together; give both, or none")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.web.access import TOKEN as VARIABLE
+from atoll.client.over_http import TOKEN as VARIABLE
 from atoll.web.access import token_of
 from atoll.web.application import build_application
 from atoll_core.errors import UsageError
