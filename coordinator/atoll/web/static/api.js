@@ -29,9 +29,7 @@ export function address(path, query = {}) {
   const made = new URL(`api/v1/${path}`, document.baseURI);
   made.hash = "";
   for (const [name, value] of Object.entries(query)) {
-    for (const part of [value].flat()) {
-      if (part !== null && part !== undefined && part !== "") made.searchParams.append(name, part);
-    }
+    for (const part of [value].flat()) { if (part !== null && part !== undefined && part !== "") made.searchParams.append(name, part); }
   }
   return made;
 }
@@ -58,12 +56,10 @@ export async function check(response) {
   } catch {
     // not a problem document: the status has to do
   }
-  if (response.status === 401 && !token()) sentence += " Open the address with the token that `coordinator web` prints.";
   throw new ApiError(sentence, response.status);
 }
 
 export async function get(path, query, signal) { return (await check(await send(path, { query, signal }))).json(); }
-
 export async function getText(path, query) { return (await check(await send(path, { query }))).text(); }
 
 /** Changes something; `json` is the body. */

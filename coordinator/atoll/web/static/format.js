@@ -14,7 +14,6 @@ export function number(value, digits = 3) {
 
 /** Returns a count with a prefix: 4.43 M. */
 export function count(value) { return scaled(value, 1000, PREFIXES); }
-
 export function bytes(value) { return scaled(value, 1000, UNITS.map((unit) => ` ${unit}`)); }
 
 function scaled(value, base, names) {
@@ -57,11 +56,20 @@ export function clock(text) {
 export function plural(amount, noun) { return `${amount} ${noun}${amount === 1 ? "" : "s"}`; }
 
 export const ENDED = ["done", "failed", "cancelled"];
+export const HAS_RESULT = ["done", "cancelled"];
 
 /** Returns the largest normalized error over the equations that are searched: how far the whole model is. */
 export function largestError(job) {
   const errors = (job.variables ?? []).map((variable) => variable.normalized_error).filter((error) => error !== null && error !== undefined);
   return errors.length ? Math.max(...errors) : null;
+}
+
+/** Notes when a job was heard of: while it lasts, its seconds are counted here. */
+export function heard(job) { return { ...job, heard: Date.now() }; }
+
+export function elapsed(job) {
+  const isOver = ENDED.includes(job.state) || job.elapsed === undefined;
+  return isOver ? job.elapsed : job.elapsed + (Date.now() - job.heard) / 1000;
 }
 
 /** Returns the state of a job in a word that says more where there is more to say. */
