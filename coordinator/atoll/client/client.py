@@ -72,7 +72,7 @@ _Question = (
     messages.Upload | messages.Submit | messages.Jobs | messages.FindJob | messages.Status | messages.Workers
     | messages.GetQueueDepth | messages.GetResult | messages.Cancel | messages.Delete | messages.GetEvents
     | messages.Follow | messages.Pause | messages.SetPriority | messages.Share | messages.Retry | messages.SetWorker
-    | messages.SetQueue | messages.Analyse | messages.GetIslands
+    | messages.SetQueue | messages.Analyse | messages.GetIslands | messages.GetTable
 )  # fmt: skip
 
 
@@ -312,6 +312,16 @@ class Client:
             parts.append(answer.data)
             if sum(map(len, parts)) >= answer.size:
                 return None, _whole(parts, answer.digest)
+
+    def table(self, job: str) -> bytes:
+        """Return the table that `job` was submitted with, as it was uploaded; raises RefusedError where it is gone."""
+        parts: list[bytes] = []
+        while True:
+            body = messages.GetTable(job=job, index=len(parts))
+            chunk = self._ask(body, messages.TableChunk, f"the table of job {job}", CHUNK_LIMIT_S)
+            parts.append(chunk.data)
+            if sum(map(len, parts)) >= chunk.size:
+                return _whole(parts, chunk.digest)
 
     def islands(self, job: str) -> tuple[IslandView, ...]:
         """Return where the islands of `job` are; none unless it is searched now."""

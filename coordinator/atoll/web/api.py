@@ -26,7 +26,7 @@ from atoll.tasks.analyses import FUNCTIONS, Report, answered
 from atoll.web.access import gateway_of
 from atoll.web.feed import MAX_LISTENERS, Feed
 from atoll.web.progress import progress, some
-from atoll.web.submission import Submission, options_by_heading
+from atoll.web.submission import TABLE, Submission, options_by_heading
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, RemoteProtocolError, UnreachableError
@@ -382,9 +382,13 @@ class Api:
         """Return what is made of the file and the options that were sent, in a thread."""
         asked = request.query_params
         filename, options = asked.get("filename", "data.csv"), asked.get("options", "")
-        media_type = request.headers.get("content-type", "").partition(";")[0]
+        media_type, of = request.headers.get("content-type", "").partition(";")[0], asked.get("of")
+        if of is not None and not is_id(of):
+            raise HTTPException(422, "of names a job by its id")
         async with self._bodies:
             body = await _body(request, MAX_BODY)
+            if of is not None:
+                body, media_type = await gateway_of(request).ask(lambda client: client.table(of)), TABLE
             return await run_in_threadpool(lambda: made(Submission.of(filename, body, options, media_type)))
 
     # ------------------------------------------------------------------------------ workers and coordinator

@@ -28,6 +28,7 @@ _OPTIONS: Final = "options of the command line by name, as a JSON object: texts,
 _FILE: Final[Mapping[str, tuple[Mapping[str, Any], str]]] = {
     "filename": (_TEXT, "the name that the file has; its ending says how it is read"),
     "options": (_TEXT, _OPTIONS),
+    "of": (_ID, "a job whose data are taken in the place of a body"),
 }
 
 QUERIES: Final[Mapping[str, Mapping[str, tuple[Mapping[str, Any], str]]]] = {

@@ -56,7 +56,8 @@ class Submission:
         values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
         config = configure(values)
         if media_type == TABLE:
-            return cls(filename, Table.from_bytes(body), config, given)
+            table = Table.from_bytes(body)
+            return cls(table.files[0] if table.files else filename, table, config, given)
         name = PurePath(filename.replace("\\", "/")).name
         if not name or name in (".", "..") or len(name.encode()) > 200 or not name.isprintable():
             raise UsageError("the name of the file must be printable and have at most 200 bytes, such as data.csv")

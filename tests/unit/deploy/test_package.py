@@ -33,9 +33,13 @@ def test_a_wheel_installs_no_name_that_does_not_begin_with_atoll() -> None:
         "atoll_island_worker",
     }
     others = [name for name in packaged if not name.endswith((".py", "py.typed"))]
+    page = [name for name in others if name.startswith("atoll/web/static/")]
+    others = [name for name in others if name not in page]
+    assert {Path(name).suffix for name in page} == {".html", ".js", ".css", ".svg", ".csv", ".LICENSE"}
     styles = ["atoll/report/page.css", "atoll/report/pictures.css"]
     schema = "atoll_coordinator/result/result.schema.json"
-    assert others == [*styles, schema], "only code, styles and the schema of results are installed"
+    description = "atoll/web/openapi.json"
+    assert others == [*styles, description, schema], "only code, styles, the page and two schemas are installed"
 
 
 def test_a_source_distribution_holds_what_the_wheel_is_built_from() -> None:

@@ -112,6 +112,14 @@ class GetResult(Frozen):
     job: Id
 
 
+class GetTable(Frozen):
+    """Give chunk `index` of the table that a job was submitted with."""
+
+    kind: Literal["get-table"] = "get-table"
+    job: Id
+    index: Count = 0
+
+
 class GetIslands(Frozen):
     """Say where the islands of a job are, and how far."""
 
@@ -239,6 +247,7 @@ class Request(Frozen):
         | GetQueueDepth
         | GetResult
         | GetIslands
+        | GetTable
         | Analyse
         | Cancel
         | Delete
@@ -351,6 +360,17 @@ class Result(Frozen):
     json_text: str
 
 
+class TableChunk(Frozen):
+    """Chunk `index` of the table of a job, of `size` bytes in all, whose SHA-256 is `digest`."""
+
+    kind: Literal["table-chunk"] = "table-chunk"
+    job: Id
+    index: Count
+    size: Count
+    digest: Digest
+    data: Annotated[bytes, Field(max_length=CHUNK_SIZE)]
+
+
 class IslandList(Frozen):
     """The islands of a job, by equation and number; none unless it is searched now."""
 
@@ -403,6 +423,7 @@ class Answer(Frozen):
         | QueueDepth
         | Result
         | IslandList
+        | TableChunk
         | AnalysisAnswer
         | Deleted
         | EventList

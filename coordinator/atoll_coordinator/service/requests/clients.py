@@ -28,6 +28,7 @@ from atoll_core.wire.messages.clients import (
     GetIslands,
     GetQueueDepth,
     GetResult,
+    GetTable,
     IslandList,
     JobFound,
     JobList,
@@ -44,12 +45,13 @@ from atoll_core.wire.messages.clients import (
     Share,
     Status,
     Submit,
+    TableChunk,
     Upload,
     Uploaded,
     WorkerList,
     Workers,
 )
-from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS
+from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS, chunk_count
 from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
@@ -62,10 +64,10 @@ MAX_RESULT_BYTES: Final = 1024 * 1024
 _SHOWN: Final = 5
 
 Body = (
-    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | IslandList | AnalysisAnswer
-    | Deleted | EventList | Following | Failure
+    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | IslandList | TableChunk
+    | AnalysisAnswer     | Deleted | EventList | Following | Failure
 )  # fmt: skip
-Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetIslands | GetEvents
+Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetIslands | GetTable | GetEvents
 Asked = (
     Upload | Submit | Analyse | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
 )  # fmt: skip
@@ -221,8 +223,20 @@ class ClientRequests:
                 return self._result(body.job)
             case GetIslands():
                 return self._islands(body.job)
+            case GetTable():
+                return self._table(body.job, body.index)
             case GetEvents():
                 return self._events(body, viewer)
+
+    def _table(self, job: str, index: int) -> Body:
+        record = self._store.job(job)
+        if record is None:
+            return _unknown(job)
+        size = self._store.blob_size(record.table_digest)
+        if not size or index >= chunk_count(size):
+            return Failure(failure="refused", sentence=f"the table of job {job} is not kept, or has no part {index}")
+        data = self._store.get_chunk(record.table_digest, index)
+        return TableChunk(job=job, index=index, size=size, digest=record.table_digest, data=data)
 
     def _islands(self, job: str) -> Body:
         live = self._controller.jobs.get(job)

@@ -21,6 +21,7 @@ class Asked:
         self.happened: list[EventView] = []
         self.calls: list[tuple[Any, ...]] = []
         self.is_silent = False
+        self.tables: dict[str, bytes] = {}
         self.contents: dict[str, object] = {}
 
     def _view(self, job: str, *call: Any) -> JobView:
@@ -74,6 +75,10 @@ class Asked:
 
     def workers(self, prefix: str = "") -> tuple[WorkerView, ...]:
         return ()
+
+    def table(self, job: str) -> bytes:
+        self._view(job, "table")
+        return self.tables[job]
 
     def result(self, job: str) -> dict[str, object]:
         self._view(job, "result")

@@ -114,6 +114,18 @@ def test_an_outline_says_how_a_file_is_read_and_what_the_command_would_be(app) -
     assert len(made["preview"]["columns"]["x"]) == 30
 
 
+def test_the_data_of_a_job_are_taken_again_for_another(app, client) -> None:
+    wrote(app, "POST", "/jobs", CSV, filename="d.csv", id="first")
+    client.tables["first"] = client.calls.pop()[4]
+    made = wrote(app, "POST", "/outline", of="first", options='{"operators": "+,-,*"}').json
+    assert made["equations"][0]["operators"] == ["+", "-", "*"]
+    assert made["files"] == ["d.csv"]
+    wrote(app, "POST", "/jobs", of="first", id="second")
+    assert client.calls[-1][1:3] == ("second", "d.csv")
+    assert client.calls[-1][4] == client.tables["first"]
+    assert wrote(app, "POST", "/jobs", of="none").status == 404
+
+
 def test_a_preview_has_smoothed_curves_and_derivatives_with_errors(app) -> None:
     made = wrote(app, "POST", "/preview", CSV, filename="d.csv").json
     (state,) = made["states"]

@@ -28,8 +28,11 @@ from atoll_core.wire.messages.clients import (
     Deleted,
     Failure,
     FindJob,
+    GetIslands,
     GetQueueDepth,
     GetResult,
+    GetTable,
+    IslandList,
     JobFound,
     JobList,
     Jobs,
@@ -38,6 +41,7 @@ from atoll_core.wire.messages.clients import (
     Request,
     Status,
     Submit,
+    TableChunk,
     Upload,
     Uploaded,
     WorkerList,
@@ -227,6 +231,22 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
     assert ("b", BLOB) in tasks.prepared
     assert ("cancel", "a") in tasks.calls  # it may be at work still
     assert "before its search began" in failure(clients.answer("ann", Request(body=GetResult(job="a")))).sentence
+
+
+def test_the_table_of_a_job_is_given_to_whoever_sees_the_job(clients: ClientRequests) -> None:
+    clients.answer("ann", chunk())
+    clients.answer("ann", Request(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    answer = clients.answer("ann", Request(body=GetTable(job="j")))
+    assert answer == TableChunk(job="j", index=0, size=len(TABLE), digest=BLOB, data=TABLE)
+    assert "has no part 1" in failure(clients.answer("ann", Request(body=GetTable(job="j", index=1)))).sentence
+    assert failure(clients.answer("ann", Request(body=GetTable(job="none")))).failure == "unknown-job"
+
+
+def test_a_job_that_is_not_searched_has_no_islands(clients: ClientRequests) -> None:
+    clients.answer("ann", chunk())
+    clients.answer("ann", Request(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    assert clients.answer("ann", Request(body=GetIslands(job="j"))) == IslandList(islands=())
+    assert failure(clients.answer("ann", Request(body=GetIslands(job="none")))).failure == "unknown-job"
 
 
 @pytest.mark.parametrize("is_deleted", [False, True])
