@@ -29,9 +29,7 @@ export function address(path, query = {}) {
   const made = new URL(`api/v1/${path}`, document.baseURI);
   made.hash = "";
   for (const [name, value] of Object.entries(query)) {
-    for (const part of [value].flat()) {
-      if (part !== null && part !== undefined && part !== "") made.searchParams.append(name, part);
-    }
+    for (const part of [value].flat()) { if (part !== null && part !== undefined && part !== "") made.searchParams.append(name, part); }
   }
   return made;
 }
@@ -63,7 +61,6 @@ export async function check(response) {
 }
 
 export async function get(path, query, signal) { return (await check(await send(path, { query, signal }))).json(); }
-
 export async function getText(path, query) { return (await check(await send(path, { query }))).text(); }
 
 /** Changes something; `json` is the body. */

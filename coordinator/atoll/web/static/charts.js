@@ -3,7 +3,7 @@
 import { h } from "./dom.js";
 import { number } from "./format.js";
 
-const HEIGHT = 260;
+const HEIGHT = 250;
 export const COLOURS = 6;
 const dark = matchMedia("(prefers-color-scheme: dark)");
 const charts = new Set();
@@ -25,15 +25,13 @@ function load() {
 /** Returns a colour of the style sheet as it is now. */
 export function colour(name) { return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim(); }
 
-export function cycled(index) { return `c${index % COLOURS}`; }
+/** Colours come again after six, dashed. */
+export function cycled(index) { return `c${index % COLOURS}${Math.floor(index / COLOURS) % 2 ? " dashed" : ""}`; }
 
 /** Returns a legend: a mark of its colour before each name. */
 export function legend(entries) {
-  return h("ul", { class: "legend" }, entries.map(([name, label]) => {
-    const mark = h("span", { class: "swatch", "aria-hidden": "true" });
-    mark.classList.add(name);
-    return h("li", {}, mark, label);
-  }));
+  return h("ul", { class: "legend" }, entries.map(([name, label]) =>
+    h("li", {}, h("span", { class: `swatch ${name}`, "aria-hidden": "true" }), label)));
 }
 
 /** One chart in an element: made when it has data for the first time, made anew when the kind of its series changes. */
@@ -51,7 +49,7 @@ export class Chart {
   }
 
   /** Shows data; `options` returns what uPlot is made with, and `shape` says when that is no longer right. */
-  async set(data, shape, options) {
+  async draw(data, shape, options) {
     this.next = { data, shape, options };
     const UPlot = await load();
     if (this.#isClosed || !this.next) return;
@@ -63,8 +61,6 @@ export class Chart {
     this.#plot = new UPlot({ ...this.#size(), ...wanted.options(UPlot) }, wanted.data, this.box);
     charts.add(this.#plot);
   }
-
-  get plot() { return this.#plot; }
 
   close() {
     this.#isClosed = true;
@@ -80,15 +76,12 @@ export class Chart {
   }
 
   #size() { return { width: Math.max(this.box.clientWidth, 200), height: this.height }; }
-
-  #fit() {
-    if (this.#plot && this.box.clientWidth && this.#plot.width !== this.box.clientWidth) this.#plot.setSize(this.#size());
-  }
+  #fit() { if (this.#plot && this.box.clientWidth && this.#plot.width !== this.box.clientWidth) this.#plot.setSize(this.#size()); }
 }
 
 function axis(label, isLog, more = {}) {
   return {
-    label, labelSize: 20, labelFont: "12px system-ui, sans-serif", font: "11px system-ui, sans-serif",
+    label, labelSize: 18, labelFont: "12px system-ui, sans-serif", font: "11px system-ui, sans-serif",
     stroke: () => colour("faint"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("grid"), width: 1 },
     values: (plot, splits) => splits.map((split) => (split === null ? "" : tick(split, isLog))), ...more,
   };
@@ -108,12 +101,13 @@ function frame(xLabel, yLabel, { isLogX = false, isLogY = false, bounds = {}, se
   return {
     legend: { show: false }, cursor: { drag: { x: false, y: false } },
     scales: { x: scale(isLogX, bounds.x), y: scale(isLogY, bounds.y) },
-    axes: [axis(xLabel, isLogX), axis(yLabel, isLogY, { size: 62 })],
+    axes: [axis(xLabel, isLogX, { size: 32 }), axis(yLabel, isLogY, { size: 62 })],
     series, padding: [10, 14, 0, 0], ...more,
   };
 }
 
-const stroke = (name) => () => colour(name);
+const stroke = (name) => () => colour(name.split(" ")[0]);
+const dashOf = (name) => (name.endsWith("dashed") ? [5, 4] : undefined);
 const isWide = (values) => {
   const above = values.filter((value) => value > 0);
   return above.length > 0 && above.length === values.length && Math.max(...above) > 10 * Math.min(...above);
@@ -126,15 +120,14 @@ function positive(errors) {
 }
 
 /** Fronts of complexity against error; a click chooses a point of the first. */
-export class FrontChart {
+export class FrontChart extends Chart {
   constructor(label, choose) {
-    this.chart = new Chart(label);
+    super(label);
     this.choose = choose;
-    this.box = this.chart.box;
   }
 
   /** `fronts` are lists of points; `chosen` is an index into the first. */
-  set(fronts, chosen = null, bounds = null) {
+  set(fronts, chosen = null) {
     const xs = [...new Set(fronts.flat().map((point) => point.complexity))].sort((a, b) => a - b);
     if (!xs.length) return;
     const all = positive(fronts.flat().map(errorOf));
@@ -144,10 +137,10 @@ export class FrontChart {
       return xs.map((x) => (errors.has(x) ? Math.max(errors.get(x), lowest) : null));
     });
     const mark = xs.map((x, index) => (chosen !== null && fronts[0][chosen]?.complexity === x ? columns[0][index] : null));
-    this.bounds = bounds ?? { x: [0, Math.max(...xs) + 1], y: decades(all) };
+    this.bounds = { x: [0, Math.max(...xs) + 1], y: decades(all) };
     this.points = fronts[0];
     this.xs = xs;
-    this.chart.set([xs, ...columns, mark], `front ${fronts.length}`, (UPlot) => this.#options(UPlot, fronts.length));
+    this.draw([xs, ...columns, mark], `front ${fronts.length}`, (UPlot) => this.#options(UPlot, fronts.length));
   }
 
   #options(UPlot, count) {
@@ -169,8 +162,6 @@ export class FrontChart {
     const index = this.points.findIndex((point) => point.complexity === this.xs[plot.cursor.idx]);
     if (index >= 0) this.choose?.(index);
   }
-
-  close() { this.chart.close(); }
 }
 
 /** Returns the whole decades around errors, none of which lies on an edge. */
@@ -181,12 +172,7 @@ function decades(errors) {
 export function errorOf(point) { return point.normalized_error ?? point.error; }
 
 /** Errors of islands over generations, with the generation from which on nothing got better. */
-export class ConvergenceChart {
-  constructor(label) {
-    this.chart = new Chart(label);
-    this.box = this.chart.box;
-  }
-
+export class ConvergenceChart extends Chart {
   set(curves, plateau) {
     const kept = curves.filter((curve) => curve.generations.length);
     if (!kept.length) return;
@@ -195,12 +181,12 @@ export class ConvergenceChart {
     const columns = kept.map((curve) => lastValues(curve, xs));
     const [isLogX, isLogY] = [isWide(xs), isWide(kept.flatMap((curve) => curve.errors))];
     const names = kept.map((curve) => curve.island);
-    this.chart.set([xs, ...columns], `curves ${names} ${isLogX} ${isLogY}`, (UPlot) => this.#options(UPlot, names, isLogX, isLogY));
+    this.draw([xs, ...columns], `curves ${names} ${isLogX} ${isLogY}`, (UPlot) => this.#options(UPlot, names, isLogX, isLogY));
   }
 
   #options(UPlot, names, isLogX, isLogY) {
     const paths = UPlot.paths.stepped({ align: 1 });
-    const series = names.map((_, index) => ({ stroke: stroke(cycled(index)), width: 1.4, paths, spanGaps: true, points: { show: false } }));
+    const series = names.map((_, index) => ({ stroke: stroke(cycled(index)), dash: dashOf(cycled(index)), width: 1.4, paths, spanGaps: true, points: { show: false } }));
     return frame("generation", "error (normalized)", {
       isLogX, isLogY, series: [{}, ...series], hooks: { draw: [(plot) => this.#drawPlateau(plot)] },
     });
@@ -223,8 +209,6 @@ export class ConvergenceChart {
     ctx.fillText(" plateau ", x, bbox.top + 12 * devicePixelRatio);
     ctx.restore();
   }
-
-  close() { this.chart.close(); }
 }
 
 /** An island may report several errors of one generation: the last is what it had then. */
@@ -236,12 +220,7 @@ function lastValues(curve, xs) {
 }
 
 /** Curves over one axis: `lines` holds {values, colour, isPoints, band: [low, high]}. */
-export class LinesChart {
-  constructor(label, options) {
-    this.chart = new Chart(label, options);
-    this.box = this.chart.box;
-  }
-
+export class LinesChart extends Chart {
   set(xLabel, yLabel, xs, lines) {
     const data = [xs];
     const series = [{}];
@@ -258,28 +237,19 @@ export class LinesChart {
       series.push({ stroke: stroke(line.colour), width: 1.6, spanGaps: !line.isPoints, points, ...(line.isPoints ? { paths: () => null } : {}) });
     }
     const shape = `${xLabel} ${yLabel} ${lines.map((line) => `${line.colour} ${line.isPoints} ${Boolean(line.band)}`)}`;
-    this.chart.set(data, shape, () => frame(xLabel, yLabel, { series, bands }));
+    this.draw(data, shape, () => frame(xLabel, yLabel, { series, bands }));
   }
-
-  close() { this.chart.close(); }
 }
 
 /** One state over another. `trails` holds {xs, ys, colour, isPoints}. */
-export class PhaseChart {
-  constructor(label) {
-    this.chart = new Chart(label, { height: 320 });
-    this.box = this.chart.box;
-  }
-
+export class PhaseChart extends Chart {
   set(xLabel, yLabel, trails) {
     const bounds = { x: extent(trails.flatMap((trail) => trail.xs)), y: extent(trails.flatMap((trail) => trail.ys)) };
     const facets = [{ scale: "x", auto: true }, { scale: "y", auto: true }];
     const series = trails.map((trail) => ({ facets, paths: (plot, index) => drawTrail(plot, index, trail) }));
     const options = () => frame(xLabel, yLabel, { mode: 2, bounds, series: [null, ...series], cursor: { show: false } });
-    this.chart.set([null, ...trails.map((trail) => [trail.xs, trail.ys])], `${xLabel} ${yLabel} ${bounds.x} ${bounds.y}`, options);
+    this.draw([null, ...trails.map((trail) => [trail.xs, trail.ys])], `${xLabel} ${yLabel} ${bounds.x} ${bounds.y}`, options);
   }
-
-  close() { this.chart.close(); }
 }
 
 function extent(values) {
@@ -293,10 +263,11 @@ function drawTrail(plot, index, trail) {
   const { ctx } = plot;
   const [xs, ys] = plot.data[index];
   const path = new Path2D();
+  const size = 4 * devicePixelRatio;
   for (let i = 0; i < xs.length; i += 1) {
     if (xs[i] === null || ys[i] === null) continue;
     const [x, y] = [plot.valToPos(xs[i], "x", true), plot.valToPos(ys[i], "y", true)];
-    if (trail.isPoints) path.rect(x - devicePixelRatio, y - devicePixelRatio, 2 * devicePixelRatio, 2 * devicePixelRatio);
+    if (trail.isPoints) path.rect(x - size / 2, y - size / 2, size, size);
     else path.lineTo(x, y);
   }
   ctx.save();

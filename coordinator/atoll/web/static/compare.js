@@ -2,9 +2,9 @@
 
 import { get, paths } from "./api.js";
 import { FrontChart, cycled, legend } from "./charts.js";
-import { h, setText, show, viewHeading } from "./dom.js";
+import { faultBox, h, setText, show, viewHeading } from "./dom.js";
 import { follow } from "./events.js";
-import { duration, largestError, number, stateOf } from "./format.js";
+import { HAS_RESULT, duration, largestError, number, stateOf } from "./format.js";
 import { formula } from "./mathml.js";
 
 const PAUSE = 3000;
@@ -19,7 +19,7 @@ class Comparison {
 
   constructor(root, ids, app) {
     Object.assign(this, { ids, app });
-    this.fault = h("p", { class: "fault", role: "alert", hidden: true });
+    this.fault = faultBox();
     [this.jobs, this.equations, this.options, this.data] = Array.from({ length: 4 }, () => h("div", { class: "wide" }));
     root.append(viewHeading("Compare jobs"), this.fault, this.jobs, h("h2", {}, "Equations"), this.equations,
       h("h2", {}, "Options that differ"), this.options, h("h2", {}, "Data that differ"), this.data);
@@ -33,20 +33,20 @@ class Comparison {
     try {
       const all = await Promise.all(this.ids.map((id) => this.#fetch(id)));
       if (this.isClosed) return;
-      show(this.fault, false);
+      this.fault.say();
       this.#draw(all);
     } catch (error) {
       if (error.status === 0) this.app.connection(false);
-      setText(this.fault, error.message);
-      show(this.fault, true);
+      this.fault.say(error.message);
     }
   }
 
   /** A job that is not over has no result yet, one that has just begun no progress either. */
   async #fetch(id) {
-    const [job, progress, result] = await Promise.all([
-      get(paths.job(id)), get(paths.of(id, "progress")).catch(() => ({ equations: [] })), get(paths.of(id, "result")).catch(() => null)]);
-    return { job, equations: progress.equations, result };
+    const job = await get(paths.job(id));
+    const ask = (isThere, what) => (isThere ? get(paths.of(id, what)).catch(() => null) : null);
+    const [progress, result] = await Promise.all([ask(job.variables?.length, "progress"), ask(HAS_RESULT.includes(job.state), "result")]);
+    return { job, equations: progress?.equations ?? [], result };
   }
 
   #draw(all) {
@@ -66,7 +66,7 @@ class Comparison {
     const variables = [...new Set(all.flatMap(({ job, equations }) => [...(job.variables ?? []), ...equations].map((equation) => equation.variable)))];
     for (const variable of variables) {
       const pair = all.map(({ equations }) => equations.find((equation) => equation.variable === variable));
-      const place = this.#place(variable);
+      const place = this.#place(variable, all);
       place.formulas.replaceChildren(...pair.map((equation, index) => h("div", { class: "side" },
         h("p", { class: "faint" }, h("span", { class: `swatch ${cycled(index)}`, "aria-hidden": "true" }), all[index].job.name),
         h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `${variable} of ${all[index].job.name}` },
@@ -81,11 +81,11 @@ class Comparison {
     return h("p", { class: "numbers" }, `error ${number(view.normalized_error)}, complexity ${view.complexity ?? "–"}${view.verdict ? `, ${view.verdict}` : ""}`);
   }
 
-  #place(variable) {
+  #place(variable, all) {
     if (!this.#charts.has(variable)) {
       const chart = new FrontChart(`Fronts of ${variable} of both jobs`);
       const formulas = h("div", { class: "pair" });
-      this.equations.append(h("article", { class: "equation" }, h("h3", {}, variable), formulas, chart.box, legend([["c0", "first job"], ["c1", "second job"]])));
+      this.equations.append(h("article", { class: "equation" }, h("h3", {}, variable), formulas, chart.box, legend(all.map(({ job }, index) => [cycled(index), job.name]))));
       this.#charts.set(variable, { chart, formulas });
     }
     return this.#charts.get(variable);

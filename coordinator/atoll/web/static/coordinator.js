@@ -1,14 +1,14 @@
 // The coordinator: its queue, what it takes, and whether it takes up jobs.
 
 import { change, session } from "./api.js";
-import { facts, h, setText, show, viewHeading } from "./dom.js";
+import { facts, faultBox, h, setText, show, viewHeading } from "./dom.js";
 import { bytes, duration } from "./format.js";
 import { Poll } from "./poll.js";
 
 export default function open(root, _place, app) {
   const [queue, process] = [h("div"), h("div")];
   const state = h("span", { class: "state" });
-  const fault = h("p", { class: "fault", role: "alert", hidden: true });
+  const fault = faultBox();
   const toggle = h("button", { type: "button", hidden: true, onclick: turn }, "Pause the queue");
   let isPaused = false;
   root.append(h("div", { class: "head" }, viewHeading("Coordinator"), state), h("h2", {}, "Queue"), queue, h("p", { class: "bar" }, toggle), fault, h("h2", {}, "Process"), process);
@@ -23,14 +23,8 @@ export default function open(root, _place, app) {
     process.replaceChildren(facts(processFacts(coordinator)));
   });
   async function turn() {
-    try {
-      await change("PUT", "coordinator/queue", { paused: !isPaused });
-      show(fault, false);
-      poll.again();
-    } catch (error) {
-      setText(fault, error.message);
-      show(fault, true);
-    }
+    await fault.guard(() => change("PUT", "coordinator/queue", { paused: !isPaused }));
+    poll.again();
   }
   return poll;
 }

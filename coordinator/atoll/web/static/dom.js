@@ -20,7 +20,6 @@ export function setText(element, text) {
 }
 
 export function setClass(element, name) { if (element.className !== name) element.className = name; }
-
 export function show(element, isShown) { if (element.hidden === isShown) element.hidden = !isShown; }
 
 /** Makes the children of `place` those of `items`: elements are kept by key, so that focus and scrolling stay. */
@@ -42,6 +41,33 @@ export function keyed(place, items, key, make, update) {
     else place.insertBefore(element, next);
     update?.(element, item);
   }
+}
+
+/** Makes the children of an element anew, only if `key` says that they became others. */
+export function redraw(element, key, make) {
+  if (element.drawn === key) return;
+  element.drawn = key;
+  element.replaceChildren(...[make()].flat());
+}
+
+/** Returns a place for the sentence that says why something did not work. */
+export function faultBox() {
+  const box = h("p", { class: "fault", role: "alert", hidden: true });
+  box.say = (sentence = "") => {
+    setText(box, sentence);
+    show(box, Boolean(sentence));
+  };
+  /** Does something and says what went wrong; returns undefined then. */
+  box.guard = async (act) => {
+    box.say();
+    try {
+      return await act();
+    } catch (error) {
+      if (error.name !== "AbortError") box.say(error.message);
+      return undefined;
+    }
+  };
+  return box;
 }
 
 /** Returns a function that has `draw` run once before the next frame, however often it is called. */

@@ -14,7 +14,6 @@ export function number(value, digits = 3) {
 
 /** Returns a count with a prefix: 4.43 M. */
 export function count(value) { return scaled(value, 1000, PREFIXES); }
-
 export function bytes(value) { return scaled(value, 1000, UNITS.map((unit) => ` ${unit}`)); }
 
 function scaled(value, base, names) {
@@ -57,6 +56,7 @@ export function clock(text) {
 export function plural(amount, noun) { return `${amount} ${noun}${amount === 1 ? "" : "s"}`; }
 
 export const ENDED = ["done", "failed", "cancelled"];
+export const HAS_RESULT = ["done", "cancelled"];
 
 /** Returns the largest normalized error over the equations that are searched: how far the whole model is. */
 export function largestError(job) {

@@ -2,7 +2,7 @@
 
 import { get, paths, session } from "./api.js";
 import { follow } from "./events.js";
-import { announce, facts, framed, h, setClass, setText, show, viewHeading } from "./dom.js";
+import { announce, facts, framed, faultBox, h, redraw, setClass, setText, show, viewHeading } from "./dom.js";
 import { ENDED, count, duration, moment, plural, stateOf } from "./format.js";
 import { Actions } from "./job_actions.js";
 import { EquationCard } from "./job_equation.js";
@@ -38,7 +38,7 @@ class JobPage {
     this.reason = h("p", { class: "reason" });
     this.notes = h("ul", { class: "notes" });
     this.facts = h("div");
-    this.fault = h("p", { class: "fault", role: "alert", hidden: true });
+    this.fault = faultBox();
     this.equations = h("div", { class: "equations" }, h("p", { class: "faint" }, "No equations yet."));
     this.body = h("div", { hidden: true },
       this.reason, this.notes, this.facts, this.actions.box,
@@ -50,20 +50,19 @@ class JobPage {
   async again() {
     try {
       this.#merge(await get(paths.job(this.id)));
-      show(this.fault, false);
+      this.fault.say();
     } catch (error) {
       this.#fail(error);
       return;
     }
-    this.progress.fetch();
-    this.islands.fetch();
+    if (this.#job.variables?.length) this.progress.fetch(); // there is nothing to see while data are prepared
+    if (!ENDED.includes(this.#job.state)) this.islands.fetch();
     this.log.fetch();
   }
 
   #fail(error) {
     if (error.status === 0) this.app.connection(false);
-    setText(this.fault, error.message);
-    show(this.fault, true);
+    this.fault.say(error.message);
   }
 
   #change({ changes, deleted }) {
@@ -72,7 +71,7 @@ class JobPage {
       location.hash = "#/jobs";
     } else if (this.#job || changes?.job) {
       this.#merge(changes);
-      if (changes.variables) this.progress.fetchSoon();
+      if (changes.variables?.length) this.progress.fetchSoon();
       if (changes.workers !== undefined) this.islands.fetchSoon();
     }
   }
@@ -89,7 +88,7 @@ class JobPage {
     const after = stateOf(this.#job);
     if (before && before !== after) {
       announce(`The job is ${after}.`);
-      this.progress.fetchSoon();
+      if (this.#job.variables?.length) this.progress.fetchSoon();
     }
     this.draw();
   }
@@ -108,7 +107,7 @@ class JobPage {
     this.#drawNotes(job);
     this.#drawFacts(job);
     this.actions.update(job, session.may_write);
-    this.#drawCards(job);
+    for (const variable of job.variables ?? []) this.#card(variable.variable).update(variable, job);
     this.outcome.update(job);
     this.islands.update(job);
   }
@@ -123,16 +122,13 @@ class JobPage {
       ...(isGoing && job.held && !job.paused ? [["", "Waits", "It has begun and waits for a place."]] : []),
       ...(job.state === "running" && job.workers === 0 ? [["doubtful", "Waits", "No worker computes for it now."]] : []),
     ];
-    const said = JSON.stringify(notes);
-    if (this.notes.dataset.said === said) return;
-    this.notes.dataset.said = said;
-    this.notes.replaceChildren(...notes.map(([severity, label, text]) => h("li", { class: severity }, h("b", {}, `${label}: `), text)));
+    redraw(this.notes, JSON.stringify(notes), () => notes.map(([severity, label, text]) => h("li", { class: severity }, h("b", {}, `${label}: `), text)));
   }
 
   #drawFacts(job) {
     const rate = job.point_evaluations_per_second;
     const pairs = [
-      ["Job", h("code", {}, job.job)],
+      ["Job", job.job],
       ["Submitted", moment(job.submitted)], ["Owner", job.submitter ?? "–"], ["Elapsed", duration(job.elapsed)],
       ["Workers", String(job.workers)], ["Points evaluated", count(job.point_evaluations)],
       ["Points per second", rate ? count(rate) : null],
@@ -140,13 +136,8 @@ class JobPage {
       ["Deaths", job.counters?.deaths ? String(job.counters.deaths) : null],
       ["Waited for migrants", job.counters?.waited_s ? duration(job.counters.waited_s) : null],
     ];
-    const said = pairs.map(([, value]) => value?.textContent ?? value).join();
-    if (this.facts.dataset.said === said) return;
-    this.facts.dataset.said = said;
-    this.facts.replaceChildren(facts(pairs));
+    redraw(this.facts, pairs.join(), () => facts(pairs));
   }
-
-  #drawCards(job) { for (const variable of job.variables ?? []) this.#card(variable.variable).update(variable, job); }
 
   #showEquations(equations) {
     if (this.#isClosed) return;

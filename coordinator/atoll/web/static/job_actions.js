@@ -1,7 +1,7 @@
 // What can be done with a job.
 
 import { change, paths } from "./api.js";
-import { announce, confirmed, h, setText, show } from "./dom.js";
+import { announce, confirmed, faultBox, h, setText, show } from "./dom.js";
 import { ENDED } from "./format.js";
 
 export class Actions {
@@ -22,7 +22,7 @@ export class Actions {
     this.level = h("input", { type: "number", min: "-10", max: "10", step: "1", value: "0" });
     this.priority = h("form", { class: "inline", onsubmit: (event) => this.#prioritize(event) }, h("label", {}, "Priority ", this.level), h("button", {}, "Set"));
     this.anew = h("a", { class: "button", href: `#/new?from=${encodeURIComponent(this.id)}` }, "Submit again with changes");
-    this.said = h("p", { class: "fault", role: "alert", hidden: true });
+    this.said = faultBox();
     this.note = h("p", { class: "faint", hidden: true }, "You are looking only. To change something, open the address with the token that ",
       h("code", {}, "coordinator web"), " prints.");
     this.bar = h("div", { class: "bar" }, this.pause, this.cancel, this.retry, this.priority, this.share, this.anew, this.remove);
@@ -57,22 +57,13 @@ export class Actions {
     if (job) location.hash = `#/jobs/${encodeURIComponent(job.job)}`;
   }
 
-  async #remove() {
-    if ((await this.#do(() => change("DELETE", paths.job(this.id)), false)) !== undefined) location.hash = "#/jobs";
-  }
+  async #remove() { if ((await this.#do(() => change("DELETE", paths.job(this.id)), false)) !== undefined) location.hash = "#/jobs"; }
 
   /** Does something, and says why it did not work; returns undefined then. */
   async #do(act, isAboutUs = true) {
-    show(this.said, false);
-    try {
-      const job = await act();
-      if (job && isAboutUs) this.changed(job);
-      announce("Done.");
-      return job;
-    } catch (error) {
-      setText(this.said, error.message);
-      show(this.said, true);
-      return undefined;
-    }
+    const job = await this.said.guard(act);
+    if (job && isAboutUs) this.changed(job);
+    if (job !== undefined) announce("Done.");
+    return job;
   }
 }

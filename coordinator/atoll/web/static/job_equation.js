@@ -1,7 +1,7 @@
 // One equation of a job: what it is now, its front of complexity against error, how the islands got there.
 
 import { ConvergenceChart, FrontChart, cycled, errorOf, legend, sayPoint, steerable } from "./charts.js";
-import { framed, h, keyed, setClass, setText, show } from "./dom.js";
+import { framed, h, keyed, redraw, setClass, setText, show } from "./dom.js";
 import { formula } from "./mathml.js";
 import { count, number } from "./format.js";
 
@@ -13,7 +13,6 @@ const WHY = {
 export class EquationCard {
   #equation = null;
   #chosen = null;
-  #shown = "";
 
   constructor(variable) {
     this.variable = variable;
@@ -88,11 +87,7 @@ export class EquationCard {
 
   #draw() {
     const { lhs, expression, mathml, convergence, plateau } = this.#equation;
-    const key = `${mathml}`;
-    if (this.#shown !== key) {
-      this.#shown = key;
-      this.now.replaceChildren(formula(mathml, `${lhs} = ${expression ?? "…"}`));
-    }
+    redraw(this.now, `${mathml} ${expression}`, () => formula(mathml, `${lhs} = ${expression ?? "…"}`));
     this.front.set([this.#points], this.#index);
     this.curves.set(convergence ?? [], plateau);
     this.#drawLegend(convergence ?? []);
@@ -103,17 +98,12 @@ export class EquationCard {
 
   #drawLegend(curves) {
     const names = curves.map((curve) => (typeof curve.island === "number" ? `island ${curve.island}` : String(curve.island)));
-    if (this.islands.dataset.names === names.join()) return;
-    this.islands.dataset.names = names.join();
-    this.islands.replaceChildren(legend(names.map((name, index) => [cycled(index), name])));
+    redraw(this.islands, names.join(), () => legend(names.map((name, index) => [cycled(index), name])));
   }
 
   #drawPicked(point) {
     setText(this.picked, point ? `complexity ${point.complexity} · error ${number(errorOf(point), 4)}` : "");
-    const key = point?.mathml ?? point?.expression ?? "";
-    if (this.pickedFormula.dataset.key === key) return;
-    this.pickedFormula.dataset.key = key;
-    this.pickedFormula.replaceChildren(point ? formula(point.mathml, point.expression) : "");
+    redraw(this.pickedFormula, point?.mathml ?? point?.expression, () => (point ? formula(point.mathml, point.expression) : []));
   }
 
   #drawTable() {

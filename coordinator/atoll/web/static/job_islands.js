@@ -8,7 +8,7 @@ import { ENDED, plural } from "./format.js";
 const LEAST_PAUSE = 2000;
 /** So long a cell shows what happened to its island. */
 const FRESH = 6000;
-const MARKS = { placed: "placed", unplaced: "no worker", isolated: "isolated", commit: "migrants", "worker-lost": "lost", stalled: "waits" };
+const MARKS = { placed: "placed", unplaced: "no worker", isolated: "isolated", "worker-lost": "lost", stalled: "waits" };
 
 export class Islands {
   #islands = [];

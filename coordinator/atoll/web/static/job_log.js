@@ -1,7 +1,7 @@
 // What happened to a job, newest first: what somebody may have to do something about stands out.
 
 import { get, paths } from "./api.js";
-import { h, setText, show } from "./dom.js";
+import { h, redraw, show } from "./dom.js";
 import { clock } from "./format.js";
 
 const MOST = 300;
@@ -51,10 +51,7 @@ export class Log {
     const shown = [...this.#events.values()].filter(isShown).sort((a, b) => b.number - a.number).slice(0, MOST);
     if (this.#events.size > 4 * MOST) this.#events = new Map([...this.#events].sort(([a], [b]) => a - b).slice(-2 * MOST));
     show(this.none, !shown.length);
-    const key = shown.map((event) => event.number).join();
-    if (this.list.dataset.key === key) return;
-    this.list.dataset.key = key;
-    this.list.replaceChildren(...shown.map(line));
+    redraw(this.list, shown.map((event) => event.number).join(), () => shown.map(line));
   }
 }
 

@@ -2,6 +2,7 @@
 
 import { check, get, getText, paths, send } from "./api.js";
 import { LinesChart, PhaseChart, cycled, legend } from "./charts.js";
+import { HAS_RESULT } from "./format.js";
 import { announce, download, h, setText, show } from "./dom.js";
 
 const ASK_AGAIN = 1000;
@@ -30,7 +31,7 @@ export class Outcome {
   update(job) {
     if (job.state === this.#state) return;
     this.#state = job.state;
-    const isDone = job.state === "done" || job.state === "cancelled";
+    const isDone = HAS_RESULT.includes(job.state);
     show(this.refining, job.state === "refining");
     show(this.done, isDone);
     show(this.box, isDone || job.state === "refining");

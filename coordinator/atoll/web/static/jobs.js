@@ -2,21 +2,21 @@
 
 import { get } from "./api.js";
 import { follow } from "./events.js";
-import { framed, h, keyed, setClass, setText, show, viewHeading } from "./dom.js";
+import { framed, faultBox, h, keyed, redraw, setClass, setText, show, viewHeading } from "./dom.js";
 import { ENDED, duration, largestError, moment, number, plural, stateOf } from "./format.js";
 
 const STATES = ["queued", "preparing", "running", "refining", "done", "failed", "cancelled"];
 const PAGE = 50;
-/** What can be sorted by: heading, value, whether the largest come first. */
+/** What can be sorted by: heading, value to sort by, what a cell says, whether the largest come first. */
 const COLUMNS = {
   state: { title: "State", value: (job) => STATES.indexOf(job.state) },
   name: { title: "Name", value: (job) => job.name.toLowerCase() },
-  error: { title: "Best error", value: (job) => largestError(job) ?? Infinity, isNumber: true },
+  error: { title: "Best error", value: (job) => largestError(job) ?? Infinity, say: (job) => number(largestError(job)), isNumber: true },
   verdict: { title: "Verdicts", value: (job) => verdicts(job).join() },
-  progress: { title: "Progress", value: (job) => epochs(job)[1], isDown: true },
-  owner: { title: "Owner", value: (job) => job.submitter ?? "" },
-  submitted: { title: "Submitted", value: (job) => job.submitted, isDown: true },
-  elapsed: { title: "Elapsed", value: (job) => job.elapsed, isNumber: true, isDown: true },
+  progress: { title: "Progress", value: (job) => epochs(job)[1], say: progress, isDown: true },
+  owner: { title: "Owner", value: (job) => job.submitter ?? "", say: (job) => job.submitter },
+  submitted: { title: "Submitted", value: (job) => job.submitted, say: (job) => moment(job.submitted), isDown: true },
+  elapsed: { title: "Elapsed", value: (job) => job.elapsed, say: (job) => duration(job.elapsed), isNumber: true, isDown: true },
 };
 
 export default function open(root, { parameters }, app) { return new Jobs(root, parameters, app); }
@@ -42,7 +42,7 @@ class Jobs {
   #build(root) {
     this.heading = viewHeading("Jobs");
     this.status = h("p", { class: "faint", role: "status" }, "Loading…");
-    this.fault = h("p", { class: "fault", role: "alert", hidden: true });
+    this.fault = faultBox();
     this.compare = h("a", { class: "button", hidden: true }, "Compare the two");
     this.body = h("tbody");
     this.table = h("table", { class: "list stacked", hidden: true }, h("caption", { class: "unseen" }, "Jobs"), this.#head(), this.body);
@@ -99,11 +99,10 @@ class Jobs {
       for (const job of page.jobs) this.#jobs.set(job.job, job);
       this.#next = page.next;
       this.#isLoaded = true;
-      show(this.fault, false);
+      this.fault.say();
     } catch (error) {
       if (error.status === 0) this.app.connection(false);
-      setText(this.fault, error.message);
-      show(this.fault, true);
+      this.fault.say(error.message);
     }
     this.draw();
   }
@@ -193,40 +192,23 @@ class Jobs {
   #row(job) {
     const box = h("input", { type: "checkbox", "aria-label": `Compare ${job.name} (${job.job})`, onchange: () => this.#choose(job.job, box.checked) });
     box.checked = this.#chosen.has(job.job);
-    const link = h("a", { href: `#/jobs/${encodeURIComponent(job.job)}` });
-    const cell = (name, isNumber) => h("td", { "data-head": COLUMNS[name].title, class: isNumber ? "number" : null });
     const row = h("tr", {}, h("td", { class: "check" }, box));
-    row.parts = {
-      state: h("span", { class: "state" }), link, id: h("small", { class: "faint" }),
-      error: cell("error", true), verdict: h("span", { class: "verdicts" }), progress: cell("progress"),
-      owner: cell("owner"), submitted: cell("submitted"), elapsed: cell("elapsed", true),
-    };
-    const parts = row.parts;
-    const state = cell("state"), name = cell("name"), verdict = cell("verdict");
-    name.classList.add("title");
-    state.append(parts.state);
-    name.append(link, " ", parts.id);
-    verdict.append(parts.verdict);
-    row.append(state, name, parts.error, verdict, parts.progress, parts.owner, parts.submitted, parts.elapsed);
+    row.parts = Object.fromEntries(Object.entries(COLUMNS).map(([name, { title, isNumber }]) =>
+      [name, h("td", { "data-head": title, class: isNumber ? "number" : name === "name" ? "title" : null })]));
+    row.parts.name.append(h("a", { href: `#/jobs/${encodeURIComponent(job.job)}` }), " ", h("small", {}, job.job));
+    row.parts.state.append(h("span"));
+    row.append(...Object.values(row.parts));
     return row;
   }
 
-  #fill(row, job) {
-    const parts = row.parts;
-    setText(parts.state, stateOf(job));
-    setClass(parts.state, `state ${stateOf(job)}`);
-    parts.state.title = job.reason ?? "";
-    setText(parts.link, job.name || job.job);
-    setText(parts.id, job.job);
-    setText(parts.error, number(largestError(job)));
-    setText(parts.progress, progress(job));
-    setText(parts.owner, job.submitter ?? "–");
-    setText(parts.submitted, moment(job.submitted));
-    setText(parts.elapsed, duration(job.elapsed));
-    const said = verdicts(job);
-    if (parts.verdict.dataset.said === said.join()) return;
-    parts.verdict.dataset.said = said.join();
-    parts.verdict.replaceChildren(...(said.length ? said.map((verdict) => h("span", { class: `verdict ${verdict.replace(" ", "-")}` }, verdict)) : ["–"]));
+  #fill({ parts }, job) {
+    for (const [name, { say }] of Object.entries(COLUMNS)) if (say) setText(parts[name], say(job));
+    const state = parts.state.firstChild;
+    setText(state, stateOf(job));
+    setClass(state, `state ${stateOf(job)}`);
+    state.title = job.reason ?? "";
+    setText(parts.name.firstChild, job.name || job.job);
+    redraw(parts.verdict, verdicts(job).join(), () => h("span", { class: "verdicts" }, verdicts(job).map((verdict) => h("span", { class: `verdict ${verdict.replace(" ", "-")}` }, verdict))));
   }
 
   #choose(id, isChosen) {
@@ -247,7 +229,7 @@ function epochs(job) {
 function progress(job) {
   const [least, most] = epochs(job);
   const all = job.variables ?? [];
-  if (!all.length) return job.ahead ? `${job.ahead} ahead` : "–";
+  if (!all.length) return job.ahead ? `${job.ahead} ahead` : "";
   const found = all.filter((variable) => variable.finished).length;
   const end = ENDED.includes(job.state) || !found ? "" : `, ${found} of ${all.length} finished`;
   return `epoch ${least === most ? most : `${least}–${most}`}${end}`;

@@ -2,8 +2,8 @@
 
 import { get, paths, session, upload } from "./api.js";
 import { LinesChart, legend } from "./charts.js";
-import { announce, copyable, facts, h, setText, show, viewHeading } from "./dom.js";
-import { plural } from "./format.js";
+import { announce, copyable, facts, faultBox, h, setText, show, viewHeading } from "./dom.js";
+import { HAS_RESULT, plural } from "./format.js";
 
 const ROLES = ["time", "state", "input", "trajectory", "weights", "unused"];
 /** The option that each role of a column becomes. */
@@ -32,7 +32,7 @@ class NewJob {
     const file = h("input", { type: "file", id: "file", onchange: () => this.take(file.files[0]) });
     const demo = h("button", { type: "button", onclick: () => this.#takeDemo() }, "Use the demo data");
     this.hint = h("p", { class: "faint", role: "status" });
-    this.fault = h("p", { class: "fault", role: "alert", hidden: true });
+    this.fault = faultBox();
     [this.outline, this.preview, this.commands] = [h("div"), h("div"), h("div")];
     this.form = h("div");
     this.name = h("input", { maxlength: "200" });
@@ -82,7 +82,7 @@ class NewJob {
     this.name.value = job.name;
     this.priority.value = job.priority;
     this.shared.checked = job.shared;
-    const result = await get(paths.of(id, "result")).catch(() => null);
+    const result = HAS_RESULT.includes(job.state) ? await get(paths.of(id, "result")).catch(() => null) : null;
     const files = result?.data?.files?.join(", ");
     this.#options = result?.command ? this.#optionsOf(result.command) : { seed: String(job.seed), preset: job.preset };
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
@@ -153,7 +153,7 @@ class NewJob {
     try {
       this.#drawOutline(await upload("outline", this.#file, this.#query, signal));
       this.send.disabled = !session.may_write;
-      show(this.fault, false);
+      this.fault.say();
       this.#drawPreview(await upload("preview", this.#file, this.#query, signal));
     } catch (error) {
       if (error.name === "AbortError") return;
@@ -162,10 +162,7 @@ class NewJob {
     }
   }
 
-  #complain(error) {
-    setText(this.fault, error.message);
-    show(this.fault, true);
-  }
+  #complain(error) { this.fault.say(error.message); }
 
   #drawOutline(outline) {
     setText(this.hint, `${this.#file.name}, read as ${outline.read_as}: ${plural(outline.rows, "row")}, ${plural(outline.equations.length, "equation")} to find.`);

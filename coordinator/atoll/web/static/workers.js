@@ -1,7 +1,7 @@
 // The workers: what each computes and takes, and whether it is given more.
 
 import { change, session } from "./api.js";
-import { h, keyed, setClass, setText, show, viewHeading } from "./dom.js";
+import { faultBox, h, keyed, setClass, setText, show, viewHeading } from "./dom.js";
 import { bytes, duration, plural } from "./format.js";
 import { Poll } from "./poll.js";
 
@@ -12,7 +12,7 @@ const SILENT = 5;
 
 export default function open(root, _place, app) {
   const summary = h("p", { class: "faint" }, "Loading…");
-  const fault = h("p", { class: "fault", role: "alert", hidden: true });
+  const fault = faultBox();
   const body = h("tbody");
   const heads = HEADS.map((head) => h("th", { scope: "col", class: NUMBERS.has(head) ? "number" : null }, head));
   const table = h("table", { class: "list stacked", hidden: true }, h("caption", { class: "unseen" }, "Workers"), h("thead", {}, h("tr", {}, heads)), body);
@@ -26,14 +26,8 @@ export default function open(root, _place, app) {
     keyed(body, workers, (worker) => worker.worker, () => row(serve), fill);
   });
   async function serve(worker, service) {
-    try {
-      await change("PUT", `workers/${encodeURIComponent(worker)}/service`, { service });
-      show(fault, false);
-      poll.again();
-    } catch (error) {
-      setText(fault, error.message);
-      show(fault, true);
-    }
+    await fault.guard(() => change("PUT", `workers/${encodeURIComponent(worker)}/service`, { service }));
+    poll.again();
   }
   return poll;
 }
