@@ -56,7 +56,6 @@ export async function check(response) {
   } catch {
     // not a problem document: the status has to do
   }
-  if (response.status === 401 && !token()) sentence += " Open the address with the token that `coordinator web` prints.";
   throw new ApiError(sentence, response.status);
 }
 

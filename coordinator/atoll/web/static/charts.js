@@ -109,8 +109,9 @@ function frame(xLabel, yLabel, { isLogX = false, isLogY = false, bounds = {}, se
 const stroke = (name) => () => colour(name.split(" ")[0]);
 const dashOf = (name) => (name.endsWith("dashed") ? [5, 4] : undefined);
 const isWide = (values) => {
-  const above = values.filter((value) => value > 0);
-  return above.length > 0 && above.length === values.length && Math.max(...above) > 10 * Math.min(...above);
+  const known = values.filter((value) => value !== null);
+  const above = known.filter((value) => value > 0);
+  return above.length > 0 && above.length === known.length && Math.max(...above) > 10 * Math.min(...above);
 };
 
 /** A logarithm needs numbers above zero: an exact equation is drawn a decade below the next. */

@@ -46,7 +46,7 @@ class Comparison {
     const job = await get(paths.job(id));
     const ask = (isThere, what) => (isThere ? get(paths.of(id, what)).catch(() => null) : null);
     const [progress, result] = await Promise.all([ask(job.variables?.length, "progress"), ask(HAS_RESULT.includes(job.state), "result")]);
-    return { job, equations: progress?.equations ?? [], result };
+    return { job, equations: progress?.equations ?? [], result, config: (result ?? progress)?.config, files: progress?.files };
   }
 
   #draw(all) {
@@ -56,10 +56,9 @@ class Comparison {
     this.jobs.replaceChildren(pairTable("Jobs", names, facts.map(([label, say]) => [label, ...jobs.map(say)])));
     this.#drawEquations(all);
     const plain = jobs.map((job) => job.name);
-    const [configs, data] = [all.map(({ result }) => flat(result?.config)), all.map(({ result }) => dataFacts(result))];
-    const waits = all.some(({ result }) => !result) ? "Known when both jobs have ended." : "";
-    this.options.replaceChildren(waits || differences("Options that differ", plain, configs));
-    this.data.replaceChildren(waits || differences("Data that differ", plain, data));
+    const [configs, data] = [all.map(({ config }) => flat(config ?? {})), all.map(dataFacts)];
+    this.options.replaceChildren(differences("Options that differ", plain, configs));
+    this.data.replaceChildren(differences("Data that differ", plain, data));
   }
 
   #drawEquations(all) {
@@ -103,9 +102,9 @@ function flat(value, prefix = "") {
   return Object.assign({}, ...Object.entries(value).map(([name, part]) => flat(part, prefix ? `${prefix}.${name}` : name)));
 }
 
-function dataFacts(result) {
+function dataFacts({ result, files }) {
   const data = result?.data ?? {};
-  return { files: (data.files ?? []).join(", "), rows: String(data.rows ?? "–"), "read as": data.read_as ?? "–", trajectories: String(data.trajectories?.length ?? "–"), sha256: data.digest ?? "–" };
+  return { files: (data.files ?? files ?? []).join(", "), rows: String(data.rows ?? "not known before the end"), "read as": data.read_as ?? "–", trajectories: String(data.trajectories?.length ?? "–"), sha256: data.digest ?? "–" };
 }
 
 function differences(caption, names, [a, b]) {

@@ -10,6 +10,8 @@ const WISH_AGAIN = 20_000;
 /** A tab that died says no goodbye: its wish is dropped when it was not repeated for so long. */
 const WISH_DIES = 60_000;
 const SETTLE = 100;
+/** The service tells of so many jobs by name; of more it tells of all. */
+const MOST_NAMES = 32;
 /** Tabs of another path or of another user see other jobs, so that they have an election of their own. */
 const NAME = `atoll-events ${hash(`${new URL(".", document.baseURI).pathname} ${token() ?? ""}`)}`;
 
@@ -94,7 +96,7 @@ function hear(message) {
 /** Hands an event to the view of this tab, if it is about what the view watches. */
 function take({ type, id, data }) {
   if (id !== null) last = id;
-  if (!view || jobs === null) return;
+  if (!view || jobs === null || document.visibilityState === "hidden") return;
   const isOurs = jobs === "all" || !data.job || jobs.includes(data.job);
   if (isOurs && type === "job") view.job?.(data);
   if (isOurs && type === "happened") view.happened?.(data);
@@ -142,7 +144,8 @@ class Leader {
 
   #union() {
     const all = [...this.#wishes.values()].map((wish) => wish.jobs);
-    return all.includes("all") ? ["all"] : [...new Set(all.flat())].sort();
+    const names = [...new Set(all.flat())].sort();
+    return all.includes("all") || names.length > MOST_NAMES ? ["all"] : names;
   }
 
   #open(union) {

@@ -64,6 +64,14 @@ export function largestError(job) {
   return errors.length ? Math.max(...errors) : null;
 }
 
+/** Notes when a job was heard of: while it lasts, its seconds are counted here. */
+export function heard(job) { return { ...job, heard: Date.now() }; }
+
+export function elapsed(job) {
+  const isOver = ENDED.includes(job.state) || job.elapsed === undefined;
+  return isOver ? job.elapsed : job.elapsed + (Date.now() - job.heard) / 1000;
+}
+
 /** Returns the state of a job in a word that says more where there is more to say. */
 export function stateOf(job) {
   if (job.paused && !ENDED.includes(job.state)) return "paused";

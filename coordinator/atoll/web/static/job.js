@@ -3,7 +3,7 @@
 import { get, paths, session } from "./api.js";
 import { follow } from "./events.js";
 import { announce, facts, framed, faultBox, h, redraw, setClass, setText, show, viewHeading } from "./dom.js";
-import { ENDED, count, duration, moment, plural, stateOf } from "./format.js";
+import { ENDED, count, duration, elapsed, heard, moment, plural, stateOf } from "./format.js";
 import { Actions } from "./job_actions.js";
 import { EquationCard } from "./job_equation.js";
 import { Islands } from "./job_islands.js";
@@ -28,6 +28,7 @@ class JobPage {
     this.log = new Log(id);
     this.outcome = new Outcome(id);
     this.#build(root);
+    this.clock = setInterval(() => this.#job && document.visibilityState === "visible" && this.draw(), 1000);
     follow([id], { job: (change) => this.#change(change), happened: (event) => this.#happened(event) });
     this.again();
   }
@@ -84,7 +85,7 @@ class JobPage {
 
   #merge(changes) {
     const before = this.#job && stateOf(this.#job);
-    this.#job = { ...this.#job, ...changes };
+    this.#job = "elapsed" in changes ? heard({ ...this.#job, ...changes }) : { ...this.#job, ...changes };
     const after = stateOf(this.#job);
     if (before && before !== after) {
       announce(`The job is ${after}.`);
@@ -129,7 +130,7 @@ class JobPage {
     const rate = job.point_evaluations_per_second;
     const pairs = [
       ["Job", job.job],
-      ["Submitted", moment(job.submitted)], ["Owner", job.submitter ?? "–"], ["Elapsed", duration(job.elapsed)],
+      ["Submitted", moment(job.submitted)], ["Owner", job.submitter ?? "–"], ["Elapsed", duration(elapsed(job))],
       ["Workers", String(job.workers)], ["Points evaluated", count(job.point_evaluations)],
       ["Points per second", rate ? count(rate) : null],
       ["Seed", String(job.seed)], ["Preset", job.preset], ["Priority", String(job.priority)],
@@ -157,6 +158,7 @@ class JobPage {
 
   close() {
     this.#isClosed = true;
+    clearInterval(this.clock);
     this.progress.close();
     this.islands.close();
     this.outcome.close();

@@ -6,6 +6,7 @@ import { HAS_RESULT } from "./format.js";
 import { announce, download, h, setText, show } from "./dom.js";
 
 const ASK_AGAIN = 1000;
+const EMPTY_PAGE = "<!doctype html><meta charset=utf-8><title>Report</title><p>A worker makes the report…</p>";
 const ENDINGS = { python: "py", c: "c", julia: "jl", matlab: "m", modelica: "mo", sbml: "xml", petab: "txt", xppaut: "ode", latex: "tex", sympy: "py" };
 
 export class Outcome {
@@ -106,14 +107,14 @@ export class Outcome {
     return chart;
   }
 
-  /** The report needs the token, which a plain link would not send: it is fetched and opened as a page of its own. */
+  /** The report needs the token, which a plain link would not send: it is fetched and shown as a page of its own. */
   async #openReport() {
     this.report.disabled = true;
-    const tab = window.open("", "_blank"); // at once, or it would count as a pop-up that nobody asked for
+    const empty = URL.createObjectURL(new Blob([EMPTY_PAGE], { type: "text/html" }));
+    const tab = window.open(empty, "_blank"); // at once, or it would count as a pop-up that nobody asked for
     try {
       const text = await this.#fetchReport();
-      const page = URL.createObjectURL(new Blob([text], { type: "text/html" }));
-      if (tab) tab.location.replace(page);
+      if (tab && !tab.closed) fillPage(tab, text);
       setText(this.reportSaid, "");
     } catch (error) {
       tab?.close();
@@ -141,4 +142,16 @@ export class Outcome {
     this.#isClosed = true;
     this.#charts.forEach((chart) => chart.close());
   }
+}
+
+/** A page that we open has our strict policy, under which styles in its text do not count: they become style sheets. */
+function fillPage(tab, text) {
+  const styles = [];
+  const rest = text.replace(/<style[^>]*>(.*?)<\/style>/gis, (_, style) => (styles.push(style), ""));
+  const page = new DOMParser().parseFromString(rest, "text/html");
+  page.querySelectorAll("style, script, link, base, meta[http-equiv]").forEach((element) => element.remove());
+  const sheet = new tab.CSSStyleSheet();
+  sheet.replaceSync(styles.join("\n"));
+  tab.document.adoptedStyleSheets = [sheet];
+  tab.document.documentElement.replaceWith(tab.document.adoptNode(page.documentElement));
 }

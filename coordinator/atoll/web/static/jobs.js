@@ -3,7 +3,7 @@
 import { get } from "./api.js";
 import { follow } from "./events.js";
 import { framed, faultBox, h, keyed, redraw, setClass, setText, show, viewHeading } from "./dom.js";
-import { ENDED, duration, largestError, moment, number, plural, stateOf } from "./format.js";
+import { ENDED, duration, elapsed, heard, largestError, moment, number, plural, stateOf } from "./format.js";
 
 const STATES = ["queued", "preparing", "running", "refining", "done", "failed", "cancelled"];
 const PAGE = 50;
@@ -16,7 +16,7 @@ const COLUMNS = {
   progress: { title: "Progress", value: (job) => epochs(job)[1], say: progress, isDown: true },
   owner: { title: "Owner", value: (job) => job.submitter ?? "", say: (job) => job.submitter },
   submitted: { title: "Submitted", value: (job) => job.submitted, say: (job) => moment(job.submitted), isDown: true },
-  elapsed: { title: "Elapsed", value: (job) => job.elapsed, say: (job) => duration(job.elapsed), isNumber: true, isDown: true },
+  elapsed: { title: "Elapsed", value: elapsed, say: (job) => duration(elapsed(job)), isNumber: true, isDown: true },
 };
 
 export default function open(root, { parameters }, app) { return new Jobs(root, parameters, app); }
@@ -35,7 +35,8 @@ class Jobs {
     this.isDown = parameters.has("down") ? parameters.get("down") === "yes" : Boolean(COLUMNS[this.sort].isDown);
     this.draw = framed(() => this.#draw());
     this.#build(root);
-    follow("all", { job: (change) => this.#change(change) });
+    follow("all", { job: (change) => this.#change(change), happened: ({ event }) => event === "deleted" && this.again() });
+    this.clock = setInterval(() => document.visibilityState === "visible" && this.draw(), 1000);
     this.again();
   }
 
@@ -96,7 +97,7 @@ class Jobs {
     try {
       const page = await get("jobs", { limit: PAGE, cursor, state: this.filter });
       if (cursor === null) this.#jobs.clear();
-      for (const job of page.jobs) this.#jobs.set(job.job, job);
+      for (const job of page.jobs) this.#jobs.set(job.job, heard(job));
       this.#next = page.next;
       this.#isLoaded = true;
       this.fault.say();
@@ -109,7 +110,7 @@ class Jobs {
 
   #change({ job: id, changes, deleted }) {
     const known = this.#jobs.get(id);
-    const job = { ...known, ...changes };
+    const job = "elapsed" in changes ? heard({ ...known, ...changes }) : { ...known, ...changes };
     if (deleted || (this.filter && job.state !== this.filter)) this.#jobs.delete(id);
     else if (known || this.#belongs(job)) this.#jobs.set(id, job);
     else return;
@@ -210,6 +211,8 @@ class Jobs {
     setText(parts.name.firstChild, job.name || job.job);
     redraw(parts.verdict, verdicts(job).join(), () => h("span", { class: "verdicts" }, verdicts(job).map((verdict) => h("span", { class: `verdict ${verdict.replace(" ", "-")}` }, verdict))));
   }
+
+  close() { clearInterval(this.clock); }
 
   #choose(id, isChosen) {
     if (isChosen) this.#chosen.add(id);

@@ -212,7 +212,8 @@ class NewJob {
     this.#charts.forEach((chart) => chart.close());
     const isSorted = time.every((moment, index) => index === 0 || moment > time[index - 1]);
     const [xs, label] = isSorted ? [time, "time"] : [time.map((_, index) => index), "row"]; // several trajectories begin anew
-    const band = (values, sigma) => (sigma ? [0, 1].map((side) => values.map((value, i) => value + (side ? 2 : -2) * sigma[i])) : null);
+    const shift = (value, sigma) => (value === null || sigma === null ? null : value + 2 * sigma);
+    const band = (values, sigma) => (sigma === null ? null : [-1, 1].map((side) => values.map((value, i) => shift(value, side * (sigma[i] ?? sigma)))));
     const pictures = states.slice(0, MOST_CHARTS).flatMap((state) => {
       const [curve, slope] = [new LinesChart(`${state.name}, smoothed`, { height: 200 }), new LinesChart(`Derivative of ${state.name}`, { height: 200 })];
       curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: state.measured, colour: "c1", isPoints: true }]);
