@@ -1,7 +1,7 @@
 // A new job: a file, how it is read, what it looks like smoothed, the options, and the same as a command.
 
 import { get, paths, session, upload } from "./api.js";
-import { LinesChart, legend } from "./charts.js";
+import { LinesChart, legend, sparse } from "./charts.js";
 import { announce, copyable, facts, faultBox, h, setText, show, viewHeading } from "./dom.js";
 import { HAS_RESULT, plural } from "./format.js";
 
@@ -31,7 +31,7 @@ class NewJob {
   #build(root) {
     const file = h("input", { type: "file", id: "file", onchange: () => this.take(file.files[0]) });
     const demo = h("button", { type: "button", onclick: () => this.#takeDemo() }, "Use the demo data");
-    this.hint = h("p", { class: "faint", role: "status" });
+    this.hint = h("p", { class: "lines", role: "status" });
     this.fault = faultBox();
     [this.outline, this.preview, this.commands] = [h("div"), h("div"), h("div")];
     this.form = h("div");
@@ -165,7 +165,7 @@ class NewJob {
   #complain(error) { this.fault.say(error.message); }
 
   #drawOutline(outline) {
-    setText(this.hint, `${this.#file.name}, read as ${outline.read_as}: ${plural(outline.rows, "row")}, ${plural(outline.equations.length, "equation")} to find.`);
+    setText(this.hint, outline.read_as);
     if (this.#columns.join() !== outline.columns.map((column) => `${column.name} ${column.role}`).join() || !this.outline.firstChild) {
       this.#columns = outline.columns.map((column) => `${column.name} ${column.role}`);
       this.#drawColumns(outline);
@@ -216,7 +216,7 @@ class NewJob {
     const band = (values, sigma) => (sigma === null ? null : [-1, 1].map((side) => values.map((value, i) => shift(value, side * (sigma[i] ?? sigma)))));
     const pictures = states.slice(0, MOST_CHARTS).flatMap((state) => {
       const [curve, slope] = [new LinesChart(`${state.name}, smoothed`, { height: 200 }), new LinesChart(`Derivative of ${state.name}`, { height: 200 })];
-      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: state.measured, colour: "c1", isPoints: true }]);
+      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: sparse(state.measured), colour: "c1", isPoints: true }]);
       slope.set(label, `d${state.name}/d${label}`, xs, [{ values: state.derivative, colour: "c2", band: band(state.derivative, state.derivative_sigma) }]);
       this.#charts.push(curve, slope);
       return [curve.box, slope.box];
