@@ -80,11 +80,19 @@ export class Chart {
 }
 
 function axis(label, isLog, more = {}) {
+  const lines = { stroke: () => colour("grid"), width: 1, ...(isLog ? { filter: decadesOnly } : {}) };
   return {
     label, labelSize: 18, labelFont: "12px system-ui, sans-serif", font: "11px system-ui, sans-serif",
-    stroke: () => colour("faint"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("grid"), width: 1 },
+    stroke: () => colour("faint"), grid: lines, ticks: lines,
     values: (plot, splits) => splits.map((split) => (split === null ? "" : tick(split, isLog))), ...more,
   };
+}
+
+/** Over many decades lines between them would be one grey, and over very many those of each decade as well. */
+function decadesOnly(_plot, splits) {
+  const span = Math.log10(splits.at(-1) / splits[0]);
+  if (span < 3) return splits;
+  return splits.map((split) => (Math.abs(Math.log10(split) - Math.round(Math.log10(split))) < 1e-9 ? split : null));
 }
 
 function tick(value, isLog) {
@@ -168,6 +176,12 @@ export class FrontChart extends Chart {
 /** Returns the whole decades around errors, none of which lies on an edge. */
 function decades(errors) {
   return [10 ** (Math.ceil(Math.log10(Math.min(...errors))) - 1), 10 ** (Math.floor(Math.log10(Math.max(...errors))) + 1)];
+}
+
+/** Returns some of many points, so that a line below them is seen; the others are null. */
+export function sparse(values, most = 100) {
+  const step = Math.ceil(values.length / most);
+  return values.map((value, index) => (index % step ? null : value));
 }
 
 export function errorOf(point) { return point.normalized_error ?? point.error; }
@@ -280,11 +294,8 @@ function drawTrail(plot, index, trail) {
   return null;
 }
 
-/** Makes an element that arrow keys move through a front, as a slider says it to screen readers. */
+/** Lets an element be what arrow keys move through a front, as a slider says it to screen readers. */
 export function steerable(element, label, { count, at, choose, say }) {
-  element.setAttribute("role", "slider");
-  element.setAttribute("tabindex", "0");
-  element.setAttribute("aria-label", label);
   element.addEventListener("keydown", (event) => {
     const last = count() - 1;
     const steps = { ArrowRight: at() + 1, ArrowUp: at() + 1, ArrowLeft: at() - 1, ArrowDown: at() - 1, Home: 0, End: last, Enter: at() };
@@ -293,10 +304,8 @@ export function steerable(element, label, { count, at, choose, say }) {
     choose(Math.max(0, Math.min(last, steps[event.key])));
   });
   return () => {
-    element.setAttribute("aria-valuemin", "0");
-    element.setAttribute("aria-valuemax", String(Math.max(0, count() - 1)));
-    element.setAttribute("aria-valuenow", String(Math.max(0, at())));
-    element.setAttribute("aria-valuetext", say());
+    const values = { role: "slider", tabindex: 0, "aria-label": label, "aria-valuemin": 0, "aria-valuemax": Math.max(0, count() - 1), "aria-valuenow": Math.max(0, at()), "aria-valuetext": say() };
+    for (const [name, value] of Object.entries(values)) element.setAttribute(name, value);
   };
 }
 

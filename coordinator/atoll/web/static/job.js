@@ -132,7 +132,7 @@ class JobPage {
       ["Job", job.job],
       ["Submitted", moment(job.submitted)], ["Owner", job.submitter ?? "–"], ["Elapsed", duration(elapsed(job))],
       ["Workers", String(job.workers)], ["Points evaluated", count(job.point_evaluations)],
-      ["Points per second", rate ? count(rate) : null],
+      ["Points per second", rate && !ENDED.includes(job.state) ? count(rate) : null],
       ["Seed", String(job.seed)], ["Preset", job.preset], ["Priority", String(job.priority)],
       ["Deaths", job.counters?.deaths ? String(job.counters.deaths) : null],
       ["Waited for migrants", job.counters?.waited_s ? duration(job.counters.waited_s) : null],

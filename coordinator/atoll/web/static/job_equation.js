@@ -50,6 +50,7 @@ export class EquationCard {
 
   /** Shows what the job says of this equation. */
   update(view, job) {
+    this.complexity = view.complexity;
     setText(this.title, view.lhs || view.variable);
     show(this.verdict, Boolean(view.verdict));
     setText(this.verdict, view.verdict ?? "");
@@ -75,9 +76,9 @@ export class EquationCard {
   /** The chosen point stays chosen while the front grows; without a choice it is the one that the search holds best. */
   get #index() {
     const points = this.#points;
-    const isChosen = (point) => (this.#chosen === null ? point.selected : point.complexity === this.#chosen);
-    const index = points.findIndex(isChosen);
-    return index >= 0 ? index : points.length - 1;
+    const find = (isMeant) => points.findIndex(isMeant);
+    const wanted = [find((point) => point.complexity === this.#chosen), find((point) => point.selected), find((point) => point.complexity === this.complexity)];
+    return wanted.find((index) => index >= 0) ?? points.length - 1;
   }
 
   #choose(index) {

@@ -7,7 +7,7 @@ import { clock } from "./format.js";
 const MOST = 300;
 const PAGE = 200;
 const BAD = new Set(["failed", "broken", "isolated", "worker-lost"]);
-const DOUBTFUL = new Set(["stalled", "unplaced", "refused", "cancelled", "cut"]);
+const DOUBTFUL = new Set(["stalled", "unplaced", "refused", "cancelled"]);
 /** These come by the hundred; the charts show what they say. */
 const ROUTINE = new Set(["commit", "log", "placed"]);
 

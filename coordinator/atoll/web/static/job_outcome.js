@@ -1,7 +1,7 @@
 // What a job gives: refining under way, then simulation, phase portrait, report and files to take along.
 
 import { check, get, getText, paths, send } from "./api.js";
-import { LinesChart, PhaseChart, cycled, legend } from "./charts.js";
+import { LinesChart, PhaseChart, cycled, legend, sparse } from "./charts.js";
 import { HAS_RESULT } from "./format.js";
 import { announce, download, h, setText, show } from "./dom.js";
 
@@ -80,7 +80,7 @@ export class Outcome {
       return xs.map((x) => known.get(x) ?? null);
     };
     const points = shown.filter((name) => measured.measured?.[name])
-      .map((name) => ({ values: on(measured.times, measured.measured[name]), colour: cycled(shown.indexOf(name)), isPoints: true }));
+      .map((name) => ({ values: on(measured.times, sparse(measured.measured[name])), colour: cycled(shown.indexOf(name)), isPoints: true }));
     return chart.set(time, "", xs, [...lines.map((line) => ({ ...line, values: on(times, line.values) })), ...points]);
   }
 
@@ -94,7 +94,7 @@ export class Outcome {
     const draw = () => {
       const [x, y] = selects.map((select) => select.value);
       const trails = [{ xs: columns[x], ys: columns[y], colour: "c0" }];
-      if (measured?.measured?.[x] && measured.measured[y]) trails.push({ xs: measured.measured[x], ys: measured.measured[y], colour: "c1", isPoints: true });
+      if (measured?.measured?.[x] && measured.measured[y]) trails.push({ xs: measured.measured[x], ys: sparse(measured.measured[y]), colour: "c1", isPoints: true });
       chart.set(x, y, trails);
     };
     const axes = h("span", { class: "bar" }, h("label", {}, "across ", selects[0]), h("label", {}, "up ", selects[1]));

@@ -1,14 +1,18 @@
 // A new job: a file, how it is read, what it looks like smoothed, the options, and the same as a command.
 
 import { get, paths, session, upload } from "./api.js";
-import { LinesChart, legend } from "./charts.js";
-import { announce, copyable, facts, faultBox, h, setText, show, viewHeading } from "./dom.js";
+import { LinesChart, legend, sparse } from "./charts.js";
+import { announce, copyable, facts, faultBox, h, redraw, setText, show, viewHeading } from "./dom.js";
 import { HAS_RESULT, plural } from "./format.js";
 
 const ROLES = ["time", "state", "input", "trajectory", "weights", "unused"];
 /** The option that each role of a column becomes. */
 const OPTION_OF = { time: "time", state: "states", input: "inputs", trajectory: "trajectory", weights: "weights" };
+/** Settings that are not called like their option. */
+const SETTINGS = { allow: "variables_of", require: "required_of" };
 const SETTLE = 500;
+/** Bytes of a file in which its first line is looked for. */
+const HEAD = 8192;
 const MOST_CHARTS = 6;
 
 export default function open(root, { parameters }, app) { return new NewJob(root, parameters, app); }
@@ -31,8 +35,8 @@ class NewJob {
   #build(root) {
     const file = h("input", { type: "file", id: "file", onchange: () => this.take(file.files[0]) });
     const demo = h("button", { type: "button", onclick: () => this.#takeDemo() }, "Use the demo data");
-    this.hint = h("p", { class: "faint", role: "status" });
-    this.fault = faultBox();
+    this.hint = h("p", { class: "lines", role: "status" });
+    [this.unread, this.fault] = [faultBox(), faultBox()];
     [this.outline, this.preview, this.commands] = [h("div"), h("div"), h("div")];
     this.form = h("div");
     this.name = h("input", { maxlength: "200" });
@@ -41,7 +45,7 @@ class NewJob {
     this.send = h("button", { class: "primary", disabled: true }, "Submit the job");
     const step = (title, ...parts) => h("section", {}, h("h2", {}, title), parts);
     root.append(viewHeading("New job"), h("form", { onsubmit: (event) => this.#submit(event) },
-      step("Data", h("div", { class: "drop" }, h("label", { for: "file" }, "A data file: drop it here, or choose one "), file, demo), this.hint, this.outline),
+      step("Data", h("div", { class: "drop" }, h("label", { for: "file" }, "A data file: drop it here, or choose one "), file, demo), this.hint, this.unread, this.outline),
       (this.seen = step("Smoothed", this.preview)), step("Options", this.form), (this.same = step("The same elsewhere", this.commands)),
       step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You are looking only: open the address with the token to submit."),
         h("div", { class: "tools" }, h("label", {}, "Name ", this.name), h("label", {}, "Priority ", this.priority),
@@ -64,6 +68,7 @@ class NewJob {
     if (!file) return;
     this.#file = file;
     this.#columns = [];
+    redraw(this.outline, null, () => []);
     this.name.placeholder = file.name;
     setText(this.hint, `${file.name} is read…`);
     this.#ask();
@@ -84,24 +89,18 @@ class NewJob {
     this.shared.checked = job.shared;
     const result = HAS_RESULT.includes(job.state) ? await get(paths.of(id, "result")).catch(() => null) : null;
     const files = result?.data?.files?.join(", ");
-    this.#options = result?.command ? this.#optionsOf(result.command) : { seed: String(job.seed), preset: job.preset };
+    this.#options = this.#optionsOf(result?.config ?? {}, job);
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
     setText(this.hint, `Options are those of ${job.name}. Choose its data again${files ? `: ${files}` : ""}.`);
   }
 
-  /** Returns the options that a command line gives. */
-  #optionsOf(command) {
-    const words = [...command.matchAll(/(?:[^\s'"\\]|\\.|'[^']*'|"(?:[^"\\]|\\.)*")+/g)].map(([word]) =>
-      word.replace(/'([^']*)'|"((?:[^"\\]|\\.)*)"|\\(.)/g, (_, single, double, plain) => single ?? double?.replace(/\\(.)/g, "$1") ?? plain));
-    const known = new Map([...this.#fields.values()].map(({ option }) => [option.flag, option]));
+  /** Returns the options by which a configuration was given, whose sections hold settings of much the same names. */
+  #optionsOf(config, { seed, preset }) {
+    const settings = Object.assign({ seed, preset }, ...Object.values(config).filter((section) => section && typeof section === "object"));
     const options = {};
-    for (let i = 0; i < words.length; i += 1) {
-      const [flag, joined] = words[i].split(/=(.*)/s);
-      const option = words[i].startsWith("--") && known.get(flag);
-      if (!option) continue;
-      const value = option.metavar === null ? true : joined ?? words[(i += 1)];
-      if (option.is_repeatable) (options[option.name] ??= []).push(value);
-      else options[option.name] = value;
+    for (const [name, { option }] of this.#fields) {
+      const texts = [SETTINGS[name] ?? name, `${name}s`, `${name}_of`].filter((setting) => setting in settings).flatMap((setting) => asTexts(name, settings[setting]));
+      if (texts.length) options[name] = option.metavar === null ? true : option.is_repeatable ? texts : texts.join(",");
     }
     return options;
   }
@@ -150,6 +149,7 @@ class NewJob {
     if (!this.#file) return;
     this.#asked?.abort();
     const { signal } = (this.#asked = new AbortController());
+    this.unread.say();
     try {
       this.#drawOutline(await upload("outline", this.#file, this.#query, signal));
       this.send.disabled = !session.may_write;
@@ -157,25 +157,38 @@ class NewJob {
       this.#drawPreview(await upload("preview", this.#file, this.#query, signal));
     } catch (error) {
       if (error.name === "AbortError") return;
-      this.#complain(error);
-      setText(this.hint, `${this.#file.name} cannot be used like this.`);
+      setText(this.hint, `${this.#file.name} cannot be read like this.`);
+      this.unread.say(error.message);
+      await this.#guessColumns();
     }
+  }
+
+  /** What cannot be read yet, as there is no time, still has names in its first line, of which one can be chosen. */
+  async #guessColumns() {
+    const [line] = (await this.#file.slice(0, HEAD).text()).split(/\r?\n/);
+    const names = line.split(/[,;\t]/).map((name) => name.trim().replace(/^"(.*)"$/, "$1"));
+    const isText = names.length > 1 && names.every((name) => name && !/[\0-\x1f\ufffd]/.test(name));
+    if (!this.#columns.length && isText) this.#drawColumns({ columns: names.map((name) => ({ name, role: "state", first: [] })), equations: [] });
   }
 
   #complain(error) { this.fault.say(error.message); }
 
   #drawOutline(outline) {
-    setText(this.hint, `${this.#file.name}, read as ${outline.read_as}: ${plural(outline.rows, "row")}, ${plural(outline.equations.length, "equation")} to find.`);
-    if (this.#columns.join() !== outline.columns.map((column) => `${column.name} ${column.role}`).join() || !this.outline.firstChild) {
-      this.#columns = outline.columns.map((column) => `${column.name} ${column.role}`);
-      this.#drawColumns(outline);
-    }
+    setText(this.hint, outline.read_as);
+    this.#columns = outline.columns;
+    this.#drawColumns(outline);
     this.commands.replaceChildren(copyable("Command line", outline.command), copyable("Python", outline.python));
     show(this.same, true);
   }
 
   #drawColumns({ columns, equations }) {
-    const focused = document.activeElement?.id; // the table is drawn anew under the hands of whoever changes it
+    const key = JSON.stringify([columns.map(({ name, role }) => [name, role]), equations]);
+    const focused = document.activeElement?.id ?? ""; // the table is drawn anew under the hands of whoever changes it
+    redraw(this.outline, key, () => this.#columnParts(columns, equations));
+    if (/^(role|unit)-/.test(focused)) document.getElementById(focused)?.focus();
+  }
+
+  #columnParts(columns, equations) {
     const heads = ["Column", "Role", "Unit", "First values"].map((head) => h("th", { scope: "col" }, head));
     const rows = columns.map((column, index) => {
       const roles = ROLES.includes(column.role) ? ROLES : [...ROLES, column.role];
@@ -186,9 +199,8 @@ class NewJob {
         h("td", { class: "numbers", "data-head": "First values" }, column.first.join(", ")));
     });
     const sought = equations.map((equation) => [equation.lhs, equation.known ? `given: ${equation.known}` : `of ${[equation.variables].flat().join(", ")}${equation.guesses?.length ? `, beginning from ${[equation.guesses].flat().join("; ")}` : ""}`]);
-    this.outline.replaceChildren(h("div", { class: "wide" }, h("table", { class: "stacked" }, h("caption", { class: "unseen" }, "Columns"), h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
-      h("h3", {}, "Equations to find"), facts(sought));
-    if (/^(role|unit)-/.test(focused ?? "")) document.getElementById(focused)?.focus();
+    return [h("div", { class: "wide" }, h("table", { class: "stacked" }, h("caption", { class: "unseen" }, "Columns"), h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
+      ...(sought.length ? [h("h3", {}, "Equations to find"), facts(sought)] : [])];
   }
 
   /** The selects decide all roles: each option names its columns, quoted where a name has a comma. */
@@ -216,7 +228,7 @@ class NewJob {
     const band = (values, sigma) => (sigma === null ? null : [-1, 1].map((side) => values.map((value, i) => shift(value, side * (sigma[i] ?? sigma)))));
     const pictures = states.slice(0, MOST_CHARTS).flatMap((state) => {
       const [curve, slope] = [new LinesChart(`${state.name}, smoothed`, { height: 200 }), new LinesChart(`Derivative of ${state.name}`, { height: 200 })];
-      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: state.measured, colour: "c1", isPoints: true }]);
+      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: sparse(state.measured), colour: "c1", isPoints: true }]);
       slope.set(label, `d${state.name}/d${label}`, xs, [{ values: state.derivative, colour: "c2", band: band(state.derivative, state.derivative_sigma) }]);
       this.#charts.push(curve, slope);
       return [curve.box, slope.box];
@@ -248,3 +260,14 @@ class NewJob {
 }
 
 function quoted(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }
+
+/** Returns a setting as the texts that an option takes. */
+function asTexts(name, value) {
+  if (value === null || value === false) return [];
+  if (Array.isArray(value)) return [value.map((part) => (part?.column ? `${part.column}${part.degrees ? ":deg" : ""}` : quoted(String(part)))).join(",")];
+  if (typeof value !== "object") return [String(value)];
+  return Object.entries(value).flatMap(([side, right]) => {
+    if (name === "bound") return right.map((bound) => (side === "*" ? bound : `${side}: ${bound}`));
+    return name === "guess" ? right.map((guess) => `${side}=${guess}`) : [`${side}=${[right].flat().join(",")}`];
+  });
+}
