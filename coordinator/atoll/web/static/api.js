@@ -1,8 +1,9 @@
 // Requests to the service. Addresses are relative to the page, so that it works under any path.
 
 const STORE = `atoll-token ${location.pathname}`;
+/** Told of each request whether anything answered. */
+export const hooks = { answered() {} };
 export const session = { user: null, may_write: false, version: "" };
-
 /** Takes the token from the address, where history and screenshots would keep it, into the store of this tab. */
 function takeToken() {
   const here = new URL(location.href);
@@ -16,13 +17,9 @@ function takeToken() {
 takeToken(); // before anything asks for something
 
 export function token() { return sessionStorage.getItem(STORE); }
-
 /** What a request failed with: a sentence for people, and the HTTP status, 0 where nothing answered. */
 export class ApiError extends Error {
-  constructor(sentence, status) {
-    super(sentence);
-    this.status = status;
-  }
+  constructor(sentence, status) { super(sentence); this.status = status; }
 }
 
 export function address(path, query = {}) {
@@ -39,9 +36,12 @@ export async function send(path, { query, headers, ...options } = {}) {
   const known = token();
   const all = { ...headers, ...(known ? { Authorization: `Bearer ${known}` } : {}) };
   try {
-    return await fetch(address(path, query), { ...options, headers: all });
+    const response = await fetch(address(path, query), { ...options, headers: all });
+    hooks.answered(true);
+    return response;
   } catch (error) {
     if (error.name === "AbortError") throw error;
+    hooks.answered(false);
     throw new ApiError("The service does not answer.", 0);
   }
 }
@@ -61,7 +61,6 @@ export async function check(response) {
 
 export async function get(path, query, signal) { return (await check(await send(path, { query, signal }))).json(); }
 export async function getText(path, query) { return (await check(await send(path, { query }))).text(); }
-
 /** Changes something; `json` is the body. */
 export async function change(method, path, json) {
   const body = json === undefined ? {} : { body: JSON.stringify(json), headers: { "Content-Type": "application/json" } };

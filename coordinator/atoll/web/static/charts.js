@@ -12,22 +12,19 @@ let loading = null;
 dark.addEventListener("change", () => charts.forEach((chart) => chart.redraw(false, true)));
 
 function load() {
-  loading ??= new Promise((done, failed) => {
+  loading ??= new Promise((done) => {
     const from = (name) => new URL(name, import.meta.url).href;
-    document.head.append(
-      h("link", { rel: "stylesheet", href: from("uPlot.min.css") }),
-      h("script", { src: from("uPlot.iife.min.js"), onload: () => done(window.uPlot), onerror: () => failed(new Error("uPlot cannot be loaded")) }),
-    );
+    const failed = () => done((loading = null)); // the next chart tries again
+    const script = h("script", { src: from("uPlot.iife.min.js"), onload: () => done(window.uPlot), onerror: failed });
+    document.head.append(h("link", { rel: "stylesheet", href: from("uPlot.min.css") }), script);
   });
   return loading;
 }
 
 /** Returns a colour of the style sheet as it is now. */
 export function colour(name) { return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim(); }
-
 /** Colours come again after six, dashed. */
 export function cycled(index) { return `c${index % COLOURS}${Math.floor(index / COLOURS) % 2 ? " dashed" : ""}`; }
-
 /** Returns a legend: a mark of its colour before each name. */
 export function legend(entries) {
   return h("ul", { class: "legend" }, entries.map(([name, label]) =>
@@ -36,10 +33,7 @@ export function legend(entries) {
 
 /** One chart in an element: made when it has data for the first time, made anew when the kind of its series changes. */
 export class Chart {
-  #plot = null;
-  #shape = "";
-  #isClosed = false;
-
+  #plot = null; #shape = ""; #isClosed = false;
   constructor(label, { height = HEIGHT } = {}) {
     this.height = height;
     this.box = h("div", { class: "chart", role: "img", "aria-label": label });
@@ -47,12 +41,11 @@ export class Chart {
     this.observer = new ResizeObserver(() => this.#fit());
     this.observer.observe(this.box);
   }
-
   /** Shows data; `options` returns what uPlot is made with, and `shape` says when that is no longer right. */
   async draw(data, shape, options) {
     this.next = { data, shape, options };
     const UPlot = await load();
-    if (this.#isClosed || !this.next) return;
+    if (!UPlot || this.#isClosed || !this.next) return;
     const wanted = this.next;
     this.next = null;
     if (this.#plot && wanted.shape === this.#shape) return this.#plot.setData(wanted.data);
@@ -84,23 +77,20 @@ function axis(label, isLog, more = {}) {
   return {
     label, labelSize: 18, labelFont: "12px system-ui, sans-serif", font: "11px system-ui, sans-serif",
     stroke: () => colour("faint"), grid: lines, ticks: lines,
-    values: (plot, splits) => splits.map((split) => (split === null ? "" : tick(split, isLog))), ...more,
+    values: (plot, splits) => splits.map((split) => (split === null ? "" : tick(split))), ...more,
   };
 }
 
-/** Over many decades lines between them would be one grey, and over very many those of each decade as well. */
+/** Over many decades the lines between them would be one grey. */
 function decadesOnly(_plot, splits) {
   const span = Math.log10(splits.at(-1) / splits[0]);
   if (span < 3) return splits;
   return splits.map((split) => (Math.abs(Math.log10(split) - Math.round(Math.log10(split))) < 1e-9 ? split : null));
 }
 
-function tick(value, isLog) {
-  if (isLog && value !== 0) {
-    const power = Math.log10(value);
-    if (Math.abs(power - Math.round(power)) < 1e-9 && Math.abs(power) >= 3) return `1e${Math.round(power)}`;
-  }
-  return Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? value.toExponential(1) : String(+value.toPrecision(6));
+function tick(value) {
+  const [size, short] = [Math.abs(value), Number(value.toPrecision(6))];
+  return value !== 0 && (size >= 1e5 || size < 1e-3) ? short.toExponential().replace("+", "") : String(short);
 }
 
 /** Returns the options that all charts share. */
@@ -130,11 +120,7 @@ function positive(errors) {
 
 /** Fronts of complexity against error; a click chooses a point of the first. */
 export class FrontChart extends Chart {
-  constructor(label, choose) {
-    super(label);
-    this.choose = choose;
-  }
-
+  constructor(label, choose) { super(label); this.choose = choose; }
   /** `fronts` are lists of points; `chosen` is an index into the first. */
   set(fronts, chosen = null) {
     const xs = [...new Set(fronts.flat().map((point) => point.complexity))].sort((a, b) => a - b);
@@ -185,7 +171,6 @@ export function sparse(values, most = 100) {
 }
 
 export function errorOf(point) { return point.normalized_error ?? point.error; }
-
 /** Errors of islands over generations, with the generation from which on nothing got better. */
 export class ConvergenceChart extends Chart {
   set(curves, plateau) {

@@ -2,45 +2,39 @@
 
 import { get, paths } from "./api.js";
 import { FrontChart, cycled, legend } from "./charts.js";
-import { faultBox, h, setText, show, viewHeading } from "./dom.js";
+import { faultBox, h, viewHeading } from "./dom.js";
 import { follow } from "./events.js";
 import { HAS_RESULT, duration, largestError, number, stateOf } from "./format.js";
 import { formula } from "./mathml.js";
-
-const PAUSE = 3000;
+import { Paced } from "./poll.js";
 
 export default function open(root, { parameters }, app) {
-  return new Comparison(root, [parameters.get("a") ?? "", parameters.get("b") ?? ""], app);
+  return new Comparison(root, [parameters.get("a") ?? "", parameters.get("b") ?? ""]);
 }
 
 class Comparison {
   #charts = new Map();
-  #timer = null;
-
-  constructor(root, ids, app) {
-    Object.assign(this, { ids, app });
+  constructor(root, ids) {
+    this.ids = ids;
     this.fault = faultBox();
     [this.jobs, this.equations, this.options, this.data] = Array.from({ length: 4 }, () => h("div", { class: "wide" }));
     root.append(viewHeading("Compare jobs"), this.fault, this.jobs, h("h2", {}, "Equations"), this.equations,
       h("h2", {}, "Options that differ"), this.options, h("h2", {}, "Data that differ"), this.data);
-    follow(ids, { job: () => (this.#timer ??= setTimeout(() => this.again(), PAUSE)) });
+    this.pace = new Paced(() => this.#load());
+    follow(ids, { job: () => this.pace.soon() });
     this.again();
   }
 
-  async again() {
-    clearTimeout(this.#timer);
-    this.#timer = null;
+  again() { return this.pace.now(); }
+
+  async #load() {
     try {
       const all = await Promise.all(this.ids.map((id) => this.#fetch(id)));
       if (this.isClosed) return;
       this.fault.say();
       this.#draw(all);
-    } catch (error) {
-      if (error.status === 0) this.app.connection(false);
-      this.fault.say(error.message);
-    }
+    } catch (error) { this.fault.say(error.message); }
   }
-
   /** A job that is not over has no result yet, one that has just begun no progress either. */
   async #fetch(id) {
     const job = await get(paths.job(id));
@@ -92,7 +86,7 @@ class Comparison {
 
   close() {
     this.isClosed = true;
-    clearTimeout(this.#timer);
+    this.pace.close();
     this.#charts.forEach(({ chart }) => chart.close());
   }
 }

@@ -22,10 +22,7 @@ export default function open(root, _place, app) {
     queue.replaceChildren(facts(queueFacts(answer.queue)));
     process.replaceChildren(facts(processFacts(coordinator)));
   });
-  async function turn() {
-    await fault.guard(() => change("PUT", "coordinator/queue", { paused: !isPaused }));
-    poll.again();
-  }
+  async function turn() { await fault.guard(() => change("PUT", "coordinator/queue", { paused: !isPaused })); poll.again(); }
   return poll;
 }
 

@@ -21,16 +21,12 @@ export function setText(element, text) {
 
 export function setClass(element, name) { if (element.className !== name) element.className = name; }
 export function show(element, isShown) { if (element.hidden === isShown) element.hidden = !isShown; }
-
 /** Makes the children of `place` those of `items`: elements are kept by key, so that focus and scrolling stay. */
 export function keyed(place, items, key, make, update) {
   const known = place.keyed ?? (place.keyed = new Map());
   const wanted = new Set(items.map(key));
   for (const [name, element] of known) {
-    if (!wanted.has(name)) {
-      element.remove();
-      known.delete(name);
-    }
+    if (!wanted.has(name)) { element.remove(); known.delete(name); }
   }
   let next = place.firstElementChild;
   for (const item of items) {
@@ -53,19 +49,13 @@ export function redraw(element, key, make) {
 /** Returns a place for the sentence that says why something did not work. */
 export function faultBox() {
   const box = h("p", { class: "fault", role: "alert", hidden: true });
-  box.say = (sentence = "") => {
-    setText(box, sentence);
-    show(box, Boolean(sentence));
-  };
+  box.say = (sentence = "") => { setText(box, sentence); show(box, Boolean(sentence)); };
   /** Does something and says what went wrong; returns undefined then. */
   box.guard = async (act) => {
     box.say();
     try {
       return await act();
-    } catch (error) {
-      if (error.name !== "AbortError") box.say(error.message);
-      return undefined;
-    }
+    } catch (error) { if (error.name !== "AbortError") box.say(error.message); return undefined; }
   };
   return box;
 }
@@ -76,19 +66,14 @@ export function framed(draw) {
   return () => {
     if (isDue) return;
     isDue = true;
-    requestAnimationFrame(() => {
-      isDue = false;
-      draw();
-    });
+    requestAnimationFrame(() => { isDue = false; draw(); });
   };
 }
 
 /** Says something to people who cannot see what changed. */
 export function announce(sentence) { setText(document.getElementById("announcer"), sentence); }
-
 /** Returns a heading and lets it take the focus when a view begins. */
 export function viewHeading(text) { return h("h1", { tabindex: "-1" }, text); }
-
 /** Returns a list of terms; `pairs` holds [term, element or text]. */
 export function facts(pairs) {
   const items = pairs.filter(([, value]) => value !== null && value !== undefined && value !== "");

@@ -30,7 +30,6 @@ let view = null;
 let last = null;
 let leader = null;
 let waiting = null;
-
 /** Has a view told of jobs ("all", or a list of ids): `told` has job(change) and happened(event). */
 export function follow(wanted, told) {
   jobs = wanted;
@@ -40,7 +39,6 @@ export function follow(wanted, told) {
 
 /** Calls `listener({connected, reason})` whenever the connection comes or goes. */
 export function onConnection(listener) { listeners.add(listener); }
-
 /** Begins: from now on this tab takes part. */
 export function startEvents() {
   channel?.addEventListener("message", ({ data }) => hear(data));
@@ -104,12 +102,8 @@ function take({ type, id, data }) {
 
 /** Reads the events of all tabs' jobs while this tab has the lock. */
 class Leader {
-  #wishes = new Map();
-  #stream = null;
-  #reads = null;
-  #due = null;
+  #wishes = new Map(); #stream = null; #reads = null; #due = null;
   #state = { kind: "connection", connected: true, reason: "" };
-
   constructor(resign = () => {}) {
     this.give = resign;
     this.timer = setInterval(() => this.#settle(), WISH_AGAIN);
@@ -167,8 +161,5 @@ class Leader {
     this.#tell(this.#state);
   }
 
-  #tell(message) {
-    channel?.postMessage(message);
-    hear(message);
-  }
+  #tell(message) { channel?.postMessage(message); hear(message); }
 }

@@ -2,7 +2,6 @@
 
 const UNITS = ["B", "kB", "MB", "GB", "TB"];
 const PREFIXES = ["", " k", " M", " G", " T", " P"];
-
 /** Returns a number with some significant digits: 0.355, 1.20e-5, 12300. */
 export function number(value, digits = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
@@ -20,10 +19,7 @@ function scaled(value, base, names) {
   if (value === null || value === undefined) return "–";
   let step = 0;
   let rest = value;
-  while (rest >= base && step < names.length - 1) {
-    rest /= base;
-    step += 1;
-  }
+  while (rest >= base && step < names.length - 1) { rest /= base; step += 1; }
   const digits = step === 0 || rest >= 100 ? 0 : rest >= 10 ? 1 : 2;
   return `${rest.toFixed(digits)}${names[step]}`;
 }
@@ -57,7 +53,6 @@ export function plural(amount, noun) { return `${amount} ${noun}${amount === 1 ?
 
 export const ENDED = ["done", "failed", "cancelled"];
 export const HAS_RESULT = ["done", "cancelled"];
-
 /** Returns the largest normalized error over the equations that are searched: how far the whole model is. */
 export function largestError(job) {
   const errors = (job.variables ?? []).map((variable) => variable.normalized_error).filter((error) => error !== null && error !== undefined);
@@ -73,7 +68,4 @@ export function elapsed(job) {
 }
 
 /** Returns the state of a job in a word that says more where there is more to say. */
-export function stateOf(job) {
-  if (job.paused && !ENDED.includes(job.state)) return "paused";
-  return job.state;
-}
+export function stateOf(job) { if (job.paused && !ENDED.includes(job.state)) return "paused"; return job.state; }

@@ -14,10 +14,7 @@ import { Progress } from "./job_progress.js";
 export default function open(root, { id }, app) { return new JobPage(root, id, app); }
 
 class JobPage {
-  #job = null;
-  #cards = new Map();
-  #isClosed = false;
-
+  #job = null; #cards = new Map(); #isClosed = false;
   constructor(root, id, app) {
     this.id = id;
     this.app = app;
@@ -52,19 +49,12 @@ class JobPage {
     try {
       this.#merge(await get(paths.job(this.id)));
       this.fault.say();
-    } catch (error) {
-      this.#fail(error);
-      return;
-    }
-    if (this.#job.variables?.length) this.progress.fetch(); // there is nothing to see while data are prepared
-    if (!ENDED.includes(this.#job.state)) this.islands.fetch();
+    } catch (error) { return this.fault.say(error.message); }
+    if (this.#job.variables?.length) this.progress.now(); // there is nothing to see while data are prepared
+    if (!ENDED.includes(this.#job.state)) this.islands.now();
     this.log.fetch();
   }
 
-  #fail(error) {
-    if (error.status === 0) this.app.connection(false);
-    this.fault.say(error.message);
-  }
 
   #change({ changes, deleted }) {
     if (deleted) {
@@ -72,8 +62,8 @@ class JobPage {
       location.hash = "#/jobs";
     } else if (this.#job || changes?.job) {
       this.#merge(changes);
-      if (changes.variables?.length) this.progress.fetchSoon();
-      if (changes.workers !== undefined) this.islands.fetchSoon();
+      if (changes.variables?.length) this.progress.soon();
+      if (changes.workers !== undefined) this.islands.soon();
     }
   }
 
@@ -89,7 +79,7 @@ class JobPage {
     const after = stateOf(this.#job);
     if (before && before !== after) {
       announce(`The job is ${after}.`);
-      if (this.#job.variables?.length) this.progress.fetchSoon();
+      if (this.#job.variables?.length) this.progress.soon();
     }
     this.draw();
   }
@@ -112,7 +102,6 @@ class JobPage {
     this.outcome.update(job);
     this.islands.update(job);
   }
-
   /** What one has to know before believing or waiting. */
   #drawNotes(job) {
     const isGoing = !ENDED.includes(job.state);
@@ -143,7 +132,6 @@ class JobPage {
   #showEquations(equations) {
     if (this.#isClosed) return;
     for (const equation of equations) this.#card(equation.variable).show(equation);
-    this.outcome.name(equations.map((equation) => equation.variable));
   }
 
   #card(variable) {

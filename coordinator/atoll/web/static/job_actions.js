@@ -35,13 +35,9 @@ export class Actions {
     this.isShared = job.shared;
     setText(this.pause, job.paused ? "Resume" : "Pause");
     setText(this.share, job.shared ? "Make private" : "Share");
-    show(this.bar, mayWrite);
-    show(this.note, !mayWrite);
-    show(this.pause, !isOver);
-    show(this.cancel, !isOver);
-    show(this.priority, !isOver);
-    show(this.retry, job.state === "failed" || job.state === "cancelled");
-    show(this.remove, isOver);
+    const isBroken = job.state === "failed" || job.state === "cancelled";
+    const shown = [[this.bar, mayWrite], [this.note, !mayWrite], [this.pause, !isOver], [this.cancel, !isOver], [this.priority, !isOver], [this.retry, isBroken], [this.remove, isOver]];
+    for (const [element, isShown] of shown) show(element, isShown);
     if (document.activeElement !== this.level) this.level.value = job.priority;
   }
 
@@ -58,7 +54,6 @@ export class Actions {
   }
 
   async #remove() { if ((await this.#do(() => change("DELETE", paths.job(this.id)), false)) !== undefined) location.hash = "#/jobs"; }
-
   /** Does something, and says why it did not work; returns undefined then. */
   async #do(act, isAboutUs = true) {
     const job = await this.said.guard(act);

@@ -11,9 +11,7 @@ const WHY = {
 };
 
 export class EquationCard {
-  #equation = null;
-  #chosen = null;
-
+  #equation = null; #chosen = null;
   constructor(variable) {
     this.variable = variable;
     this.draw = framed(() => this.#draw());
@@ -47,7 +45,6 @@ export class EquationCard {
     const table = h("table", {}, h("caption", { class: "unseen" }, `Front of ${this.variable}`), h("thead", {}, h("tr", {}, heads)), this.rows);
     return h("details", {}, h("summary", {}, "The front as a table"), h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Front of ${this.variable} as a table` }, table));
   }
-
   /** Shows what the job says of this equation. */
   update(view, job) {
     this.complexity = view.complexity;
@@ -64,15 +61,9 @@ export class EquationCard {
     setText(this.facts, parts.filter(Boolean).join(" · "));
     if (!this.#equation && view.expression) setText(this.now, `${view.lhs} = ${view.expression}`);
   }
-
   /** Shows an equation of the progress. */
-  show(equation) {
-    this.#equation = equation;
-    this.draw();
-  }
-
+  show(equation) { this.#equation = equation; this.draw(); }
   get #points() { return this.#equation?.front ?? []; }
-
   /** The chosen point stays chosen while the front grows; without a choice it is the one that the search holds best. */
   get #index() {
     const points = this.#points;
@@ -81,10 +72,7 @@ export class EquationCard {
     return wanted.find((index) => index >= 0) ?? points.length - 1;
   }
 
-  #choose(index) {
-    this.#chosen = this.#points[index]?.complexity ?? null;
-    this.draw();
-  }
+  #choose(index) { this.#chosen = this.#points[index]?.complexity ?? null; this.draw(); }
 
   #draw() {
     const { lhs, expression, mathml, convergence, plateau } = this.#equation;
@@ -126,8 +114,5 @@ export class EquationCard {
       });
   }
 
-  close() {
-    this.front.close();
-    this.curves.close();
-  }
+  close() { this.front.close(); this.curves.close(); }
 }

@@ -4,20 +4,16 @@ import { get, paths } from "./api.js";
 import { cycled } from "./charts.js";
 import { framed, h, keyed, setClass, setText, show } from "./dom.js";
 import { ENDED, plural } from "./format.js";
+import { Paced } from "./poll.js";
 
-const LEAST_PAUSE = 2000;
 /** So long a cell shows what happened to its island. */
 const FRESH = 6000;
 const MARKS = { placed: "placed", unplaced: "no worker", isolated: "isolated", "worker-lost": "lost", stalled: "waits" };
 
-export class Islands {
-  #islands = [];
-  #marks = new Map();
-  #workers = [];
-  #due = null;
-  #earliest = 0;
-
+export class Islands extends Paced {
+  #islands = []; #marks = new Map(); #workers = [];
   constructor(id) {
+    super(() => this.#read());
     this.id = id;
     this.draw = framed(() => this.#draw());
     this.map = h("div", { class: "islands" });
@@ -26,29 +22,17 @@ export class Islands {
     this.box = h("section", { "aria-label": "Islands", hidden: true }, h("h2", {}, "Islands"), this.summary, this.workers, this.map);
   }
 
-  fetchSoon() { this.#due ??= setTimeout(() => this.fetch(), Math.max(0, this.#earliest - Date.now())); }
-
-  async fetch() {
-    clearTimeout(this.#due);
-    this.#due = null;
-    this.#earliest = Date.now() + LEAST_PAUSE;
-    try {
-      this.#islands = (await get(paths.of(this.id, "islands"))).islands;
-    } catch {
-      return; // the banner says it if the service is away
-    }
-    this.draw();
-  }
+  async #read() { this.#islands = (await get(paths.of(this.id, "islands"))).islands; this.draw(); }
 
   update(job) {
     this.isOver = ENDED.includes(job.state);
-    if (!this.isOver && this.epochs !== JSON.stringify(job.variables?.map((variable) => variable.epoch))) this.fetchSoon();
-    this.epochs = JSON.stringify(job.variables?.map((variable) => variable.epoch));
+    const epochs = (job.variables ?? []).map((variable) => variable.epoch).join();
+    if (!this.isOver && this.epochs !== epochs) this.soon();
+    this.epochs = epochs;
     show(this.box, !this.isOver && this.#islands.length > 0);
   }
 
   has(worker) { return this.#islands.some((island) => island.worker === worker); }
-
   /** Marks the cells that an event is about. */
   happened(event) {
     const word = MARKS[event.event];
@@ -58,7 +42,7 @@ export class Islands {
         : event.variable === island.variable && (event.island === null || event.island === undefined || event.island === island.island);
     for (const island of this.#islands.filter(isMeant)) this.#mark(keyOf(island), word);
     this.draw();
-    this.fetchSoon();
+    this.soon();
   }
 
   #mark(key, word) {
@@ -68,7 +52,6 @@ export class Islands {
       this.draw();
     }, FRESH);
   }
-
   /** A worker keeps its letter and colour as long as the page is open. */
   #letter(worker) {
     if (!this.#workers.includes(worker)) this.#workers.push(worker);
@@ -107,8 +90,6 @@ export class Islands {
       cell.title = `island ${island.island} of ${variable}: ${island.worker ?? "no worker"}`;
     });
   }
-
-  close() { clearTimeout(this.#due); }
 }
 
 function keyOf(island) { return `${island.variable} ${island.island}`; }

@@ -12,9 +12,7 @@ const DOUBTFUL = new Set(["stalled", "unplaced", "refused", "cancelled"]);
 const ROUTINE = new Set(["commit", "log", "placed"]);
 
 export class Log {
-  #events = new Map();
-  #last = 0;
-
+  #events = new Map(); #last = 0;
   constructor(id) {
     this.id = id;
     this.all = h("input", { type: "checkbox", onchange: () => this.#draw() });
@@ -24,7 +22,6 @@ export class Log {
       h("div", { class: "head" }, h("h2", {}, "What happened"), h("label", {}, this.all, " everything")),
       this.none, h("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Events, newest first" }, this.list));
   }
-
   /** Fetches what happened since the last event that is known, page by page. */
   async fetch() {
     try {
@@ -39,10 +36,7 @@ export class Log {
   }
 
   add(events) {
-    for (const event of events) {
-      this.#events.set(event.number, event);
-      this.#last = Math.max(this.#last, event.number);
-    }
+    for (const event of events) { this.#events.set(event.number, event); this.#last = Math.max(this.#last, event.number); }
     if (events.length) this.#draw();
   }
 

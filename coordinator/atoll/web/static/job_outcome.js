@@ -10,13 +10,9 @@ const EMPTY_PAGE = "<!doctype html><meta charset=utf-8><title>Report</title><p>A
 const ENDINGS = { python: "py", c: "c", julia: "jl", matlab: "m", modelica: "mo", sbml: "xml", petab: "txt", xppaut: "ode", latex: "tex", sympy: "py" };
 
 export class Outcome {
-  #state = null;
-  #charts = [];
-  #isClosed = false;
-
+  #state = null; #charts = []; #isClosed = false;
   constructor(id) {
     this.id = id;
-    this.names = [];
     this.refining = h("div", { class: "refining", hidden: true }, h("p", {}, "Refining: constants are fitted to the whole trajectories, candidates are compared, errors are estimated."),
       h("progress", { "aria-label": "Refining" }));
     this.report = h("button", { type: "button", onclick: () => this.#openReport() }, "Open the report");
@@ -26,8 +22,6 @@ export class Outcome {
     this.done = h("div", { hidden: true }, h("div", { class: "bar" }, this.report, this.reportSaid), h("p", { class: "label" }, "Take along"), this.files, this.charts);
     this.box = h("section", { "aria-label": "Outcome", hidden: true }, h("h2", {}, "Outcome"), this.refining, this.done);
   }
-
-  name(names) { this.names = names; }
 
   update(job) {
     if (job.state === this.#state) return;
@@ -102,11 +96,7 @@ export class Outcome {
     draw();
   }
 
-  #keep(chart) {
-    this.#charts.push(chart);
-    return chart;
-  }
-
+  #keep(chart) { this.#charts.push(chart); return chart; }
   /** The report needs the token, which a plain link would not send: it is fetched and shown as a page of its own. */
   async #openReport() {
     this.report.disabled = true;
@@ -116,10 +106,7 @@ export class Outcome {
       const text = await this.#fetchReport();
       if (tab && !tab.closed) fillPage(tab, text);
       setText(this.reportSaid, "");
-    } catch (error) {
-      tab?.close();
-      setText(this.reportSaid, error.message);
-    }
+    } catch (error) { tab?.close(); setText(this.reportSaid, error.message); }
     this.report.disabled = false;
   }
 
@@ -127,10 +114,7 @@ export class Outcome {
     setText(this.reportSaid, "A worker makes the report…");
     for (;;) {
       const response = await send(paths.of(this.id, "report"));
-      if (response.status !== 202) {
-        announce("The report is ready.");
-        return (await check(response)).text();
-      }
+      if (response.status !== 202) { announce("The report is ready."); return (await check(response)).text(); }
       const { waits_for: reason } = await response.json();
       if (reason) setText(this.reportSaid, `Waits for ${reason}.`);
       await new Promise((done) => setTimeout(done, ASK_AGAIN));
@@ -138,10 +122,7 @@ export class Outcome {
     }
   }
 
-  close() {
-    this.#isClosed = true;
-    this.#charts.forEach((chart) => chart.close());
-  }
+  close() { this.#isClosed = true; this.#charts.forEach((chart) => chart.close()); }
 }
 
 /** A page that we open has our strict policy, under which styles in its text do not count: they become style sheets. */

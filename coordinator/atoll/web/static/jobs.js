@@ -22,16 +22,12 @@ const COLUMNS = {
 export default function open(root, { parameters }, app) { return new Jobs(root, parameters, app); }
 
 class Jobs {
-  #jobs = new Map();
-  #chosen = new Set();
-  #next = null;
-  #isLoaded = false;
-
+  #jobs = new Map(); #chosen = new Set(); #next = null; #isLoaded = false;
   constructor(root, parameters, app) {
     this.app = app;
     this.filter = parameters.get("state") ?? "";
     this.text = parameters.get("text") ?? "";
-    this.sort = parameters.get("sort") in COLUMNS ? parameters.get("sort") : "submitted";
+    this.sort = Object.hasOwn(COLUMNS, parameters.get("sort")) ? parameters.get("sort") : "submitted";
     this.isDown = parameters.has("down") ? parameters.get("down") === "yes" : Boolean(COLUMNS[this.sort].isDown);
     this.draw = framed(() => this.#draw());
     this.#build(root);
@@ -72,7 +68,6 @@ class Jobs {
     });
     return h("thead", {}, h("tr", {}, h("th", { scope: "col" }, h("span", { class: "unseen" }, "Compare")), this.heads));
   }
-
   /** An empty service says what to do next. */
   #welcome() {
     const file = h("input", { type: "file", class: "unseen", id: "first-file", onchange: () => this.#take(file.files[0]) });
@@ -86,11 +81,7 @@ class Jobs {
         h("li", {}, "No data at hand? ", h("a", { class: "button", href: "#/new?demo=yes" }, "Try the demo data"))));
   }
 
-  #take(file) {
-    this.app.dropped = file;
-    location.hash = "#/new";
-  }
-
+  #take(file) { this.app.dropped = file; location.hash = "#/new"; }
   again() { return this.#load(null); }
 
   async #load(cursor) {
@@ -101,10 +92,7 @@ class Jobs {
       this.#next = page.next;
       this.#isLoaded = true;
       this.fault.say();
-    } catch (error) {
-      if (error.status === 0) this.app.connection(false);
-      this.fault.say(error.message);
-    }
+    } catch (error) { this.fault.say(error.message); }
     this.draw();
   }
 
@@ -116,7 +104,6 @@ class Jobs {
     else return;
     this.draw();
   }
-
   /** A job that is new to this page belongs to it unless it comes only after what was loaded. */
   #belongs(job) {
     if (job.submitted === undefined || !this.#isLoaded) return false;
@@ -139,7 +126,6 @@ class Jobs {
     this.#keep();
     this.draw();
   }
-
   /** The address keeps what is shown, without a new step of the history for each letter. */
   #keep() {
     const kept = new URLSearchParams();
@@ -191,7 +177,8 @@ class Jobs {
   }
 
   #row(job) {
-    const box = h("input", { type: "checkbox", "aria-label": `Compare ${job.name} (${job.job})`, onchange: () => this.#choose(job.job, box.checked) });
+    const box = h("input", { type: "checkbox", "aria-label": `Compare ${job.name} (${job.job})`, onchange: () => choose() });
+    const choose = () => { this.#chosen[box.checked ? "add" : "delete"](job.job); this.draw(); };
     box.checked = this.#chosen.has(job.job);
     const row = h("tr", {}, h("td", { class: "check" }, box));
     row.parts = Object.fromEntries(Object.entries(COLUMNS).map(([name, { title, isNumber }]) =>
@@ -213,16 +200,9 @@ class Jobs {
   }
 
   close() { clearInterval(this.clock); }
-
-  #choose(id, isChosen) {
-    if (isChosen) this.#chosen.add(id);
-    else this.#chosen.delete(id);
-    this.draw();
-  }
 }
 
 function verdicts(job) { return (job.variables ?? []).map((variable) => variable.verdict).filter(Boolean); }
-
 /** Returns the least and the most epochs of a job's equations. */
 function epochs(job) {
   const all = (job.variables ?? []).map((variable) => variable.epoch);

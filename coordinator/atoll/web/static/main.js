@@ -1,6 +1,6 @@
 // The frame of the page: which view is shown, the banner of a lost connection, files dropped anywhere.
 
-import { get, session } from "./api.js";
+import { get, hooks, session } from "./api.js";
 import { announce, h, setText, viewHeading } from "./dom.js";
 import { follow, onConnection, startEvents } from "./events.js";
 
@@ -16,20 +16,20 @@ const VIEWS = {
   new: { title: "New job", load: () => import("./new.js") },
 };
 
+const ASK_AGAIN = 2000;
 let current = null;
 let visits = 0;
-let isConnected = true;
-
+/** What is not there now, with the reason. */
+const lost = new Map();
 /** What views get of the frame. */
 const app = { dropped: null, connection, title };
-
 /** Returns the view of an address such as #/jobs/ID or #/compare?a=ID&b=ID, with its parameters. */
 function place() {
   const [path, query] = location.hash.replace(/^#\/?/, "").split("?");
-  const [name, id] = path.split("/").map(decodeURIComponent);
+  const [name, id] = path.split("/"); // ids have letters, digits, _ and - only
   const parameters = new URLSearchParams(query ?? "");
   if (name === "jobs" && id) return { name: "job", id, parameters };
-  return { name: name in VIEWS && name !== "job" ? name : "jobs", parameters };
+  return { name: Object.hasOwn(VIEWS, name) && name !== "job" ? name : "jobs", parameters };
 }
 
 async function visit() {
@@ -53,10 +53,7 @@ async function visit() {
 }
 
 /** Keyboards and screen readers begin at the heading of a new view. */
-function focus(root) {
-  (root.querySelector("h1") ?? main).focus({ preventScroll: true });
-  scrollTo(0, 0);
-}
+function focus(root) { (root.querySelector("h1") ?? main).focus({ preventScroll: true }); scrollTo(0, 0); }
 
 function mark(name) {
   const views = { job: "jobs", compare: "jobs" };
@@ -68,13 +65,14 @@ function mark(name) {
 
 function title(text) { document.title = `${text} · Atoll`; }
 
-/** Says that the service cannot be reached, and has the view fetch everything anew when it can be again. */
-function connection(connected, reason = "") {
-  const sentence = reason || "The connection to the service is lost.";
-  setText(banner, connected ? "" : `${sentence} What you see is as it was; it goes on by itself as soon as the service answers.`);
-  const isBack = connected && !isConnected;
-  isConnected = connected;
-  if (!isBack) return;
+/** Says what cannot be reached, and has the view fetch everything anew when all can be again. */
+function connection(source, isThere, reason) {
+  const wasLost = lost.size > 0;
+  if (isThere) lost.delete(source);
+  else lost.set(source, reason || "The connection to the service is lost.");
+  const [sentence] = lost.values();
+  setText(banner, sentence ? `${sentence} What you see is as it was; it goes on by itself as soon as the service answers.` : "");
+  if (!wasLost || lost.size) return;
   announce("The service answers again.");
   loadSession();
   current?.again?.();
@@ -83,9 +81,8 @@ function connection(connected, reason = "") {
 async function loadSession() {
   try {
     Object.assign(session, await get("session"));
-  } catch (error) {
-    if (error.status === 0) connection(false);
-    return;
+  } catch {
+    return; // the banner says it
   }
   const who = session.may_write ? session.user ?? "signed in" : "looking only";
   setText(document.getElementById("session"), `${who} · ${session.version}`);
@@ -115,7 +112,9 @@ async function begin() {
     main.focus();
   });
   acceptFiles();
-  onConnection((state) => connection(state.connected, state.reason));
+  hooks.answered = (isThere) => connection("requests", isThere, "The service does not answer.");
+  setInterval(() => lost.has("requests") && loadSession(), ASK_AGAIN);
+  onConnection(({ connected, reason }) => connection("events", connected, reason));
   document.addEventListener("visibilitychange", () => document.visibilityState === "visible" && current?.again?.());
   await loadSession();
   addEventListener("hashchange", visit);

@@ -7,7 +7,6 @@ const ATTRIBUTES = new Set([
   "display", "mathvariant", "stretchy", "fence", "separator", "form", "lspace", "rspace", "columnalign", "rowspacing", "linethickness",
 ]);
 const known = new Map();
-
 /** Returns a formula as an element; `text` stands in where there is no MathML or none that can be read. */
 export function formula(markup, text) {
   const math = markup ? parsed(markup) : null;

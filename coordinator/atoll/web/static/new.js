@@ -19,13 +19,7 @@ export default function open(root, { parameters }, app) { return new NewJob(root
 
 class NewJob {
   #options = {};
-  #fields = new Map();
-  #charts = [];
-  #file = null;
-  #columns = [];
-  #asked = null;
-  #timer = null;
-
+  #fields = new Map(); #charts = []; #file = null; #columns = []; #asked = null; #timer = null;
   constructor(root, parameters, app) {
     this.app = app;
     this.#build(root);
@@ -58,7 +52,7 @@ class NewJob {
     try {
       this.#drawForm((await get("options")).groups);
       if (parameters.has("from")) await this.#takeOver(parameters.get("from"));
-    } catch (error) { this.#complain(error); }
+    } catch (error) { this.fault.say(error.message); }
     if (this.app.dropped) this.take(this.app.dropped);
     else if (parameters.has("demo")) this.#takeDemo();
     this.app.dropped = null;
@@ -78,9 +72,8 @@ class NewJob {
     try {
       const { filename, text } = await get("demo");
       this.take(new File([text], filename, { type: "text/csv" }));
-    } catch (error) { this.#complain(error); }
+    } catch (error) { this.fault.say(error.message); }
   }
-
   /** Takes over the options of another job; its data are not given out, so that the file has to be chosen again. */
   async #takeOver(id) {
     const job = await get(paths.job(id));
@@ -93,7 +86,6 @@ class NewJob {
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
     setText(this.hint, `Options are those of ${job.name}. Choose its data again${files ? `: ${files}` : ""}.`);
   }
-
   /** Returns the options by which a configuration was given, whose sections hold settings of much the same names. */
   #optionsOf(config, { seed, preset }) {
     const settings = Object.assign({ seed, preset }, ...Object.values(config).filter((section) => section && typeof section === "object"));
@@ -137,13 +129,8 @@ class NewJob {
     this.#askSoon();
   }
 
-  #askSoon() {
-    clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => this.#ask(), SETTLE);
-  }
-
+  #askSoon() { clearTimeout(this.#timer); this.#timer = setTimeout(() => this.#ask(), SETTLE); }
   get #query() { return { filename: this.#file.name, options: JSON.stringify(this.#options) }; }
-
   /** Asks how the data are read with these options, then how they look smoothed. */
   async #ask() {
     if (!this.#file) return;
@@ -162,7 +149,6 @@ class NewJob {
       await this.#guessColumns();
     }
   }
-
   /** What cannot be read yet, as there is no time, still has names in its first line, of which one can be chosen. */
   async #guessColumns() {
     const [line] = (await this.#file.slice(0, HEAD).text()).split(/\r?\n/);
@@ -170,8 +156,6 @@ class NewJob {
     const isText = names.length > 1 && names.every((name) => name && !/[\0-\x1f\ufffd]/.test(name));
     if (!this.#columns.length && isText) this.#drawColumns({ columns: names.map((name) => ({ name, role: "state", first: [] })), equations: [] });
   }
-
-  #complain(error) { this.fault.say(error.message); }
 
   #drawOutline(outline) {
     setText(this.hint, outline.read_as);
@@ -202,7 +186,6 @@ class NewJob {
     return [h("div", { class: "wide" }, h("table", { class: "stacked" }, h("caption", { class: "unseen" }, "Columns"), h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
       ...(sought.length ? [h("h3", {}, "Equations to find"), facts(sought)] : [])];
   }
-
   /** The selects decide all roles: each option names its columns, quoted where a name has a comma. */
   #setRoles(columns) {
     const named = Object.fromEntries(ROLES.map((role) => [role, []]));
@@ -215,10 +198,7 @@ class NewJob {
     this.#put("unit", units.filter(([, unit]) => unit).map(([name, unit]) => `${name}=${unit}`));
   }
 
-  #put(name, value) {
-    this.#fields.get(name)?.show(value);
-    this.#set(name, value);
-  }
+  #put(name, value) { this.#fields.get(name)?.show(value); this.#set(name, value); }
 
   #drawPreview({ time, states }) {
     this.#charts.forEach((chart) => chart.close());
@@ -246,10 +226,7 @@ class NewJob {
       const job = await upload("jobs", this.#file, { ...this.#query, ...more });
       announce("The job is submitted.");
       location.hash = `#/jobs/${encodeURIComponent(job.job)}`;
-    } catch (error) {
-      this.#complain(error);
-      this.send.disabled = false;
-    }
+    } catch (error) { this.fault.say(error.message); this.send.disabled = false; }
   }
 
   close() {
@@ -260,7 +237,6 @@ class NewJob {
 }
 
 function quoted(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }
-
 /** Returns a setting as the texts that an option takes. */
 function asTexts(name, value) {
   if (value === null || value === false) return [];

@@ -1,32 +1,56 @@
-// Views without events: asked every two seconds while they are visible.
+// When to ask: again and again where there are no events, else when something changed, but never too often.
 
 import { get } from "./api.js";
 
 const PAUSE = 2000;
-
 /** Calls `draw(answer)` again and again until the view is closed; says it if nothing answers. */
 export class Poll {
   #timer = null;
-
-  constructor(path, app, draw) {
-    Object.assign(this, { path, app, draw });
-    this.again();
-  }
+  constructor(path, app, draw) { Object.assign(this, { path, app, draw }); this.again(); }
 
   async again() {
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.again(), PAUSE);
-    if (document.visibilityState === "hidden" || this.isClosed) return;
+    if (document.visibilityState === "hidden") return;
     try {
       const answer = await get(this.path);
       if (this.isClosed) return;
       this.draw(answer);
-      this.app.connection(true);
-    } catch (error) { if (!this.isClosed) this.app.connection(false, error.message); }
+      this.app.connection("poll", true);
+    } catch (error) { if (!this.isClosed) this.app.connection("poll", false, error.message); }
   }
 
   close() {
     this.isClosed = true;
     clearTimeout(this.#timer);
+    this.app.connection("poll", true); // whoever asks no more misses nothing
+  }
+}
+
+/** Fetches when something changed, at most every two seconds; `fetch` may return a longer pause in milliseconds. */
+export class Paced {
+  #due = null; #earliest = 0; #isBusy = false; #isStale = false;
+  constructor(fetch) { this.fetch = fetch; }
+
+  soon() {
+    if (this.#isBusy) this.#isStale = true;
+    else this.#due ??= setTimeout(() => this.now(), Math.max(0, this.#earliest - Date.now()));
+  }
+
+  async now() {
+    clearTimeout(this.#due);
+    this.#due = null;
+    if (this.#isBusy) return;
+    this.#isBusy = true;
+    const pause = await this.fetch().catch(() => 0); // the banner says it if the service is away
+    this.#isBusy = this.isClosed;
+    this.#earliest = Date.now() + Math.max(PAUSE, pause ?? 0);
+    if (this.#isStale) this.soon();
+    this.#isStale = false;
+  }
+
+  close() {
+    clearTimeout(this.#due);
+    this.#isBusy = this.isClosed = true; // nothing is fetched for a view that is gone
   }
 }

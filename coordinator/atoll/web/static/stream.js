@@ -6,11 +6,9 @@ const LEAST_PAUSE = 500;
 const LONGEST_PAUSE = 10_000;
 /** Keep-alive comments come every 10 s; a connection that is silent for longer is dead, even if nobody closed it. */
 const LONGEST_SILENCE = 25_000;
-
 /** Reads events of some jobs until it is closed; `on` has message(type, id, data), opened() and lost(sentence). */
 export class Stream {
   #end = new AbortController();
-
   constructor(jobs, last, on) {
     this.last = last;
     this.on = on;
@@ -50,7 +48,7 @@ export class Stream {
       const headers = { Accept: "text/event-stream", ...(this.last === null ? {} : { "Last-Event-ID": this.last }) };
       const response = await check(await send("events", { query: { jobs }, headers, signal: attempt.signal, cache: "no-store" }));
       const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
-      const parser = new Parser((type, id, data) => this.#take(type, id, data));
+      const read = eventReader((type, id, data) => this.#take(type, id, data));
       began();
       this.on.opened();
       for (;;) {
@@ -58,7 +56,7 @@ export class Stream {
         if (done) return;
         clearTimeout(watch);
         watch = setTimeout(stop, LONGEST_SILENCE);
-        parser.add(value);
+        read(value);
       }
     } finally {
       clearTimeout(watch);
@@ -67,33 +65,20 @@ export class Stream {
     }
   }
 
-  #take(type, id, data) {
-    if (id !== null) this.last = id;
-    this.on.message(type, id, JSON.parse(data));
-  }
+  #take(type, id, data) { if (id !== null) this.last = id; this.on.message(type, id, JSON.parse(data)); }
 }
 
-/** Cuts text/event-stream into its events. */
-class Parser {
-  #rest = "";
-
-  constructor(take) { this.take = take; }
-
-  add(text) {
-    const blocks = (this.#rest + text).replaceAll("\r\n", "\n").split("\n\n");
-    this.#rest = blocks.pop();
-    blocks.forEach((block) => this.#event(block));
-  }
-
-  #event(block) {
-    let [type, id] = ["message", null];
-    const data = [];
-    for (const line of block.split("\n")) {
-      const [, field, value] = /^([a-z]*): ?(.*)$/.exec(line) ?? [];
-      if (field === "event") type = value;
-      else if (field === "id") id = value;
-      else if (field === "data") data.push(value);
+/** Returns a function that takes a text/event-stream as it comes and hands on each event that is complete. */
+function eventReader(take) {
+  let rest = "";
+  return (text) => {
+    const blocks = (rest + text).split("\n\n");
+    rest = blocks.pop();
+    for (const block of blocks) {
+      const fields = block.split("\n").map((line) => /^([a-z]*): ?(.*)$/.exec(line) ?? []);
+      const values = (wanted) => fields.filter(([, name]) => name === wanted).map(([, , value]) => value);
+      const data = values("data");
+      if (data.length) take(values("event")[0] ?? "message", values("id")[0] ?? null, data.join("\n"));
     }
-    if (data.length) this.take(type, id, data.join("\n"));
-  }
+  };
 }

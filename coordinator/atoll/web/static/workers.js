@@ -41,21 +41,17 @@ function row(serve) {
 }
 
 function fill(made, worker) {
-  const [name, state, doing, islands, cpu, memory, received, sent, version, service] = made.children;
+  const { 0: name, 1: state, 9: service } = made.children;
   const traffic = worker.counters?.traffic ?? [];
   const sum = (what) => traffic.reduce((total, kind) => total + kind[what], 0);
+  const doing = [worker.doing || worker.detail, worker.standing > SILENT ? `(for ${duration(worker.standing)})` : ""].join(" ").trim();
+  const texts = [doing || "–", worker.islands, duration(worker.counters?.cpu_s), bytes(worker.counters?.memory_bytes), bytes(sum("bytes_in")), bytes(sum("bytes_out")), worker.version];
+  texts.forEach((text, index) => setText(made.children[2 + index], text));
   setText(name, worker.worker);
   name.title = `process ${worker.pid} on ${worker.host}`;
   setText(state.firstChild, worker.state);
   setClass(state.firstChild, `state ${worker.state}`);
   setText(state.lastChild, worker.silent > SILENT ? ` silent for ${duration(worker.silent)}` : "");
-  setText(doing, [worker.doing || worker.detail, worker.standing > SILENT ? `(for ${duration(worker.standing)})` : ""].join(" ").trim() || "–");
-  setText(islands, worker.islands);
-  setText(cpu, duration(worker.counters?.cpu_s));
-  setText(memory, bytes(worker.counters?.memory_bytes));
-  setText(received, bytes(sum("bytes_in")));
-  setText(sent, bytes(sum("bytes_out")));
-  setText(version, worker.version);
   setText(service.firstChild, worker.service);
   const kind = session.may_write && worker.state !== "lost" ? worker.service : "";
   if (service.dataset.kind === kind) return; // or a button would be lost under the finger every two seconds

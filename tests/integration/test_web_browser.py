@@ -1,0 +1,188 @@
+"""The browser's side in real headless Chromium, with real programs: what a newcomer does, and what must never happen.
+
+These need Chromium and what `make browser` installs.
+"""
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.integration.test_browser import CHROMIUM, OPTIONS, SERIOUS, SWITCHES, WIDTHS, axe, playwright
+from tests.integration.test_web import TOKEN, Page, free_port, web
+from tests.programs import serving, started, until
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium; Debian's package is chromium")
+
+LIMIT_MS = 60_000
+HOSTILE = "<img src=x onerror=alert(1)>"
+NOISY = b"t,x,v,note\n" + b"".join(
+    b"%.17g,%.17g,%.17g,%.17g\n" % (0.1 * row, 1 + 0.9**row + 0.01 * (-1) ** row, 0.5 + 0.8**row, 3 - 0.97**row)
+    for row in range(200)
+)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as driver:
+        launched = driver.chromium.launch(executable_path=CHROMIUM, args=SWITCHES)
+        yield launched
+        launched.close()
+
+
+class Stage:
+    """A service with its page, and a browser that looks at it."""
+
+    def __init__(self, place: Path, address: str, browser: Any) -> None:
+        self.place, self.address, self.browser = place, address, browser
+        self.page = Page(f"http://127.0.0.1:{free_port()}")
+        self.port = int(self.page.base.rpartition(":")[2])
+        self.complaints: list[str] = []
+        self.tabs: list[Any] = []
+
+    def open(self, path: str = "", context: Any = None) -> Any:
+        tab = (context or self.browser.new_context()).new_page()
+        tab.set_default_timeout(LIMIT_MS)
+        tab.on("console", lambda said: self._note(said.text) if said.type in ("error", "warning") else None)
+        tab.on("pageerror", lambda error: self._note(str(error)))
+        tab.on("dialog", lambda box: self._note(f"a dialog: {box.message}"))
+        tab.on("request", lambda asked: None if self._is_ours(asked.url) else self._note(asked.url))
+        tab.goto(f"{self.page.base}/?token={TOKEN}{path}")
+        self.tabs.append(tab)
+        return tab
+
+    def _is_ours(self, url: str) -> bool:
+        return url.startswith((f"{self.page.base}/", "data:", "blob:"))
+
+    def _note(self, text: str) -> None:
+        if "net::ERR" not in text:  # the process was killed
+            self.complaints.append(text)
+
+
+@pytest.fixture
+def stage(tmp_path: Path, browser: Any) -> Iterator[Stage]:
+    with serving(tmp_path, "state") as (address, _):
+        made = Stage(tmp_path, address, browser)
+        yield made
+        for tab in made.tabs:
+            tab.context.close()
+        assert made.complaints == []
+
+
+def check(tab: Any, *schemes: str) -> None:
+    """Let axe look at a view at all widths, in light and dark, and see that nothing sticks out."""
+    for width in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 900})
+        for scheme in schemes or ("light", "dark"):
+            tab.emulate_media(color_scheme=scheme)
+            found = axe.Axe().run(tab, options=OPTIONS).response["violations"]
+            assert [one["id"] + one["nodes"][0]["html"] for one in found if one["impact"] in SERIOUS] == []
+        assert not tab.evaluate("document.documentElement.scrollWidth > window.innerWidth"), width
+    tab.set_viewport_size({"width": WIDTHS[0], "height": 900})
+
+
+def shoot(tab: Any, name: str) -> None:
+    """Keep a picture of the page where the variable says."""
+    folder = os.environ.get("ATOLL_SCREENSHOTS")
+    if folder:
+        tab.emulate_media(color_scheme="light")
+        tab.screenshot(path=f"{folder}/{name}.png", full_page=True)
+
+
+def test_a_file_is_dropped_corrected_watched_and_reported(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port), started(stage.place, "island_worker", "--connect", stage.address):
+        until(stage.page.is_up)
+        tab = stage.open()
+        tab.get_by_text("island-worker").first.wait_for()  # an empty service says what to do next
+        check(tab)
+        tab.get_by_role("link", name="New job").click()
+        data = stage.place / "my data.csv"
+        data.write_bytes(NOISY)
+        tab.locator("input[type=file]").set_input_files(data)
+        tab.get_by_text("200 rows").wait_for()
+        tab.get_by_label("note", exact=False).first.select_option("unused")
+        tab.get_by_text("--states x,v").first.wait_for()  # the command says so as well
+        tab.locator("canvas").first.wait_for()
+        check(tab)
+        shoot(tab, "web-new-job")
+        tab.get_by_label("Name").fill(HOSTILE)
+        tab.get_by_role("button", name="Submit the job").click()
+        tab.get_by_role("heading", name=HOSTILE).wait_for()
+        job = tab.url.rpartition("/")[2]
+        tab.get_by_role("button", name="Open the report").wait_for()
+        tab.locator("math").first.wait_for()
+        check(tab)
+        shoot(tab, "web-job")
+        with tab.context.expect_page() as opened:
+            tab.get_by_role("button", name="Open the report").click()
+        opened.value.get_by_role("heading", level=1).wait_for()
+        assert stage.page.ask("GET", f"jobs/{job}/result")[1]["state"] == "done"
+        tab.get_by_role("link", name="Workers").click()
+        tab.get_by_role("button", name="Cordon").first.wait_for()
+        check(tab)
+        tab.get_by_role("button", name="Cordon").first.click()
+        tab.get_by_text("cordoned").first.wait_for()
+        tab.get_by_role("link", name="Coordinator").click()
+        tab.get_by_role("button", name="Pause the queue").click()
+        tab.get_by_role("button", name="Resume", exact=False).wait_for()
+        check(tab, "light")
+
+
+def test_a_death_and_its_recovery_are_seen_and_another_job_is_cancelled(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port), started(
+        stage.place, "island_worker", "--connect", stage.address
+    ) as first:  # fmt: skip
+        until(stage.page.is_up)
+        stage.page.submit("long", seed="1", target_error="1e-300", max_epochs="100000")
+        stage.page.submit("other", seed="2", target_error="1e-300", max_epochs="100000")
+        tab = stage.open("#/jobs/long")
+        tab.get_by_text("running").first.wait_for()
+        first.send_signal(signal.SIGKILL)
+        tab.get_by_text("lost", exact=False).first.wait_for()
+        with started(stage.place, "island_worker", "--connect", stage.address, "--name", "second"):
+            tab.get_by_text("second", exact=False).first.wait_for()
+            shoot(tab, "web-recovery")
+            tab.get_by_role("button", name="Pause").click()
+            tab.get_by_role("button", name="Resume").wait_for()
+            tab.goto(f"{stage.page.base}/#/jobs/other")
+            tab.get_by_role("button", name="Cancel").click()
+            tab.get_by_role("button", name="Yes, end it").click()
+            tab.get_by_text("cancelled").first.wait_for()
+            stage.page.ask("POST", "jobs/long/cancel")
+            tab.goto(f"{stage.page.base}/#/compare?a=long&b=other")
+            tab.get_by_role("heading", name="Compare", exact=False).wait_for()
+            check(tab, "light")
+
+
+def test_pages_heal_when_their_process_was_killed_and_the_seventh_tab_is_live(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port) as process:
+        until(stage.page.is_up)
+        context = stage.browser.new_context()
+        tabs = [stage.open("#/jobs", context) for _ in range(7)]
+        stage.page.submit("j1")
+        for tab in tabs:
+            tab.bring_to_front()
+            tab.get_by_text("j1").first.wait_for()
+        process.kill()
+        process.wait()
+        tabs[-1].get_by_text("connection", exact=False).first.wait_for()
+    with web(stage.place, stage.address, stage.port):
+        until(stage.page.is_up)
+        stage.page.submit("j2")
+        tabs[-1].get_by_text("j2").first.wait_for()
+        stage.page.ask("POST", "jobs/j1/cancel")
+        tabs[-1].get_by_role("row").get_by_text("cancelled").wait_for()
+
+
+def test_without_a_token_the_page_only_looks(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port):
+        until(stage.page.is_up)
+        stage.page.submit("j1")
+        tab = stage.browser.new_context().new_page()
+        stage.tabs.append(tab)
+        tab.goto(f"{stage.page.base}/#/jobs/j1")
+        tab.get_by_text("looking only", exact=False).wait_for()
+        assert tab.get_by_role("button", name="Cancel").count() == 0
