@@ -496,8 +496,11 @@ def _exported(result: Result, name: str) -> str:
 
 
 def _simulated(result: Result) -> Mapping[str, Any]:
-    """Return a simulation as columns, decimated."""
-    simulation = Model(result).simulate(has_bands=False)
+    """Return a simulation as columns, decimated; none, with a sentence, of what is no model that moves."""
+    try:
+        simulation = Model(result).simulate(has_bands=False)
+    except AtollError as error:
+        return {"time": result.time, "columns": {}, "message": str(error)}
     rows = some(len(simulation.t), 1_000)
     columns = simulation.columns().items()
     curves = {name: [float(f"{value:.6g}") for value in values[rows]] for name, values in columns}

@@ -130,6 +130,7 @@ def preview_of(preparation: Preparation) -> dict[str, Any]:
     errors = trajectory.rate_errors if trajectory.rate_errors is not None else np.full_like(rates, np.nan)
     return {
         "trajectory": trajectory.name,
+        "time_name": preparation.source.time if preparation.source is not None else None,
         "time": _numbers(trajectory.times[rows] + recording.offset),
         "states": [
             {
