@@ -110,7 +110,7 @@ class JobPage {
       ...(job.warnings ?? []).map((text) => ["doubtful", "Note", text]),
       ...(isGoing && job.ahead ? [["", "Waits", `${plural(job.ahead, "job")} before it in the line.`]] : []),
       ...(isGoing && job.held && !job.paused ? [["", "Waits", "It has begun and waits for a place."]] : []),
-      ...(job.state === "running" && job.workers === 0 ? [["doubtful", "Waits", "No worker computes for it now."]] : []),
+      ...(job.state === "running" && job.workers === 0 && !job.reason ? [["doubtful", "Waits", "No worker computes for it now."]] : []),
     ];
     redraw(this.notes, JSON.stringify(notes), () => notes.map(([severity, label, text]) => h("li", { class: severity }, h("b", {}, `${label}: `), text)));
   }

@@ -34,16 +34,16 @@ export class EquationCard {
     });
     this.box = h("article", { class: "equation", "aria-label": `Equation of ${this.variable}` },
       h("div", { class: "head" }, this.title, this.verdict), this.now, this.facts,
-      h("div", { class: "pair" },
+      (this.pictures = h("div", { class: "pair", hidden: true },
         h("figure", {}, h("figcaption", {}, "Front: the least error for each complexity. Click a point, or use arrow keys."), this.front.box, this.picked, this.pickedFormula),
-        h("figure", {}, h("figcaption", {}, "Convergence: the error of each island over generations."), this.curves.box, this.islands)),
-      this.#table());
+        h("figure", {}, h("figcaption", {}, "Convergence: the error of each island over generations."), this.curves.box, this.islands))),
+      (this.table = this.#table()));
   }
 
   #table() {
     const heads = ["Complexity", "Error", "Equation"].map((text, index) => h("th", { scope: "col", class: index < 2 ? "number" : null }, text));
     const table = h("table", {}, h("caption", { class: "unseen" }, `Front of ${this.variable}`), h("thead", {}, h("tr", {}, heads)), this.rows);
-    return h("details", {}, h("summary", {}, "The front as a table"), h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Front of ${this.variable} as a table` }, table));
+    return h("details", { hidden: true }, h("summary", {}, "The front as a table"), h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Front of ${this.variable} as a table` }, table));
   }
   /** Shows what the job says of this equation. */
   update(view, job) {
@@ -77,6 +77,7 @@ export class EquationCard {
   #draw() {
     const { lhs, expression, mathml, convergence, plateau } = this.#equation;
     redraw(this.now, `${mathml} ${expression}`, () => formula(mathml, `${lhs} = ${expression ?? "…"}`));
+    for (const part of [this.pictures, this.table]) show(part, this.#points.length > 0);
     this.front.set([this.#points], this.#index);
     this.curves.set(convergence ?? [], plateau);
     this.#drawLegend(convergence ?? []);

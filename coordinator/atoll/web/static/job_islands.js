@@ -16,7 +16,7 @@ export class Islands extends Paced {
     super(() => this.#read());
     this.id = id;
     this.draw = framed(() => this.#draw());
-    this.map = h("div", { class: "islands" });
+    this.map = h("div", { class: "islands", tabindex: "0", role: "group", "aria-label": "Islands by equation" });
     this.workers = h("ul", { class: "legend" });
     this.summary = h("p", { class: "faint" });
     this.box = h("section", { "aria-label": "Islands", hidden: true }, h("h2", {}, "Islands"), this.summary, this.workers, this.map);

@@ -7,7 +7,7 @@ import { announce, download, h, setText, show } from "./dom.js";
 
 const ASK_AGAIN = 1000;
 const EMPTY_PAGE = "<!doctype html><meta charset=utf-8><title>Report</title><p>A worker makes the report…</p>";
-const ENDINGS = { python: "py", c: "c", julia: "jl", matlab: "m", modelica: "mo", sbml: "xml", petab: "txt", xppaut: "ode", latex: "tex", sympy: "py" };
+const ENDINGS = { python: "py", c: "c", julia: "jl", matlab: "m", modelica: "mo", sbml: "xml", petab: "txt", xppaut: "ode", latex: "tex", sympy: "py", csv: "csv", json: "json" };
 
 export class Outcome {
   #state = null; #charts = []; #isClosed = false;
@@ -30,19 +30,23 @@ export class Outcome {
     show(this.refining, job.state === "refining");
     show(this.done, isDone);
     show(this.box, isDone || job.state === "refining");
-    if (isDone) this.#load();
+    if (isDone) this.#load((job.variables ?? []).every((variable) => variable.expression));
   }
 
-  async #load() {
-    const [exports, simulation, result] = await Promise.allSettled([
-      get(paths.of(this.id, "exports")), get(paths.of(this.id, "simulation")), get(paths.of(this.id, "result")),
-    ]);
+  async #load(isWhole) {
+    const [exports, simulation] = await Promise.allSettled([get(paths.of(this.id, "exports")), isWhole ? get(paths.of(this.id, "simulation")) : null]);
     if (this.#isClosed) return;
-    const formats = exports.value?.formats ?? [];
-    const files = formats.map((format) => [format, () => this.#download(`exports/${format}`, `${this.id}.${ENDINGS[format] ?? "txt"}`)]);
-    if (result.value) files.unshift(["result.json", () => download(`${this.id}.json`, JSON.stringify(result.value, null, 1), "application/json")]);
-    this.files.replaceChildren(...files.map(([name, onclick]) => h("button", { type: "button", class: "small", onclick }, name)));
-    if (simulation.value) this.#drawCharts(simulation.value, result.value);
+    const files = (exports.value?.formats ?? []).map((format) => [format, `exports/${format}`, ENDINGS[format] ?? "txt"]);
+    this.files.replaceChildren(...[["result.json", "result", "json"], ...files].map(([name, what, ending]) =>
+      h("button", { type: "button", class: "small", onclick: () => this.#download(what, `${this.id}.${ending}`) }, name)));
+    if (simulation.value) this.#drawCharts(simulation.value, null);
+  }
+
+  /** What was measured is in the result only, which may be large: it is fetched when somebody wants to see it. */
+  async #addMeasured(simulation) {
+    try {
+      this.#drawCharts(simulation, await get(paths.of(this.id, "result")));
+    } catch (error) { setText(this.reportSaid, error.message); }
   }
 
   async #download(what, name) {
@@ -51,7 +55,10 @@ export class Outcome {
     } catch (error) { setText(this.reportSaid, error.message); }
   }
 
-  #drawCharts({ time, columns }, result) {
+  #drawCharts(simulation, result) {
+    const { time, columns } = simulation;
+    this.#charts.forEach((chart) => chart.close());
+    this.charts.replaceChildren();
     const times = columns[time];
     const states = Object.keys(columns).filter((name) => name !== time && columns[name]?.length === times?.length);
     if (!times || !states.length) return;
@@ -59,6 +66,7 @@ export class Outcome {
     const measured = data?.times?.length === undefined ? null : data;
     this.#drawSimulation(time, times, states, columns, measured);
     if (states.length > 1) this.#drawPhase(states, columns, measured);
+    if (!result) this.charts.append(h("p", {}, h("button", { type: "button", onclick: () => this.#addMeasured(simulation) }, "Show what was measured as well")));
   }
 
   #drawSimulation(time, times, states, columns, measured) {
