@@ -2,11 +2,13 @@
 
 import asyncio
 import contextlib
+import gzip
 import hashlib
 import json
 import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, Final
 
@@ -85,12 +87,27 @@ BODIES: Final[Mapping[str, type[BaseModel]]] = {
 """Bodies that are JSON, by handler."""
 
 
+@dataclass(frozen=True)
+class _Shown:
+    """The progress of a job, made once for all pages: compressed JSON, and its tag."""
+
+    result: Result
+    packed: bytes
+    tag: str
+
+    @classmethod
+    def of(cls, result: Result) -> "_Shown":
+        body = json.dumps(progress(result), allow_nan=False).encode()
+        return cls(result, gzip.compress(body, 5), f'"{hashlib.sha256(body).hexdigest()[:32]}"')
+
+
 class Api:
     """All resources. Feeds are one for each gateway, made when somebody listens."""
 
     def __init__(self) -> None:
         self._feeds: dict[object, Feed] = {}
         self._results: dict[tuple[object, str], tuple[float, asyncio.Task[Result]]] = {}
+        self._shown: dict[tuple[object, str], _Shown] = {}
         self._bodies = asyncio.Semaphore(MAX_BODIES)
         self.requests = 0
 
@@ -300,13 +317,19 @@ class Api:
 
     async def progress(self, request: Request) -> Response:
         """Give what pages draw of the best so far; 304 where that has not changed."""
-        made = await run_in_threadpool(progress, await self._result(request))
-        body = json.dumps(made, allow_nan=False).encode()
-        tag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
-        headers = {"etag": tag, "cache-control": "no-cache"}
-        if request.headers.get("if-none-match") == tag:
+        key, result = (gateway_of(request), _job(request)), await self._result(request)
+        shown = self._shown.get(key)
+        if shown is None or shown.result is not result:
+            shown = self._shown[key] = await run_in_threadpool(_Shown.of, result)
+            for old in [*self._shown][:-MAX_RESULTS]:
+                del self._shown[old]
+        headers = {"etag": shown.tag, "cache-control": "no-cache", "vary": "accept-encoding"}
+        if request.headers.get("if-none-match") == shown.tag:
             return Response(status_code=304, headers=headers)
-        return Response(body, media_type="application/json", headers=headers)
+        if "gzip" not in request.headers.get("accept-encoding", ""):
+            return Response(gzip.decompress(shown.packed), media_type="application/json", headers=headers)
+        headers["content-encoding"] = "gzip"
+        return Response(shown.packed, media_type="application/json", headers=headers)
 
     async def islands(self, request: Request) -> Response:
         """Say on which worker each island is, and how far."""

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Collection, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final
 
 from pydantic_core import to_jsonable_python
@@ -51,8 +52,9 @@ class Told:
     job: str | None = None
     number: int | None = None
 
-    def encode(self) -> str:
-        """Return it as server-sent events have it; JSON has no line breaks."""
+    @cached_property
+    def text(self) -> str:
+        """It as server-sent events have it, made once for all pages; JSON has no line breaks."""
         identifier = f"id: {self.number}\n" if self.number is not None else ""
         return f"event: {self.kind}\n{identifier}data: {self.data}\n\n"
 
@@ -102,25 +104,26 @@ class Feed:
         self._listeners.add(listener)
         try:
             self._start()
-            yield f"retry: 1000\n\n{self._connection.encode()}"
+            yield f"retry: 1000\n\n{self._connection.text}"
             last = after or 0
             if after is not None:
                 async for told in self._missed(after, listener):
                     last = told.number or last
-                    yield told.encode()
+                    yield told.text
             if jobs is not None:
                 self._touched.update(jobs)
             for view in [*self._views.values()]:
                 listener.tell(_changes(view["job"], view))
             while not listener.is_behind:
                 try:
-                    told = await asyncio.wait_for(listener.queue.get(), KEEP_ALIVE_S)
+                    async with asyncio.timeout(KEEP_ALIVE_S):
+                        told = await listener.queue.get()
                 except TimeoutError:
                     yield ": keep-alive\n\n"
                     continue
                 if told.number is None or told.number > last:
                     last = told.number or last
-                    yield told.encode()
+                    yield told.text
         finally:
             self._listeners.discard(listener)
 
@@ -183,6 +186,8 @@ class Feed:
         for event in events:
             if event.job is not None:
                 self._touched.add(event.job)
+            if event.event == "deleted":  # which names no job, since nothing of it is kept
+                self._touched |= self._watched()
             self._tell(_happened(event))
 
     def _take_connection(self, reason: str | None) -> None:
@@ -213,7 +218,7 @@ class Feed:
         """Look at open jobs, and at those to which something has happened."""
         touched, self._touched = self._touched, set()
         views = {view.job: view for view in await self._gateway.ask(_open_jobs)}
-        watched = {job for listener in self._listeners for job in listener.jobs or ()}
+        watched = self._watched()
         gone = [job for job, view in self._views.items() if view["state"] not in FINAL_STATES and job not in views]
         for job in (touched | {*gone} | (watched - self._views.keys())) - views.keys():
             try:
@@ -227,6 +232,9 @@ class Feed:
         ended = [job for job, view in self._views.items() if view["state"] in FINAL_STATES and job not in watched]
         for job in ended:
             del self._views[job]
+
+    def _watched(self) -> set[str]:
+        return {job for listener in self._listeners for job in listener.jobs or ()}
 
     def _take_view(self, view: JobView) -> None:
         fields = to_jsonable_python(view)
