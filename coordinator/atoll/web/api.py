@@ -91,14 +91,13 @@ BODIES: Final[Mapping[str, type[BaseModel]]] = {
 class _Shown:
     """The progress of a job, made once for all pages: compressed JSON, and its tag."""
 
-    result: Result
     packed: bytes
     tag: str
 
     @classmethod
     def of(cls, result: Result) -> "_Shown":
         body = json.dumps(progress(result), allow_nan=False).encode()
-        return cls(result, gzip.compress(body, 5), f'"{hashlib.sha256(body).hexdigest()[:32]}"')
+        return cls(gzip.compress(body, 5), f'"{hashlib.sha256(body).hexdigest()[:32]}"')
 
 
 class Api:
@@ -107,7 +106,7 @@ class Api:
     def __init__(self) -> None:
         self._feeds: dict[object, Feed] = {}
         self._results: dict[tuple[object, str], tuple[float, asyncio.Task[Result]]] = {}
-        self._shown: dict[tuple[object, str], _Shown] = {}
+        self._shown: dict[tuple[object, str], tuple[Result, asyncio.Task[_Shown]]] = {}
         self._bodies = asyncio.Semaphore(MAX_BODIES)
         self.requests = 0
 
@@ -318,11 +317,12 @@ class Api:
     async def progress(self, request: Request) -> Response:
         """Give what pages draw of the best so far; 304 where that has not changed."""
         key, result = (gateway_of(request), _job(request)), await self._result(request)
-        shown = self._shown.get(key)
-        if shown is None or shown.result is not result:
-            shown = self._shown[key] = await run_in_threadpool(_Shown.of, result)
+        known = self._shown.get(key)
+        if known is None or known[0] is not result:
+            known = self._shown[key] = (result, asyncio.ensure_future(run_in_threadpool(_Shown.of, result)))
             for old in [*self._shown][:-MAX_RESULTS]:
                 del self._shown[old]
+        shown = await asyncio.shield(known[1])
         headers = {"etag": shown.tag, "cache-control": "no-cache", "vary": "accept-encoding"}
         if request.headers.get("if-none-match") == shown.tag:
             return Response(status_code=304, headers=headers)

@@ -1,6 +1,7 @@
 """What pages draw of a result, also of the best so far: equations, fronts, convergence. Pure, of bounded size."""
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -55,10 +56,13 @@ def _member(member: Member, equation: Equation, names: Sequence[str]) -> dict[st
 
 
 def _mathml(equation: Equation, expression: str | None, names: Sequence[str]) -> str | None:
-    if expression is None:
-        return None
+    return None if expression is None else _typeset(equation.lhs, equation.variable, expression, tuple(names))
+
+
+@lru_cache(4_096)
+def _typeset(lhs: str, variable: str, expression: str, names: tuple[str, ...]) -> str | None:
     try:
-        return equation_mathml(equation.lhs, equation.variable, expression, names)
+        return equation_mathml(lhs, variable, expression, names)
     except AtollError:  # shown as text then
         return None
 

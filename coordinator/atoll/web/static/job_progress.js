@@ -3,7 +3,7 @@
 import { check, paths, send } from "./api.js";
 import { Paced } from "./poll.js";
 
-const BYTES_PER_SECOND = 2500;
+const BYTES_PER_SECOND = 1500;
 
 export class Progress extends Paced {
   #tag = null;
