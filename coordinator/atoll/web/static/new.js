@@ -19,7 +19,7 @@ export default function open(root, { parameters }, app) { return new NewJob(root
 
 class NewJob {
   #options = {};
-  #fields = new Map(); #charts = []; #file = null; #columns = []; #asked = null; #timer = null;
+  #fields = new Map(); #charts = []; #file = null; #from = null; #columns = []; #asked = null; #timer = null;
   constructor(root, parameters, app) {
     this.app = app;
     this.#build(root);
@@ -60,7 +60,7 @@ class NewJob {
 
   take(file) {
     if (!file) return;
-    this.#file = file;
+    [this.#file, this.#from] = [file, null];
     this.#columns = [];
     redraw(this.outline, null, () => []);
     this.name.placeholder = file.name;
@@ -74,17 +74,20 @@ class NewJob {
       this.take(new File([text], filename, { type: "text/csv" }));
     } catch (error) { this.fault.say(error.message); }
   }
-  /** Takes over the options of another job; its data are not given out, so that the file has to be chosen again. */
+  /** Takes over data and options of another job, and its equations to begin from. */
   async #takeOver(id) {
     const job = await get(paths.job(id));
     this.name.value = job.name;
     this.priority.value = job.priority;
     this.shared.checked = job.shared;
     const result = HAS_RESULT.includes(job.state) ? await get(paths.of(id, "result")).catch(() => null) : null;
-    const files = result?.data?.files?.join(", ");
     this.#options = this.#optionsOf(result?.config ?? {}, job);
+    const found = (result?.equations ?? []).filter(({ expression, why }) => expression && why !== "known").map(({ lhs, expression }) => `${lhs}=${expression}`);
+    if (found.length) this.#options.guess = found; // the search goes on from where the other one is
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
-    setText(this.hint, `Options are those of ${job.name}. Choose its data again${files ? `: ${files}` : ""}.`);
+    this.#from = job;
+    setText(this.hint, `Data and options are those of ${job.name}${found.length ? "; the search begins from its equations (--guess)" : ""}.`);
+    this.#ask();
   }
   /** Returns the options by which a configuration was given, whose sections hold settings of much the same names. */
   #optionsOf(config, { seed, preset }) {
@@ -130,10 +133,11 @@ class NewJob {
   }
 
   #askSoon() { clearTimeout(this.#timer); this.#timer = setTimeout(() => this.#ask(), SETTLE); }
-  get #query() { return { filename: this.#file.name, options: JSON.stringify(this.#options) }; }
+  get #query() { return { ...(this.#file ? { filename: this.#file.name } : { of: this.#from.job }), options: JSON.stringify(this.#options) }; }
+  get #source() { return this.#file?.name ?? this.#from.name; }
   /** Asks how the data are read with these options, then how they look smoothed. */
   async #ask() {
-    if (!this.#file) return;
+    if (!this.#file && !this.#from) return;
     this.#asked?.abort();
     const { signal } = (this.#asked = new AbortController());
     this.unread.say();
@@ -144,9 +148,9 @@ class NewJob {
       this.#drawPreview(await upload("preview", this.#file, this.#query, signal));
     } catch (error) {
       if (error.name === "AbortError") return;
-      setText(this.hint, `${this.#file.name} cannot be read like this.`);
+      setText(this.hint, `${this.#source} cannot be read like this.`);
       this.unread.say(error.message);
-      await this.#guessColumns();
+      if (this.#file) await this.#guessColumns();
     }
   }
   /** What cannot be read yet, as there is no time, still has names in its first line, of which one can be chosen. */
@@ -219,7 +223,7 @@ class NewJob {
 
   async #submit(event) {
     event.preventDefault();
-    if (!this.#file) return;
+    if (!this.#file && !this.#from) return;
     this.send.disabled = true;
     try {
       const more = { name: this.name.value, priority: this.priority.value, shared: String(this.shared.checked) };
