@@ -27,6 +27,7 @@ from atoll.model.model import Model
 from atoll.tasks.analyses import FUNCTIONS, Report, answered
 from atoll.web.access import gateway_of
 from atoll.web.feed import MAX_LISTENERS, Feed
+from atoll.web.gateway import Gateway
 from atoll.web.progress import progress, some
 from atoll.web.submission import TABLE, Submission, options_by_heading
 from atoll_coordinator.result.result import Result
@@ -50,7 +51,10 @@ BODY_LIMIT_S: Final = 300.0
 """How long a body may take to come."""
 
 RESULT_S: Final = 1.0
-"""For how long a result is given again without asking for it: any number of pages cost one question a second."""
+"""For how long at least a result is given again without asking for it: any number of pages cost one question."""
+
+SHARE: Final = 0.05
+"""Of the time is spent on asking for one result, which takes long where a job has many islands."""
 
 MAX_RESULTS: Final = 16
 """Results that are kept for that."""
@@ -100,12 +104,34 @@ class _Shown:
         return cls(gzip.compress(body, 5), f'"{hashlib.sha256(body).hexdigest()[:32]}"')
 
 
+@dataclass(frozen=True)
+class _Fetched:
+    """A result that is asked for, and until when (monotonic seconds) it is given again."""
+
+    task: "asyncio.Task[tuple[Result, float]]"
+
+    @property
+    def is_done(self) -> bool:
+        return self.task.done()
+
+    @property
+    def until(self) -> float:
+        return 0.0 if self.task.cancelled() or self.task.exception() is not None else self.task.result()[1]
+
+
+async def _fetch(gateway: Gateway, job: str) -> tuple[Result, float]:
+    began = time.monotonic()
+    result = await gateway.ask(lambda client: Result.of(client.result(job)))
+    now = time.monotonic()
+    return result, now + max(RESULT_S, (now - began) / SHARE)
+
+
 class Api:
     """All resources. Feeds are one for each gateway, made when somebody listens."""
 
     def __init__(self) -> None:
         self._feeds: dict[object, Feed] = {}
-        self._results: dict[tuple[object, str], tuple[float, asyncio.Task[Result]]] = {}
+        self._results: dict[tuple[object, str], _Fetched] = {}
         self._shown: dict[tuple[object, str], tuple[Result, asyncio.Task[_Shown]]] = {}
         self._bodies = asyncio.Semaphore(MAX_BODIES)
         self.requests = 0
@@ -365,15 +391,14 @@ class Api:
 
     async def _result(self, request: Request) -> Result:
         """Return the result of a job, asked for once a second however many want it."""
-        job, gateway, now = _job(request), gateway_of(request), time.monotonic()
+        job, gateway = _job(request), gateway_of(request)
         key = (gateway, job)
         known = self._results.get(key)
-        if known is None or now - known[0] > RESULT_S:
-            task = asyncio.ensure_future(gateway.ask(lambda client: Result.of(client.result(job))))
-            known = self._results[key] = (now, task)
+        if known is None or (known.is_done and time.monotonic() > known.until):
+            known = self._results[key] = _Fetched(asyncio.ensure_future(_fetch(gateway, job)))
             for old in [*self._results][:-MAX_RESULTS]:
                 del self._results[old]
-        return await asyncio.shield(known[1])
+        return (await asyncio.shield(known.task))[0]
 
     # ------------------------------------------------------------------------------------------ submissions
 
