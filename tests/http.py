@@ -29,12 +29,13 @@ def ask(
 ) -> Answer:  # fmt: skip
     """Return the answer to one request; the underscores of names of `headers` are hyphens."""
     given = LOCAL | {name.replace("_", "-"): value for name, value in headers.items()}
-    return asyncio.run(_ask(app, method, path, body if isinstance(body, list) else [body], query or {}, given))
+    return asyncio.run(ask_async(app, method, path, body if isinstance(body, list) else [body], query or {}, given))
 
 
-async def _ask(
+async def ask_async(
     app: Any, method: str, path: str, body: list[bytes], query: Mapping[str, str], headers: Mapping[str, str]
 ) -> Answer:  # fmt: skip
+    """Return the answer to one request, in a loop that is there; `headers` are all of them."""
     sent = _messages(body)
     parts: list[dict[str, Any]] = []
     scope = {

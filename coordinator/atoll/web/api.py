@@ -8,7 +8,7 @@ import json
 import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any, Final
 
@@ -106,24 +106,25 @@ class _Shown:
 
 @dataclass(frozen=True)
 class _Fetched:
-    """A result that is asked for, and until when (monotonic seconds) it is given again."""
+    """A result that was asked for, at that time (monotonic seconds)."""
 
     task: "asyncio.Task[tuple[Result, float]]"
+    began: float = field(default_factory=time.monotonic)
 
-    @property
-    def is_done(self) -> bool:
-        return self.task.done()
-
-    @property
-    def until(self) -> float:
-        return 0.0 if self.task.cancelled() or self.task.exception() is not None else self.task.result()[1]
+    def is_over(self, *, may_be_late: bool) -> bool:
+        if not self.task.done():
+            return False
+        if self.task.cancelled() or self.task.exception() is not None:
+            return True
+        took = self.task.result()[1]
+        return time.monotonic() > self.began + took + max(RESULT_S, took / SHARE if may_be_late else 0.0)
 
 
 async def _fetch(gateway: Gateway, job: str) -> tuple[Result, float]:
+    """Return the result of a job, and how many seconds that took."""
     began = time.monotonic()
     result = await gateway.ask(lambda client: Result.of(client.result(job)))
-    now = time.monotonic()
-    return result, now + max(RESULT_S, (now - began) / SHARE)
+    return result, time.monotonic() - began
 
 
 class Api:
@@ -307,7 +308,9 @@ class Api:
         if last is not None and not (last.isdecimal() and int(last) < 2**63):
             raise HTTPException(422, "Last-Event-ID is the number of an event")
         gateway = gateway_of(request)
-        feed = self._feeds.setdefault(gateway, Feed(gateway))
+        feed = self._feeds.get(gateway)
+        if feed is None:
+            feed = self._feeds[gateway] = Feed(gateway, lambda job: self._results.pop((gateway, job), None))
         if feed.listeners >= MAX_LISTENERS:
             raise HTTPException(503, "too many pages listen already; ask for the status now and then instead")
         told = feed.listen(None if "all" in jobs else jobs, int(last) if last is not None else None)
@@ -342,7 +345,7 @@ class Api:
 
     async def progress(self, request: Request) -> Response:
         """Give what pages draw of the best so far; 304 where that has not changed."""
-        key, result = (gateway_of(request), _job(request)), await self._result(request)
+        key, result = (gateway_of(request), _job(request)), await self._result(request, may_be_late=True)
         known = self._shown.get(key)
         if known is None or known[0] is not result:
             known = self._shown[key] = (result, asyncio.ensure_future(run_in_threadpool(_Shown.of, result)))
@@ -389,12 +392,15 @@ class Api:
         text = await run_in_threadpool(_exported, result, name)
         return _download(request, text, f"{_job(request)}.{name}.txt", "text/plain")
 
-    async def _result(self, request: Request) -> Result:
-        """Return the result of a job, asked for once a second however many want it."""
+    async def _result(self, request: Request, *, may_be_late: bool = False) -> Result:
+        """Return the result of a job, asked for once a second however many want it; it may be late by more for pages.
+
+        These hear when the state of a job changes, and then get it anew.
+        """
         job, gateway = _job(request), gateway_of(request)
         key = (gateway, job)
         known = self._results.get(key)
-        if known is None or (known.is_done and time.monotonic() > known.until):
+        if known is None or known.is_over(may_be_late=may_be_late):
             known = self._results[key] = _Fetched(asyncio.ensure_future(_fetch(gateway, job)))
             for old in [*self._results][:-MAX_RESULTS]:
                 del self._results[old]

@@ -9,7 +9,7 @@ import json
 import logging
 import threading
 import time
-from collections.abc import AsyncIterator, Collection, Mapping
+from collections.abc import AsyncIterator, Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final
@@ -79,8 +79,10 @@ class _Listener:
 class Feed:
     """All pages of one principal. Its thread and its task run while somebody listens, and a little longer."""
 
-    def __init__(self, gateway: Gateway) -> None:
+    def __init__(self, gateway: Gateway, changed: Callable[[str], object] = lambda job: None) -> None:
+        """`changed` is told of each job whose state is another."""
         self._gateway = gateway
+        self._changed = changed
         self._listeners: set[_Listener] = set()
         self._views: dict[str, dict[str, Any]] = {}
         self._touched: set[str] = set()
@@ -243,6 +245,8 @@ class Feed:
         if changes.keys() <= _AGEING:  # pages count seconds themselves
             return
         self._views[view.job] = fields
+        if "state" in changes:
+            self._changed(view.job)
         self._tell(_changes(view.job, changes))
 
 

@@ -1,5 +1,6 @@
 """The API: what it asks the coordinator, what it answers, what it refuses."""
 
+import asyncio
 import json
 
 import pytest
@@ -11,10 +12,14 @@ from atoll.web.application import build_application
 from atoll.web.description import describe, to_text
 from atoll_core.data.table import Table
 from atoll_core.wire.messages.views import EventView
-from tests.http import Answer, ask
+from tests.http import LOCAL, Answer, ask, ask_async
 from tests.unit.library.web.made import AUTHORIZED, Asked, AtHand, access
 from tests.views import job_view
 
+FOUND = {
+    "schema": 1, "job": "b", "symbols": {"x": "x"},
+    "equations": [{"variable": "x", "lhs": "dx/dt", "expression": "-x"}],
+}  # fmt: skip
 CSV = b"t,x\n" + b"".join(b"%d,%f\n" % (row, 0.9**row) for row in range(30))
 
 
@@ -103,6 +108,23 @@ def test_what_cannot_be_submitted_is_refused_in_a_sentence(app, client, query, b
     assert answer.status == 422
     assert said in answer.json["detail"]
     assert client.calls == []
+
+
+def test_a_result_is_asked_for_once_however_many_pages_want_it_and_anew_when_its_job_has_ended(app, client) -> None:
+    async def pages() -> list[Answer]:
+        asked = (ask_async(app, "GET", "/api/v1/jobs/b/progress", [b""], {}, LOCAL) for _ in range(50))
+        return await asyncio.gather(*asked)
+
+    async def go() -> None:
+        client.contents = FOUND | {"state": "running"}
+        first = await pages()
+        assert {answer.status for answer in first} == {200}
+        assert client.calls == [("result", "b")]
+        tagged = LOCAL | {"if-none-match": first[0].headers["etag"]}
+        again = await ask_async(app, "GET", "/api/v1/jobs/b/progress", [b""], {}, tagged)
+        assert (again.status, again.body) == (304, b"")
+
+    asyncio.run(go())
 
 
 def test_an_outline_says_how_a_file_is_read_and_what_the_command_would_be(app) -> None:
