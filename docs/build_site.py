@@ -6,6 +6,7 @@ generated from the code: the command line, the configuration, the Python API.
 
 import argparse
 import inspect
+import json
 import os
 import posixpath
 import re
@@ -50,6 +51,7 @@ CONTENTS: Final = {
         "export",
         "python",
         "reference/api",
+        "reference/http",
         "reproducibility",
         "glossary",
     ),
@@ -160,7 +162,22 @@ def pages() -> dict[str, str]:
         "reference/command-line.md": command_line(),
         "reference/configuration.md": configuration(),
         "reference/api.md": api(),
+        "reference/http.md": http_api(),
     }
+
+
+def http_api() -> str:
+    """Return the reference of the API over HTTP, made of its description."""
+    described = json.loads((ROOT / "coordinator/atoll/web/openapi.json").read_text("utf-8"))
+    parts = ["# API over HTTP\n\nBelow `/api/v1`, as `openapi.json` there describes it.\n"]
+    for path, operations in described["paths"].items():
+        for method, operation in operations.items():
+            parts.append(f"\n## {method.upper()} {path}\n\n{operation['summary']}\n\n")
+            given = [parameter for parameter in operation.get("parameters", ()) if parameter["in"] != "path"]
+            lines = (f"- `{one['name']}` ({one['in']}): {one.get('description', 'see above')}\n" for one in given)
+            answers = ", ".join(f"{code} ({answer['description']})" for code, answer in operation["responses"].items())
+            parts.append("".join([*lines, f"\nAnswers: {answers}.\n"]))
+    return "".join(parts)
 
 
 def _toctree(caption: str, names: Sequence[str]) -> str:

@@ -78,7 +78,7 @@ def test_views_are_told_whole_and_then_as_changes(monkeypatch) -> None:
         scene = Scene(monkeypatch, job_view(job="b"))
         stream = scene.feed.listen(None, None)
         listening = asyncio.ensure_future(told(stream, 1))
-        await asyncio.sleep(0)
+        await asyncio.sleep(0.05)
         await scene.look()
         ((kind, body),) = await listening
         assert (kind, body["changes"]["state"]) == ("job", "running")
@@ -98,7 +98,7 @@ def test_a_job_that_ends_or_is_deleted_is_told_so(monkeypatch) -> None:
         scene = Scene(monkeypatch, job_view(job="b"), job_view(job="c"))
         stream = scene.feed.listen(None, None)
         listening = asyncio.ensure_future(told(stream, 2))
-        await asyncio.sleep(0)
+        await asyncio.sleep(0.05)
         await scene.look()
         await listening
         scene.client.views["b"] = job_view(job="b", state="done")
@@ -107,6 +107,38 @@ def test_a_job_that_ends_or_is_deleted_is_told_so(monkeypatch) -> None:
         by_job = {body["job"]: body for _, body in await told(stream, 2)}
         assert by_job["b"]["changes"] == {"state": "done"}
         assert by_job["c"]["deleted"]
+
+    asyncio.run(go())
+
+
+def test_whoever_keeps_something_of_a_job_is_told_when_its_state_changes(monkeypatch) -> None:
+    async def go() -> None:
+        changed: list[str] = []
+        scene = Scene(monkeypatch, job_view(job="b"))
+        monkeypatch.setattr(scene.feed, "_changed", changed.append)
+        await scene.look()
+        scene.client.views["b"] = job_view(job="b", workers=3)
+        await scene.look()
+        scene.client.views["b"] = job_view(job="b", workers=3, state="refining")
+        await scene.look()
+        assert changed == ["b", "b"]
+
+    asyncio.run(go())
+
+
+def test_a_job_that_is_deleted_is_noticed_by_a_page_that_watches_it_alone(monkeypatch) -> None:
+    async def go() -> None:
+        scene = Scene(monkeypatch, job_view(job="b", state="done"))
+        stream = scene.feed.listen(["b"], None)
+        listening = asyncio.ensure_future(told(stream, 1))
+        await asyncio.sleep(0.05)
+        await scene.look()
+        await listening
+        del scene.client.views["b"]
+        scene.happen(EventView(number=9, time="", event="deleted", text="job b is deleted"))
+        await scene.look()
+        ((_, body),) = await told(stream, 1)
+        assert body["deleted"]
 
     asyncio.run(go())
 
