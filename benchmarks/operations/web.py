@@ -13,20 +13,23 @@ import gzip
 import os
 import random
 import re
+import statistics
 import sys
 import time
 import urllib.request
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Final
 
+from atoll.client.client import Client
 from atoll.client.over_http import TOKEN
 from atoll.terminal.output import note, say
 from atoll_core.config import EvolutionConfig
 from atoll_core.errors import AtollError
+from atoll_core.wire.messages.views import FINAL_STATES
 from benchmarks.harness.accounts import processor_seconds, status
 from benchmarks.harness.command_line import OUT, option, positive, program, whole
 from benchmarks.harness.jobs import configured
@@ -71,16 +74,12 @@ class Watched:
 def served(islands: int) -> Iterator[tuple[Machines, int]]:
     """Run all programs, with a job without an end; yield the port of the web process."""
     with running(1) as (machines, client):
-        port = _free_port()
-        os.environ[TOKEN] = SECRET
-        command = [sys.executable, "-m", "atoll", "web", "--connect", machines.address]
-        machines.start_program(WEB, [*command, "--listen", f"127.0.0.1:{port}"])
+        port = _start_web(machines)
         config = configured(0, budget=ENDLESS)
         config = config.model_copy(update={"evolution": config.evolution.model_copy(update={"islands": islands})})
         client.submit(JOB, JOB, config, client.upload(table_of(trajectories("lotka_volterra")).to_bytes()))
         late = "the job was not under way"
         wait_until(client, lambda: any(one.epoch for one in client.status(JOB).variables), late, READY_LIMIT_S)
-        _wait_for(port)
         yield machines, port
 
 
@@ -113,8 +112,8 @@ def _named(text: str, path: str) -> list[str]:
 class Pages:
     """Pages that listen, each as one of a browser of its own."""
 
-    def __init__(self, port: int) -> None:
-        self._port = port
+    def __init__(self, port: int, job: str = JOB) -> None:
+        self._port, self._job = port, job
         self.bytes = self.events = 0
 
     async def watch(self, number: int, seconds: float) -> None:
@@ -128,7 +127,7 @@ class Pages:
     async def _listen(self) -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", self._port)
         try:
-            writer.write(_request(f"/api/v1/events?jobs={JOB}"))
+            writer.write(_request(f"/api/v1/events?jobs={self._job}"))
             while line := await reader.readline():
                 self.bytes += len(line)
                 self.events += line.startswith(b"event:")
@@ -140,7 +139,7 @@ class Pages:
         reader, writer = await asyncio.open_connection("127.0.0.1", self._port)
         while True:
             further = f"Accept-Encoding: gzip\r\nIf-None-Match: {tag}\r\n"
-            writer.write(_request(f"/api/v1/jobs/{JOB}/progress", further))
+            writer.write(_request(f"/api/v1/jobs/{self._job}/progress", further))
             answer = await reader.readuntil(b"\r\n\r\n")
             length = re.search(rb"content-length: (\d+)", answer)
             answer += await reader.readexactly(int(length[1]) if length else 0)
@@ -257,6 +256,49 @@ def fuzz(machines: Machines, port: int, number: int) -> int:
     return int(any(name.startswith("5") and name != "503" for name in counts))
 
 
+def searches(pages: int, repeats: int) -> int:
+    """Search the same job with and without pages that watch it, in turn; return 1 where results differ."""
+    seconds: dict[int, list[float]] = {0: [], pages: []}
+    digests: set[str] = set()
+    with running(1) as (machines, client):
+        port = _start_web(machines)
+        table = client.upload(table_of(trajectories("lotka_volterra", noise=0.05)).to_bytes())
+        for number in range(2 * repeats):
+            shown, job = pages * (number % 2), f"{JOB}{number}"
+            client.submit(job, job, configured(3), table)
+
+            async def watch(shown: int = shown, job: str = job) -> None:
+                await asyncio.gather(Pages(port, job).watch(shown, 600.0), _until_ended(client, job))
+
+            with suppress(EndedError):
+                asyncio.run(watch())
+            seconds[shown].append(client.status(job).elapsed)
+            digests.add(str(client.result(job)["digest"]))
+    with_, without = (statistics.median(seconds[number]) for number in (pages, 0))
+    say(f"median of {repeats}: {with_:.2f} s with {pages} pages, {without:.2f} s without; {len(digests)} digest(s)")
+    return int(len(digests) > 1)
+
+
+class EndedError(Exception):
+    """Raised to end the watching of a job that has ended."""
+
+
+async def _until_ended(client: Client, job: str) -> None:
+    while client.status(job).state not in FINAL_STATES:
+        await asyncio.sleep(0.2)
+    raise EndedError
+
+
+def _start_web(machines: Machines) -> int:
+    """Start the web process; return its port once it answers."""
+    port = _free_port()
+    os.environ[TOKEN] = SECRET
+    command = [sys.executable, "-m", "atoll", "web", "--connect", machines.address]
+    machines.start_program(WEB, [*command, "--listen", f"127.0.0.1:{port}"])
+    _wait_for(port)
+    return port
+
+
 def _free_port() -> int:
     import socket
 
@@ -284,10 +326,13 @@ def _wait_for(port: int) -> None:
     option("--seconds", type=positive, default=30.0, help="length of each of two measurements (%(default)g)"),
     option("--islands", type=whole, default=EvolutionConfig().islands, help="of the job, each equation (%(default)s)"),
     option("--fuzz", type=whole, default=0, help="send so many requests at random instead"),
+    option("--searches", type=whole, default=0, help="search so many times with the pages and without instead"),
     OUT,
 )
 def main(options: Namespace) -> int:
     """Measure and print; return 1 where a goal is missed, else 0."""
+    if options.searches:
+        return searches(options.pages, options.searches)
     record = Record("web", options.words, options.out)
     with served(options.islands) as (machines, port):
         if options.fuzz:
