@@ -5,7 +5,6 @@ These need Chromium and what `make browser` installs; `--site` names the built d
 
 import copy
 import json
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
@@ -14,22 +13,14 @@ import pytest
 
 from atoll.report.page import as_html
 from atoll_coordinator.result.result import Result
+from tests.browsers import CHROMIUM, OPTIONS, SERIOUS, SWITCHES, WIDTHS
 from tests.unit.library.report import results
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; make browser installs it")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe; make browser installs it")
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium; Debian's package is chromium")
 
-SWITCHES = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-)  # fmt: skip
-WIDTHS = (1280, 390)
-OPTIONS = {"resultTypes": ["violations"], "preload": False}
-"""Of axe: it would load style sheets a second time, by requests that files may not make."""
-SERIOUS = ("serious", "critical")
 MOST_BYTES = 3_000_000
 HOSTILE = "<img src=x onerror=alert(1)>"
 LONG = "concentration_of_bovine_serum_albumin_in_the_second_chamber"

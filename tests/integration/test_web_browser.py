@@ -11,9 +11,12 @@ from typing import Any
 
 import pytest
 
-from tests.integration.test_browser import CHROMIUM, OPTIONS, SERIOUS, SWITCHES, WIDTHS, axe, playwright
+from tests.browsers import CHROMIUM, OPTIONS, SERIOUS, SWITCHES, WIDTHS
 from tests.integration.test_web import TOKEN, Page, free_port, web
 from tests.programs import serving, started, until
+
+playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; make browser installs it")
+axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe; make browser installs it")
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium; Debian's package is chromium")
 
