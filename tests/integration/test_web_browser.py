@@ -152,7 +152,7 @@ def test_a_death_and_its_recovery_are_seen_and_another_job_is_cancelled(stage: S
             tab.get_by_role("button", name="Pause").click()
             tab.get_by_role("button", name="Resume").wait_for()
             tab.get_by_role("link", name="Submit again with changes").click()
-            tab.get_by_text("Data and options are those of").wait_for()
+            tab.get_by_role("heading", name="Smoothed").wait_for()  # its data are there already
             tab.get_by_text("search", exact=False).filter(has_text="options").first.click()
             tab.get_by_label("--operators").fill("+,-,*,exp")
             tab.get_by_text("--operators +,-,*,exp", exact=False).or_(tab.get_by_text("'+,-,*,exp'")).first.wait_for()
