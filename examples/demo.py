@@ -50,6 +50,7 @@ def main() -> int:
     is_right = compare(result)
     say(f"\nall of it took {time.monotonic() - started:.1f} s; the whole result is in runs/{job}/result.json")
     say(f"next, a pendulum of which only the angle was measured:  {command[0]} run examples/pendulum.csv --order 2")
+    say(f"or your own data, watched in a browser:  {command[0]} run YOUR.csv --web")
     return 0 if is_right else 1
 
 

@@ -1,8 +1,10 @@
 """A local run: read the data, submit the job, follow it, write and print its result."""
 
 import argparse
+import contextlib
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +17,7 @@ from atoll.client.follower import Display, Follower
 from atoll.client.local_coordinator import LocalCoordinator
 from atoll.client.local_workers import LocalWorkers, NoWorkerLeftError
 from atoll.terminal.output import duration, note
-from atoll.terminal.progress import open_display
+from atoll.terminal.progress import is_screen, open_display
 from atoll_coordinator.result.result import Result
 from atoll_core.wire.messages.views import JobView
 
@@ -43,7 +45,9 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
             with open_display("") as display:
                 follower = Follower(client, request.job, display, check_processes)
                 view, forced = _follow(follower, client, display)
-            workers.dismiss()
+            stays = options.web is not None and forced is None and is_screen()
+            if not stays:
+                workers.dismiss()
             result = request.result(client, view)
             if result is not None:
                 path = write_result(folder, result)
@@ -55,6 +59,8 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
                 proposed = next_step(result, folder, sys.argv[1:])
                 if proposed is not None:
                     note(f"next: {proposed}")
+            if stays:
+                _stay(client, check_processes)
             return finish(view) if forced is None else forced
 
 
@@ -72,6 +78,15 @@ def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobVi
         display.print_note(f"coordinator: {error}")
         forced = FAILED
     return client.cancel_and_wait(follower.job), forced
+
+
+def _stay(client: Client, check_processes: Callable[[], object]) -> None:
+    """Let somebody at a terminal look at the page until an interrupt; workers make its report."""
+    note("the page stays until Ctrl-C")
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            check_processes()
+            client.pause(1.0)
 
 
 def _times(result: Result, phases: dict[str, float], total: float) -> str:
