@@ -220,7 +220,8 @@ def _literal(value: Any, kind: Any) -> Any:
 def _array_tree(array: AnyArray) -> list[Any]:
     """Return type, shape, whether columns come first, and bytes; little endian. Sums depend on the order of axes."""
     dtype = array.dtype.str[1:]
-    _require(dtype in _DTYPES and array.ndim <= MAX_DIMENSIONS, f"an array of {array.dtype}, {array.ndim} dimensions")
+    if dtype not in _DTYPES or array.ndim > MAX_DIMENSIONS:  # a type's name takes as long as the rest
+        raise ValueError(f"an array of {array.dtype}, {array.ndim} dimensions")
     by_columns = array.flags.f_contiguous and not array.flags.c_contiguous
     little = np.asarray(array, array.dtype.newbyteorder("<"))
     return [dtype, list(array.shape), by_columns, little.tobytes("F" if by_columns else "C")]

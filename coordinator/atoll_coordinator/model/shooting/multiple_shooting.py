@@ -25,7 +25,13 @@ from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, i
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
 from atoll_coordinator.model.shooting.kernels.rates import Table
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.segment_batches import Blocks, EstimatorParts, SegmentBatch, SegmentOutcome
+from atoll_coordinator.model.shooting.segment_batches import (
+    Blocks,
+    EstimatorParts,
+    SegmentBatch,
+    SegmentOutcome,
+    SegmentTask,
+)
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
@@ -537,10 +543,10 @@ class MultipleShooting:
         """Return the estimator that is made of these."""
         return cls(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
 
-    def _expected_work(self, system: System, local: int) -> float:
-        """Return nodes and numbers of all steps, with sensitivities, if these are as many as they were before."""
-        numbers = len(system.code) + len(system.outputs) * (1 + system.count + local)
-        return self._steps_of_row * self.measurements.rows * numbers
+    def _expected_work(self, system: System, local: int, *, has_sensitivities: bool = True) -> float:
+        """Return nodes and numbers of all steps if these are as many as they were before."""
+        carried = system.count + local if has_sensitivities else 0
+        return self._steps_of_row * self.measurements.rows * (len(system.code) + len(system.outputs) * (1 + carried))
 
     def _is_shared(self, system: System, segments: Ints, local: int) -> bool:
         """Tell whether segments are integrated by others, too: it is more work than that of a batch."""
@@ -557,15 +563,17 @@ class MultipleShooting:
         None where they are to be integrated here: where one cannot be integrated or all together take more steps than
         are allowed, which is found out in their order.
         """
-        most = int(len(segments) * SETTINGS.spread.batch / self._expected_work(system, starts.shape[1]))
-        size = self._spread.batch_size(len(segments), most)
+        work = self._expected_work(system, starts.shape[1], has_sensitivities=errors is not None) / len(segments)
+        size = self._spread.batch_size(len(segments), int(SETTINGS.spread.batch / work))
+        size = max(size, math.ceil(SETTINGS.spread.least / work))
         size += size % 2  # see `_beyond_ends`: which segments are odd is the same everywhere
-        encoded, is_stiff, batches = encode_value(replace(system, equations=())), method is self._methods[1], []
+        task = encode_value(SegmentTask(replace(system, equations=()), errors, method is self._methods[1]))
+        batches = []
         for first in range(0, len(segments), size):
             group, here = slice(first, first + size), (last >= first) & (last < first + size)
-            batches.append(SegmentBatch(encoded, segments[group], starts[group], last[here] - first, errors, is_stiff))
+            batches.append(SegmentBatch(task, segments[group], starts[group], last[here] - first))
         made = self._spread.share(SEGMENTS, self.encoded, batches, 1)
-        outcomes = [one for one in made if one is not None and one.taken is not None]
+        outcomes = [one for one in made if one is not None]
         if len(outcomes) < len(batches):
             return None
         longer = _longer(segments, last)
@@ -573,15 +581,15 @@ class MultipleShooting:
         taken = _taken(outcomes)
         return None if any(steps > most for steps, most in zip(taken, allowed, strict=True)) else outcomes
 
-    def outcome(self, batch: SegmentBatch) -> SegmentOutcome:
-        """Return what comes of the segments of a batch, as it travels."""
-        system, method = decode_value(batch.system, System), self._methods[batch.is_stiff]
-        segments, starts, rows, nothing = batch.segments, batch.starts, _rows(batch.segments), np.zeros((0, 0))
-        reached, ends, has = nothing, np.zeros((0, 0, 0)), batch.errors is not None
+    def outcome(self, batch: SegmentBatch) -> SegmentOutcome | None:
+        """Return what comes of the segments of a batch, as it travels; None if one of them cannot be integrated."""
+        task, segments, starts = decode_value(batch.task, SegmentTask), batch.segments, batch.starts
+        system, errors, method, has = task.system, task.errors, self._methods[task.is_stiff], task.errors is not None
+        rows, reached, ends = _rows(segments), np.zeros((0, 0)), np.zeros((0, 0, 0))
         if len(batch.last):
             taken, carried = self._beyond_ends(method, system, segments, starts, batch.last)
             if carried is None:
-                return SegmentOutcome(None, nothing, math.inf, (), nothing, ends)
+                return None
             simulated, gradients, ends, reached = carried
         else:
             done, steps, simulated, gradients = self._integrated(
@@ -589,16 +597,14 @@ class MultipleShooting:
             )
             taken = [steps]
             if done < len(segments):
-                return SegmentOutcome(None, nothing, math.inf, (), nothing, ends)
-        steepest = self._steepest(gradients[rows] if has else gradients, system)
-        blocks: list[Blocks] = []
-        if batch.errors is not None and steepest < _STEEPEST:
+                return None
+        steepest, blocks = self._steepest(gradients[rows] if has else gradients, system), None
+        if errors is not None and steepest < _STEEPEST:
             residuals = self._residuals(simulated, starts, segments)
-            blocks = [
-                self._blocks(segments[group : group + 1], gradients, residuals, batch.errors, system.count)
-                for group in range(len(segments))
-            ]
-        return SegmentOutcome(tuple(taken), simulated[:, rows], steepest, tuple(blocks), reached, ends)
+            alone = [self._blocks(one[None], gradients, residuals, errors, system.count) for one in segments]
+            normal, coupling, own, gradient, own_gradient = map(np.stack, zip(*alone, strict=True))
+            blocks = normal, coupling, own, gradient, own_gradient
+        return SegmentOutcome(tuple(taken), simulated[:, rows], steepest, blocks, reached, ends)
 
     # ------------------------------------------------------------------------------------------- along the rows
 
@@ -735,18 +741,15 @@ class MultipleShooting:
 
 def _taken(outcomes: Sequence[SegmentOutcome]) -> list[int]:
     """Return the steps of all batches, of each of the integrations that one takes."""
-    return [sum(steps) for steps in zip(*(one.taken or () for one in outcomes), strict=True)]
+    return [sum(steps) for steps in zip(*(one.taken for one in outcomes), strict=True)]
 
 
 def _joined(outcomes: Sequence[SegmentOutcome]) -> Blocks:
     """Return the blocks of all segments: what belongs to the constants is added up in their order."""
-    blocks = [one for outcome in outcomes for one in outcome.blocks]
-    normal, gradient = np.zeros_like(blocks[0][0]), np.zeros_like(blocks[0][3])
-    for of_constants, _, _, of_gradient, _ in blocks:
-        normal += of_constants
-        gradient += of_gradient
-    coupling, own, own_gradient = (np.concatenate([one[place] for one in blocks]) for place in (1, 2, 4))
-    return normal, coupling, own, gradient, own_gradient
+    travelled = [one.blocks for one in outcomes if one.blocks is not None]
+    normals, coupling, own, gradients, own_gradient = map(np.concatenate, zip(*travelled, strict=True))
+    normal, gradient = (sum(parts, np.zeros(parts.shape[1:])) for parts in (normals, gradients))
+    return normal, coupling[:, 0], own[:, 0], gradient, own_gradient[:, 0]
 
 
 def _rows(segments: Ints) -> slice:
@@ -831,7 +834,7 @@ def _gradual(lengths: Sequence[int | None], measurements: Measurements) -> Itera
         before = rows
 
 
-SEGMENTS: Final[BatchFunction[MultipleShooting, SegmentBatch, SegmentOutcome]] = BatchFunction(
-    "segments", EstimatorParts, SegmentBatch, SegmentOutcome, MultipleShooting.outcome, MultipleShooting.of_parts
+SEGMENTS: Final[BatchFunction[MultipleShooting, SegmentBatch, SegmentOutcome | None]] = BatchFunction(
+    "segments", EstimatorParts, SegmentBatch, SegmentOutcome | None, MultipleShooting.outcome, MultipleShooting.of_parts
 )
 """Segments of a fit, integrated."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.system import System
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
@@ -26,19 +27,26 @@ class EstimatorParts:
 
 
 @dataclass(frozen=True, eq=False)
+class SegmentTask:
+    """What is done with all segments. With `errors` there are sensitivities, weighed by these."""
+
+    system: System
+    errors: ErrorModel | None
+    is_stiff: bool
+
+
+@dataclass(frozen=True, eq=False)
 class SegmentBatch:
     """Neighbouring segments (G, 2) to be integrated from their `starts` (G, L).
 
-    The `system` is encoded, once for many batches, without its programs. The segments `last`, by their place, go on to
-    the first row of the next one. With `errors` there are sensitivities, weighed by these.
+    The `task` is encoded, once for many batches, its system without programs. The segments `last`, by their place, go
+    on to the first row of the next one.
     """
 
-    system: bytes
+    task: bytes
     segments: Ints
     starts: FloatArray
     last: Ints
-    errors: ErrorModel | None
-    is_stiff: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +54,13 @@ class SegmentOutcome:
     """What came of segments: the steps that they took, the `simulated` states (D, N) of their rows, and the rest.
 
     That is the `steepest` sensitivity, a state in its scale to a constant in its size; the `blocks` of each segment
-    alone; and where segments go on, the states there (G, D) and their sensitivities (G, D, P + L). Steps are those of
-    each of the integrations that it took, None if one of them has failed.
+    alone (G, ...), if there are sensitivities that are not too steep; and where segments go on, the states there (G, D)
+    and their sensitivities (G, D, P + L). Steps are those of each of the integrations that it took.
     """
 
-    taken: tuple[int, ...] | None
+    taken: tuple[int, ...]
     simulated: FloatArray
     steepest: float
-    blocks: tuple[Blocks, ...]
+    blocks: Blocks | None
     reached: FloatArray
     ends: FloatArray
