@@ -91,6 +91,9 @@ class Recorder:
         self.is_mapping, self.begun = False, time.thread_time()
         return made
 
+    def note(self, compared: int) -> None:
+        """Do nothing: nobody is told."""
+
     def end_serial(self) -> None:
         """Note what has gone by since the last batch."""
         self.parts.append(Serial(time.thread_time() - self.begun))

@@ -22,6 +22,7 @@ class ScatteredBatches:
         self.workers = workers
         self.calls: list[tuple[str, int]] = []
         self.contexts: set[bytes] = set()
+        self.compared = 0
         self._executor = executor
         self._is_over = is_over
         self._draw = random.Random(workers)
@@ -43,3 +44,6 @@ class ScatteredBatches:
                 done = future.result(timeout=120)
                 assert made.setdefault(place, done) == done, "what is computed twice is equal to the byte"
         return [made[place] for place in range(len(items))]
+
+    def note(self, compared: int) -> None:
+        self.compared += compared

@@ -92,6 +92,14 @@ class Begun:
 
 
 @dataclass(frozen=True, slots=True)
+class Progressed:
+    """From the process: how many candidates its task has compared."""
+
+    task: str
+    compared: int
+
+
+@dataclass(frozen=True, slots=True)
 class Finished:
     """From the process: the result of a task, and the memory that the process occupies."""
 
@@ -133,4 +141,4 @@ class Said:
 
 
 ToProcess = Run | Load | Ask | Take | Batch
-FromProcess = Started | Begun | Finished | Failed | Give | Computed | Logged | Ended
+FromProcess = Started | Begun | Progressed | Finished | Failed | Give | Computed | Logged | Ended

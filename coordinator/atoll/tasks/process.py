@@ -119,7 +119,7 @@ class TaskProcess:
             function = FUNCTIONS[run.function]  # type: ignore[index]
             (function.load if run.seconds is None else function.ready)()
             self._send(Begun(run.task))
-            self._team.begin(run.threads)
+            self._team.begin(run.task, run.threads)
             _LOG.info("a task begins", extra=fields(**about, threads=run.threads))
             began = time.monotonic()
             result = function.call(run.inputs, run.seconds, self._team)

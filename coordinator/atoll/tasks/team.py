@@ -15,11 +15,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from atoll_core.tasks.frames import Ask, Batch, FromProcess, Give
+from atoll_core.tasks.frames import Ask, Batch, FromProcess, Give, Progressed
 from atoll_core.wire.messages.tasks import MAX_BATCH
 
 HOLD_S: Final = 2.0
 """How long a helper's question waits for a batch before it is told to ask again; below the time limit of questions."""
+
+NOTED_S: Final = 1.0
+"""The worker learns at most so often how far a task is: its heartbeat has no use for more."""
 
 LATE: Final = 2.0
 """A batch that a helper has had for so many times the longest that one took here is computed here as well."""
@@ -55,7 +58,9 @@ class Team:
     def __init__(self, send: Callable[[FromProcess], None], clock: Callable[[], float] = time.monotonic) -> None:
         """`send` hands messages to the worker, from any thread."""
         self.threads = 1
-        self._here = self._elsewhere = 0
+        self._task = ""
+        self._here = self._elsewhere = self._compared = 0
+        self._noted_at = 0.0
         self._send = send
         self._clock = clock
         self._changed = threading.Condition()
@@ -74,15 +79,27 @@ class Team:
         with self._changed:
             return max(1, len(self._asked) + sum(len(call.given) for call in self._calls))
 
-    def begin(self, threads: int) -> None:
+    def begin(self, task: str, threads: int) -> None:
         """Begin a task that may use so many threads."""
-        self.threads = threads
-        self._here = self._elsewhere = 0
+        self._task, self.threads = task, threads
+        self._here = self._elsewhere = self._compared = 0
+        self._noted_at = self._clock()
+
+    def note(self, compared: int) -> None:
+        """Take in, from any thread, that so many more candidates have been compared; the worker is told."""
+        with self._changed:
+            self._compared += compared
+            now = self._clock()
+            if now - self._noted_at >= NOTED_S:
+                self._noted_at = now
+                self._send(Progressed(self._task, self._compared))
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many batches of the task were computed here, and how many by helpers."""
-        return {"batches_here": self._here, "batches_elsewhere": self._elsewhere}
+        """How many candidates were compared; how many batches of the task were computed here, how many by helpers."""
+        return {
+            "compared": self._compared, "batches_here": self._here, "batches_elsewhere": self._elsewhere,
+        }  # fmt: skip
 
     def end(self) -> None:
         """End a task: helpers have nothing to wait for."""

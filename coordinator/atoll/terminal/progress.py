@@ -43,6 +43,9 @@ def headline(view: JobView, workforce: Workforce, connect_hint: str) -> str:
         parts.append(f"{count(view.point_evaluations)} point evaluations")
     if view.point_evaluations_per_second and view.state not in FINAL_STATES:
         parts.append(f"{count(view.point_evaluations_per_second)}/s")
+    compared = sum(task.compared for task in view.tasks)
+    if compared:
+        parts.append(f"{compared:,} candidates compared")
     waits = waiting(view, workforce, connect_hint)
     return ", ".join(parts) + (f"; {waits}" if waits else "")
 

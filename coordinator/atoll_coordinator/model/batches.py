@@ -61,6 +61,9 @@ class Batches(Protocol):
         """
         ...
 
+    def note(self, compared: int) -> None:
+        """Take in that so many more candidates have been compared, which people are told."""
+
 
 class LocalBatches:
     """Computes batches in this process, by threads of an `executor`, whose owner shuts it down."""
@@ -77,6 +80,9 @@ class LocalBatches:
         """Return what `Batches.map` does; nothing is cancelled."""
         del cancel_after
         return list(self._executor.map(lambda item: FUNCTIONS[function](context, item), items))
+
+    def note(self, compared: int) -> None:
+        """Do nothing: nobody is told."""
 
 
 class BatchFunction(Generic[Context, Item, Made]):
@@ -171,6 +177,11 @@ class Spread:
     def is_shared(self) -> bool:
         """Whether others take batches now."""
         return self._batches is not None and self._batches.workers > 0
+
+    def note(self, compared: int) -> None:
+        """Take in, from any thread, that so many more candidates have been compared."""
+        if self._batches is not None:
+            self._batches.note(compared)
 
     def here(self, function: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
         """Yield what a function makes of items, in order, computed by threads of this process."""

@@ -54,7 +54,7 @@ from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Analyse, QueueDepth, Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
-from atoll_core.wire.messages.views import WorkerService
+from atoll_core.wire.messages.views import TaskView, WorkerService
 from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
 
 _SAVE_S: Final = 10.0
@@ -396,6 +396,10 @@ class JobController:
     def stalls(self, job_id: str) -> tuple[str, ...]:
         """Return why archipelagos of a job stand still, in words, by variable."""
         return self.workers.stalls(job_id)
+
+    def task_views(self, job_id: str) -> tuple[TaskView, ...]:
+        """Return the tasks of a job that have not ended, as they are shown."""
+        return self.tasks.views(job_id)
 
     def waiting_reason(self, job: Job) -> str | None:
         """Return in words what the islands or tasks of a job wait for; None: they do not."""

@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections import Counter as Tally
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import singledispatchmethod
@@ -14,7 +15,7 @@ from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.followers import Followers
-from atoll_coordinator.service.monitoring.metrics import LAG_S, UPDATE_S, Metrics
+from atoll_coordinator.service.monitoring.metrics import LAG_S, MAX_USERS, UPDATE_S, Metrics
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
@@ -54,7 +55,7 @@ from atoll_core.wire.messages.epochs import (
 )
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.tasks import TaskReport
-from atoll_core.wire.messages.views import CoordinatorView, Counters, EventKind, JobState, Workforce
+from atoll_core.wire.messages.views import CoordinatorView, Counters, EventKind, JobState, UserView, Workforce
 from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_core.wire.rejects import Rejects
 from atoll_core.wire.security.role_bindings import RoleBindings
@@ -63,6 +64,10 @@ _LOG = logging.getLogger(__name__)
 
 TICK_S: Final = 0.5
 _TICK: Final = "tick"
+
+LAG_WINDOW_S: Final = 60.0
+"""Of so many seconds people are shown the loop's longest lag."""
+
 _ABSENCE: Final = "absence"
 _CHANGES: Final = "changes"
 _PROBE: Final = "probe"
@@ -131,7 +136,8 @@ class Service:
         )  # fmt: skip
         self.controller.changed, self.controller.events.told = self._note_change, self._note_event
         self._metrics = metrics
-        self._probe_due = self._metrics_due = bus.now()
+        self._probe_due = self._metrics_due = self._tick_due = bus.now()
+        self._lags: deque[float] = deque(maxlen=round(LAG_WINDOW_S / TICK_S))
         self._clients = clients = ClientRequests(
             self.controller, store, authorization, self._deletion, bus.now, self.view, self._followers
         )
@@ -155,7 +161,7 @@ class Service:
         for expression in (topics.HELLO, topics.all_greetings()):
             self._bus.serve(expression)
         self._bus.post(_TimeCheck())  # jobs that were taken over are prepared at once
-        self._bus.call_later(TICK_S, _TICK)
+        self._tick_later()
         if self._metrics is not None:
             self._probe_later()
         self.controller.events.record_start(cluster, self._store.incarnation)
@@ -224,6 +230,10 @@ class Service:
         if self._metrics is not None:
             self._metrics.note_event(kind)
 
+    def _tick_later(self) -> None:
+        self._tick_due = self._bus.now() + TICK_S
+        self._bus.call_later(TICK_S, _TICK)
+
     def _probe_later(self) -> None:
         """Have the loop's lag measured: a probe goes through the queue of events like all else."""
         self._probe_due = self._bus.now() + LAG_S
@@ -237,13 +247,28 @@ class Service:
         self._metrics.set_process(self.view(), self._store.size_bytes(), len(self._followers), self._questions.refused)
         self._metrics.set_dropped_lines(self._worker_logs.dropped)
         self._metrics.set_workers(member.state for member in members)
-        begun, queue, depth = self.controller.begun.values(), self.controller.queue, self.controller.queue_depth()
-        counts: Tally[tuple[str | None, JobState]] = Tally((job.submitter, job.state) for job in begun)
-        counts.update({(user, "queued"): number for user, number in queue.queued_by_user().items()})
-        self._metrics.set_jobs(counts)
+        depth = self.controller.queue_depth()
+        self._metrics.set_jobs(self._jobs_by_user())
         tasks = tuple(self.controller.tasks.table)
         states: Tally[tuple[str, ...]] = Tally((task.function, task.state) for task in tasks)
         self._metrics.set_tasks(depth.tasks_ready, states, sum(len(task.helpers) for task in tasks))
+
+    def _jobs_by_user(self) -> Tally[tuple[str | None, JobState]]:
+        """Return how many jobs that have not ended there are, by who submitted them and state."""
+        counts: Tally[tuple[str | None, JobState]] = Tally(
+            (job.submitter, job.state) for job in self.controller.begun.values()
+        )
+        counts.update({(user, "queued"): number for user, number in self.controller.queue.queued_by_user().items()})
+        return counts
+
+    def _user_views(self) -> tuple[UserView, ...]:
+        """Return the users with the most jobs that have not ended, those with the most first."""
+        queued, begun = Tally[str | None](), Tally[str | None]()
+        for (user, state), number in self._jobs_by_user().items():
+            (queued if state == "queued" else begun)[user] += number
+        users = sorted({*queued, *begun}, key=lambda user: (-queued[user] - begun[user], user or ""))
+        views = (UserView(user=user, queued=queued[user], begun=begun[user]) for user in users[:MAX_USERS])
+        return tuple(view for view in views if view.queued or view.begun)
 
     def _tell_followers(self) -> None:
         """Tell what has changed and is due; come back for what is due later."""
@@ -273,6 +298,8 @@ class Service:
             queued=self.controller.queue.queued,
             under_way=self.controller.queue.under_way,
             paused=self.controller.queue.is_paused,
+            lag_s=max(self._lags, default=0.0),
+            users=self._user_views(),
         )
 
     # ----------------------------------------------------------------------------------------- events
@@ -284,7 +311,8 @@ class Service:
     @_on.register
     def _on_timer(self, event: Timer) -> None:
         if event.name == _TICK:
-            self._bus.call_later(TICK_S, _TICK)
+            self._lags.append(max(0.0, self._bus.now() - self._tick_due))
+            self._tick_later()
             self._bus.post(_TimeCheck())
         elif event.name == _ABSENCE:
             self._bus.post(_TimeCheck())

@@ -20,6 +20,7 @@ from atoll_core.tasks.frames import (
     Failure,
     Finished,
     Give,
+    Progressed,
     Run,
     Said,
     Take,
@@ -77,6 +78,7 @@ class _Leased:
     failed: TaskFailed | None = None
     began: float = 0.0
     seconds: float = 0.0
+    compared: int = 0
 
     def step(self, step: TaskStep) -> None:
         """Go to the next state by the table."""
@@ -126,7 +128,10 @@ class TaskRunner:
 
     def statuses(self) -> tuple[TaskStatus, ...]:
         """Return what the heartbeat says of tasks."""
-        own = (TaskStatus(task=task, job=leased.lease.job, state=leased.state) for task, leased in self._leased.items())
+        own = (
+            TaskStatus(task=task, job=leased.lease.job, state=leased.state, compared=leased.compared)
+            for task, leased in self._leased.items()
+        )
         if self._helped is None:
             return tuple(own)
         helped = self._helped.help
@@ -250,11 +255,11 @@ class TaskRunner:
         """Take in what the process says; return whether the coordinator is to be told at once."""
         message = said.message
         match message:
-            case Begun() | Finished() | Failed():
+            case Begun() | Progressed() | Finished() | Failed():
                 leased = self._leased.get(message.task)
                 if leased is not None and leased.life == said.life:  # else a process said it that was stopped since
                     self._advance(leased, message)
-                    return True
+                    return not isinstance(message, Progressed)
             case Ended():
                 return self._ended(said.life, message)
             case Give():
@@ -263,10 +268,12 @@ class TaskRunner:
                 self._computed(message)
         return False
 
-    def _advance(self, leased: _Leased, message: Begun | Finished | Failed) -> None:
+    def _advance(self, leased: _Leased, message: Begun | Progressed | Finished | Failed) -> None:
         match message:
             case Begun():
                 leased.step("begun")
+            case Progressed():
+                leased.compared = message.compared
             case Finished():
                 self._finish(leased, message)
             case Failed():

@@ -71,11 +71,12 @@ class Release(Frozen):
 
 
 class TaskStatus(Frozen):
-    """What a worker has of a task of this job."""
+    """What a worker has of a task of this job, and how many candidates the task has compared."""
 
     task: Digest
     job: Id
     state: TaskState
+    compared: Count = 0
 
 
 class TaskChunk(Frozen):

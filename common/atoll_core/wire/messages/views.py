@@ -6,6 +6,7 @@ from typing import Annotated, Final, Literal, Self
 from pydantic import Field
 
 from atoll_core.config import Frozen
+from atoll_core.wire.messages.tasks import TaskFunction
 
 JobState = Literal["queued", "preparing", "running", "refining", "done", "failed", "cancelled"]
 FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
@@ -61,10 +62,23 @@ class StoreView(Frozen):
     worst_s: float = 0.0
 
 
+class UserView(Frozen):
+    """Jobs of one user that have not ended: those that wait in the queue, and those that have begun.
+
+    `user` is the name in the certificate; None: nobody has proved whose they are.
+    """
+
+    user: str | None
+    queued: int = 0
+    begun: int = 0
+
+
 class CoordinatorView(Frozen):
     """The coordinator itself as `workers` shows it; `seconds` since its start.
 
-    `queued` jobs wait, `under_way` ones have places; while the queue is `paused`, none is taken up.
+    `queued` jobs wait, `under_way` ones have places; while the queue is `paused`, none is taken up. `lag_s` is by how
+    many seconds its loop was late at most within the last minute. `users` are those with the most jobs that have not
+    ended, as far as who asks may see their jobs.
     """
 
     version: str
@@ -75,6 +89,8 @@ class CoordinatorView(Frozen):
     queued: int = 0
     under_way: int = 0
     paused: bool = False
+    lag_s: float = 0.0
+    users: tuple[UserView, ...] = ()
 
 
 class JobCounters(Frozen):
@@ -133,13 +149,22 @@ class VariableView(Frozen):
     verdict: Literal["exact", "good", "doubtful", "no model"] | None = None
 
 
+class TaskView(Frozen):
+    """A task of a job that has not ended; `compared` counts candidates, `helpers` the workers that help `worker`."""
+
+    function: TaskFunction
+    worker: str | None = None
+    helpers: int = 0
+    compared: int = 0
+
+
 class JobView(Frozen):
     """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for.
 
     `fault` of a failed job: the data could not be used, two workers diverged, its islands killed their workers, or
     something of ours broke. `stalls` says where it stands still, and why; `ahead` counts jobs before it in the line.
     `submitter` is by the name in the certificate; others see the job when it is `shared`. One that is `paused` waits to
-    be resumed, one that is `held` has begun and has no place now.
+    be resumed, one that is `held` has begun and has no place now. `tasks` are those that have not ended.
     """
 
     job: str
@@ -165,6 +190,7 @@ class JobView(Frozen):
     shared: bool = False
     paused: bool = False
     held: bool = False
+    tasks: tuple[TaskView, ...] = ()
 
 
 class IslandView(Frozen):

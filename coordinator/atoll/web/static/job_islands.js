@@ -79,13 +79,16 @@ export class Islands extends Paced {
 
   #fill(group, variable) {
     const islands = this.#islands.filter((island) => island.variable === variable);
+    const least = Math.min(...islands.map((island) => island.epoch));
+    const ahead = islands.filter((island) => island.epoch > least).length; // whose migrants the others have not taken in
+    setText(group.firstChild, `${variable}${ahead ? ` · migrants of ${plural(ahead, "island")} on their way` : ""}`);
     keyed(group.lastElementChild, islands, keyOf, () => h("li", {}, h("b"), h("span"), h("small")), (cell, island) => {
       const [name, place, note] = cell.children;
       const worker = island.worker ? this.#letter(island.worker) : null;
       const mark = this.#marks.get(keyOf(island));
       setText(name, `${island.island} ${worker ? worker.letter : "–"}`);
       setText(place, `epoch ${island.epoch}`);
-      setText(note, mark ?? island.state ?? "");
+      setText(note, mark ?? (worker ? (island.epoch > least ? "sent" : "computes") : ""));
       setClass(cell, `${worker ? cycled(worker.index) : "nobody"}${mark ? " fresh" : ""}`);
       cell.title = `island ${island.island} of ${variable}: ${island.worker ?? "no worker"}`;
     });

@@ -2,7 +2,7 @@
 
 import { check, get, getText, paths, send } from "./api.js";
 import { LinesChart, PhaseChart, cycled, legend, sparse } from "./charts.js";
-import { HAS_RESULT } from "./format.js";
+import { HAS_RESULT, plural } from "./format.js";
 import { announce, download, h, setText, show } from "./dom.js";
 
 const ASK_AGAIN = 1000;
@@ -13,8 +13,9 @@ export class Outcome {
   #state = null; #charts = []; #isClosed = false;
   constructor(id) {
     this.id = id;
+    this.tasks = h("p", { class: "faint" });
     this.refining = h("div", { class: "refining", hidden: true }, h("p", {}, "Refining: constants are fitted to the whole trajectories, candidates are compared, errors are estimated."),
-      h("progress", { "aria-label": "Refining" }));
+      h("progress", { "aria-label": "Refining" }), this.tasks);
     this.report = h("button", { type: "button", onclick: () => this.#openReport() }, "Open the report");
     this.reportSaid = h("span", { class: "faint", role: "status" });
     this.files = h("span", { class: "bar" });
@@ -24,6 +25,7 @@ export class Outcome {
   }
 
   update(job) {
+    setText(this.tasks, (job.tasks ?? []).map(taskText).join(" "));
     if (job.state === this.#state) return;
     this.#state = job.state;
     const isDone = HAS_RESULT.includes(job.state);
@@ -143,4 +145,9 @@ function fillPage(tab, text) {
   sheet.replaceSync(styles.join("\n"));
   tab.document.adoptedStyleSheets = [sheet];
   tab.document.documentElement.replaceWith(tab.document.adoptNode(page.documentElement));
+}
+
+function taskText({ worker, helpers, compared }) {
+  const place = worker ? `on ${worker}${helpers ? `, helped by ${plural(helpers, "worker")}` : ""}` : "waits for a worker";
+  return `${compared.toLocaleString()} candidates compared so far; ${place}.`;
 }

@@ -204,6 +204,7 @@ class ModelComparison:
         fitted = self.spread.share(FITS, self.encoded, batches, 1)
         for batch, made in zip(batches, fitted, strict=True):
             outcomes += [None] * len(batch.systems) if made is None else made
+        self.spread.note(sum(outcome is not None and outcome.summary is not None for outcome in outcomes))
         return outcomes
 
     def _taken_in(
@@ -472,6 +473,7 @@ class ModelComparison:
 
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
+        self.spread.note(1)
         misfit = self.misfit.total(self.squares(fit)) + self._drift(fit)
         return FittedModel(fit.system.programs[len(self.leading) :], fit, misfit, self._length(misfit, fit.system))
 

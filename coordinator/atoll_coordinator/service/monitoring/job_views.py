@@ -22,7 +22,7 @@ from atoll_coordinator.service.monitoring.views import (
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import StoreError
-from atoll_core.wire.messages.views import FINAL_STATES, JobView
+from atoll_core.wire.messages.views import FINAL_STATES, JobView, TaskView
 
 
 class JobWorkers(Protocol):
@@ -34,6 +34,8 @@ class JobWorkers(Protocol):
     def waiting_reason(self, job: Job) -> str | None: ...
 
     def stalls(self, job_id: str) -> tuple[str, ...]: ...
+
+    def task_views(self, job_id: str) -> tuple[TaskView, ...]: ...
 
 
 class JobViews:
@@ -94,8 +96,9 @@ class JobViews:
     def last_view(self, job: Job, now: float) -> JobView:
         """Return the view of a job that ends now."""
         view = self._live_view(job, now).model_copy(
-            update={"reason": job.reason, "workers": 0, "stalls": (), "ahead": None, "paused": False, "held": False}
-        )
+            update={"reason": job.reason, "workers": 0, "stalls": (), "ahead": None, "paused": False, "held": False,
+                    "tasks": ()}
+        )  # fmt: skip
         return view if job.result_text is None else with_equations(view, job.result_text)
 
     def _view(
@@ -119,4 +122,5 @@ class JobViews:
 
     def _live_view(self, job: Job, now: float) -> JobView:
         waiting_reason, stalls = self._workers.waiting_reason(job), self._workers.stalls(job.id)
-        return job_view(job, self._queue, now, waiting_reason, self._workers.counters.counters(job), stalls)
+        view = job_view(job, self._queue, now, waiting_reason, self._workers.counters.counters(job), stalls)
+        return view.model_copy(update={"tasks": self._workers.task_views(job.id)})

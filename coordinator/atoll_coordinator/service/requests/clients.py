@@ -251,9 +251,12 @@ class ClientRequests:
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
         page = tuple(wanted[: question.limit])
         after = page[-1].worker if len(page) < len(wanted) else None
+        coordinator = self._coordinator()
         if viewer is not None:
             page = tuple(_without_others(view, self._store, viewer) for view in page)
-        return WorkerList(workers=page, after=after, coordinator=self._coordinator())
+            seen = [user for user in coordinator.users if user.user in (None, viewer.name)] if coordinator else []
+            coordinator = coordinator and coordinator.model_copy(update={"users": tuple(seen)})
+        return WorkerList(workers=page, after=after, coordinator=coordinator)
 
     def _events(self, question: GetEvents, viewer: Viewer | None) -> EventList | Failure:
         """Return what happened; as much of it as one answer bears."""

@@ -43,6 +43,7 @@ from atoll_core.wire.messages.tasks import (
     TaskReport,
     TaskStatus,
 )
+from atoll_core.wire.messages.views import TaskView
 from atoll_core.wire.messages.workers import WorkerStatus
 from atoll_core.wire.values import decode_value
 
@@ -159,6 +160,14 @@ class TaskController:
         for held in self._blobs.values():
             held.jobs.discard(job)
         self._blobs = {digest: held for digest, held in self._blobs.items() if held.jobs}
+
+    def views(self, job: str) -> tuple[TaskView, ...]:
+        """Return the tasks of a job that have not ended, as they are shown; none of questions about its result."""
+        return tuple(
+            TaskView(function=task.function, worker=task.worker, helpers=len(task.helpers), compared=task.compared)
+            for task in self.table.of_job(job)
+            if not task.is_analysis
+        )
 
     def waits(self, job: str) -> bool:
         """Tell whether a job has a task that no worker has."""
@@ -306,6 +315,7 @@ class TaskController:
         elif task.worker != worker:
             self._channel.send(worker, Release(task=held.task))
         elif held.state == "running":
+            task.compared = held.compared
             if self.table.begin(task, now) and task.function == "prepare":
                 self.post(PreparationBegun(task.job))
         elif held.state in ("done", "failed") and now - task.said_at > SETTLED_S:

@@ -48,7 +48,8 @@ class Task:
 
     `is_alone`: memory ran out with it, so that it is tried once more where nothing else runs. `term` counts its
     leases, `threads` is how many it may use there. `waiting_since`, `leased_at` and `said_at`, when its worker was last
-    told, are the bus's seconds. `charged` is for how many seconds since `began_at` its user has been charged.
+    told, are the bus's seconds. `compared` counts the candidates that its worker has compared. `charged` is for how
+    many seconds since `began_at` its user has been charged.
     """
 
     id: str
@@ -65,6 +66,7 @@ class Task:
     said_at: float = 0.0
     began_at: float | None = None
     charged: float = 0.0
+    compared: int = 0
     helpers: dict[str, float] = field(default_factory=dict)
     losses: int = 0
     failures: list[Failure] = field(default_factory=list)
@@ -135,7 +137,7 @@ class TaskTable:
         """Give a task to a worker, which may use so many threads."""
         task.step("lease")
         task.worker, task.leased_at, task.said_at, task.began_at = worker, now, now, None
-        task.charged = 0.0
+        task.charged, task.compared = 0.0, 0
         task.term, task.threads = task.term + 1, threads
 
     def begin(self, task: Task, now: float) -> bool:

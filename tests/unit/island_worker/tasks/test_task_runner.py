@@ -16,6 +16,7 @@ from atoll_core.tasks.frames import (
     FromProcess,
     Give,
     Load,
+    Progressed,
     Run,
     Said,
     Take,
@@ -161,6 +162,14 @@ def test_a_lease_with_its_inputs_runs_and_its_result_is_pushed_and_kept(scene: S
     scene.runner.told(Release(task=A))
     assert scene.runner.is_idle
     assert scene.process.is_started  # it is kept for the next one
+
+
+def test_the_heartbeat_says_how_far_a_task_is(scene: Scene) -> None:
+    scene.running()
+    assert not scene.say(Progressed(A, 7)), "the next heartbeat is soon enough"
+    scene.say(Progressed(A, 9), life=scene.process.life + 1)
+    assert [held.compared for held in scene.runner.statuses()] == [7]
+    scene.say(Progressed(B, 9))
 
 
 def test_a_result_goes_in_chunks_also_an_empty_one(scene: Scene) -> None:

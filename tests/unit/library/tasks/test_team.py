@@ -6,11 +6,12 @@ import threading
 import pytest
 
 from atoll.tasks import team as module
-from atoll.tasks.team import HOLD_S, Team, compute
+from atoll.tasks.team import HOLD_S, NOTED_S, Team, compute
 from atoll_coordinator.model.batches import CANCELLED, FUNCTIONS
-from atoll_core.tasks.frames import Ask, Batch, FromProcess, Give
+from atoll_core.tasks.frames import Ask, Batch, FromProcess, Give, Progressed
 
 LIMIT_S = 60.0
+TASK = "t" * 64
 CONTEXT = b"a context"
 DIGEST = hashlib.sha256(CONTEXT).hexdigest()
 ITEMS = [b"%d" % number for number in range(12)]
@@ -268,3 +269,20 @@ def test_batches_that_are_too_large_for_a_message_are_computed_here(
     team.ask(Ask(1))
     assert team.map("test: made", CONTEXT, ITEMS) == EXPECTED
     assert said.gave == []
+
+
+def test_the_worker_is_told_how_many_candidates_were_compared_now_and_then() -> None:
+    told: list[FromProcess] = []
+    clock = Clock()
+    team = Team(told.append, clock)
+    for task in (TASK, "u" * 64):
+        team.begin(task, 1)
+        told.clear()
+        for _ in range(5):
+            team.note(2)
+        assert told == [], "a heartbeat has no use for more"
+        clock.now += NOTED_S
+        team.note(1)
+        team.note(1)
+        assert told == [Progressed(task, 11)]
+        assert team.counts["compared"] == 12

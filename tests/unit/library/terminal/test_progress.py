@@ -5,7 +5,7 @@ import io
 import pytest
 
 from atoll.terminal.progress import LiveDisplay, PlainDisplay, headline, plain_lines, row, standing
-from atoll_core.wire.messages.views import JobView, VariableView, WorkerView, Workforce
+from atoll_core.wire.messages.views import JobView, TaskView, VariableView, WorkerView, Workforce
 from tests.views import job_view
 
 X = VariableView(
@@ -60,6 +60,11 @@ def test_the_standing_of_an_equation_is_a_word_or_two(changes: dict[str, object]
 def test_the_headline_has_state_time_workers_and_speed() -> None:
     line = headline(job(), Workforce.of([worker()]), HINT)
     assert line == "job a1b2c3d4 running, 4.2 s, 2 workers, 4.26e+06 point evaluations, 5.5e+07/s"
+
+
+def test_the_headline_says_how_many_candidates_refining_has_compared() -> None:
+    tasks = (TaskView(function="refine", worker="w", compared=12_345),)
+    assert "12,345 candidates compared" in headline(job(state="refining", tasks=tasks), Workforce.of([worker()]), HINT)
 
 
 def test_the_headline_says_how_to_start_a_worker_when_there_is_none() -> None:

@@ -220,6 +220,7 @@ def test_neither_workers_nor_their_order_change_a_bit_or_the_work_that_is_counte
     assert {function for function, _ in batches.calls} == {"fits"}
     assert max(count for _, count in batches.calls) > 1
     assert len(batches.contexts) <= 4, "of each run one before and one after errors are calibrated"
+    assert batches.compared >= 2 * len(RIVALS), "people are told of all that were compared"
 
 
 def test_what_time_has_cut_short_is_left_out():

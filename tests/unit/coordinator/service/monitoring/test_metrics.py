@@ -15,7 +15,7 @@ from atoll_coordinator.service.monitoring.metrics import MAX_USERS, OTHERS, Metr
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import UsageError
-from atoll_core.wire.messages.views import CoordinatorView, Counters, StoreView, Traffic
+from atoll_core.wire.messages.views import CoordinatorView, Counters, StoreView, Traffic, UserView
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World
 
@@ -144,3 +144,14 @@ def test_a_coordinator_measures_its_jobs_workers_and_loop() -> None:
     assert (value(metrics, "loop_lag_seconds_count") or 0) > 100
     assert (value(metrics, "bus_bytes_total", direction="in", kind="status") or 0) > 0
     assert isinstance(world.store, Store)
+
+
+def test_people_are_shown_who_has_jobs_and_how_late_the_loop_was() -> None:
+    world = World(workers=1)
+    for number in range(3):
+        world.submit(short_job(number, islands=2, max_epochs=3), "x", f"job{number}")
+    assert world.service.view().users == (UserView(user=None, queued=0, begun=3),)
+    for number in range(3):
+        world.finish(f"job{number}")
+    assert world.service.view().users == ()
+    assert world.service.view().lag_s < module.LAG_S, "nothing holds up a simulated loop"

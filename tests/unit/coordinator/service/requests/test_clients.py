@@ -66,6 +66,10 @@ class Tasks:
     def waiting_reason(self, job: str) -> None:
         """Return that nothing waits."""
 
+    def views(self, job: str) -> tuple[()]:
+        """Return that no task is under way."""
+        return ()
+
     @property
     def prepared(self) -> list[tuple[object, ...]]:
         return [(job, table) for name, job, table, *_ in (call for call in self.calls if call[0] == "prepare")]

@@ -21,7 +21,7 @@ from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.clients import Change, Failure, Following, JobList, JobStatus, Request
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.messages.views import Workforce
+from atoll_core.wire.messages.views import CoordinatorView, Counters, UserView, Workforce
 from atoll_core.wire.security.role_bindings import RoleBindings
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
@@ -48,8 +48,15 @@ class Lab:
         )  # fmt: skip
         self.controller.changed = self.followers.touch
         self.controller.events.told = lambda kind, job: self.followers.touch(job)
+        self.users: tuple[UserView, ...] = ()
         self.clients = ClientRequests(
-            self.controller, store, self.authorization, deletion, lambda: self.now, followers=self.followers
+            self.controller, store, self.authorization, deletion, lambda: self.now, self.coordinator, self.followers
+        )
+
+    def coordinator(self) -> CoordinatorView:
+        counters, timing = Counters(), self.store.timing()
+        return CoordinatorView(
+            version="1", incarnation=1, seconds=1.0, counters=counters, store=timing, users=self.users
         )
 
     def ask(self, user: str, body: object) -> object:
@@ -155,6 +162,13 @@ def test_events_and_lists_of_workers_say_nothing_of_others_jobs(lab: Lab) -> Non
     everything = lab.ask("eve", messages.GetEvents())
     assert isinstance(everything, messages.EventList)
     assert "mine" in everything.model_dump_json()
+
+
+def test_submitters_are_told_how_many_jobs_of_their_own_wait_and_admins_of_all(lab: Lab) -> None:
+    ann, bob, nobody = (UserView(user=user, queued=2) for user in ("ann", "bob", None))
+    lab.users = (ann, bob, nobody)
+    seen = {user: lab.ask(user, messages.Workers()).coordinator.users for user in ("ann", "eve")}
+    assert seen == {"ann": (ann, nobody), "eve": lab.users}
 
 
 def test_an_id_that_is_anothers_is_taken_whatever_it_holds(lab: Lab) -> None:

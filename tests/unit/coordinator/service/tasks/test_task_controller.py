@@ -33,7 +33,7 @@ from atoll_core.wire.messages.tasks import (
     TaskState,
     TaskStatus,
 )
-from atoll_core.wire.messages.views import WorkerState
+from atoll_core.wire.messages.views import TaskView, WorkerState
 from atoll_core.wire.messages.workers import ControlBody, WorkerStatus
 from atoll_core.wire.values import decode_value, encode_value
 from tests.simulation.harness.simulated_cluster import prepare as prepare_stub
@@ -144,6 +144,20 @@ def test_a_table_is_leased_begun_and_prepared() -> None:
     assert scene.said() == [("w0", Release(task=lease.task))]
     assert len(scene.controller.table) == 0
     assert scene.controller.prepared("j").config == scene.posted[1].prepared.config
+
+
+def test_people_are_shown_who_has_a_task_and_how_far_it_is_until_it_is_tried_again() -> None:
+    scene = Scene("w0")
+    scene.prepare()
+    scene.beat("w0", j="running")
+    status = scene.membership.member("w0").status
+    held = (status.tasks[0].model_copy(update={"compared": 41}),)
+    scene.controller.add_heartbeat("w0", status.model_copy(update={"tasks": held}), scene.now)
+    scene.controller.table.of_job("j")[0].helpers["w1"] = scene.now
+    assert scene.controller.views("j") == (TaskView(function="prepare", worker="w0", helpers=1, compared=41),)
+    assert scene.controller.views("k") == ()
+    scene.fail("w0")
+    assert scene.controller.views("j") == (TaskView(function="prepare", worker="w0"),)
 
 
 def test_refining_takes_what_preparing_gave_as_it_came() -> None:
