@@ -40,7 +40,8 @@ async def ask_async(
     parts: list[dict[str, Any]] = []
     scope = {
         "type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "method": method, "scheme": "http",
-        "path": path, "raw_path": quote(path).encode(), "query_string": urlencode(query).encode(), "root_path": "",
+        "path": path, "raw_path": quote(path).encode(), "root_path": "",
+        "query_string": urlencode(query, doseq=True).encode(),
         "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
         "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 7480),
     }  # fmt: skip

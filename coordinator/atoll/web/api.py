@@ -4,10 +4,11 @@ import asyncio
 import contextlib
 import gzip
 import hashlib
+import itertools
 import json
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any, Final
@@ -25,6 +26,7 @@ from atoll.client.over_http import MESSAGE
 from atoll.export.formats import LANGUAGES, OF_RESULTS, written
 from atoll.model.model import Model
 from atoll.tasks.analyses import FUNCTIONS, Report, answered
+from atoll.text.render import parse_picks, pick
 from atoll.web.access import gateway_of
 from atoll.web.feed import MAX_LISTENERS, Feed
 from atoll.web.gateway import Gateway
@@ -368,7 +370,7 @@ class Api:
 
     async def simulation(self, request: Request) -> Response:
         """Simulate the model from its first measured state."""
-        return JSONResponse(await run_in_threadpool(_simulated, await self._result(request)))
+        return JSONResponse(await run_in_threadpool(_simulated, await self._chosen(request)))
 
     async def report(self, request: Request) -> Response:
         """Give the report as HTML; 202 while a worker makes it."""
@@ -386,11 +388,16 @@ class Api:
 
     async def export(self, request: Request) -> Response:
         """Write the model in a format."""
-        name, result = request.path_params["format"], await self._result(request)
+        name, result = request.path_params["format"], await self._chosen(request)
         if name not in (*LANGUAGES, *OF_RESULTS):
             raise HTTPException(404, f"there is no format {name[:64]!r} of an export")
         text = await run_in_threadpool(_exported, result, name)
         return _download(request, text, f"{_job(request)}.{name}.txt", "text/plain")
+
+    async def _chosen(self, request: Request) -> Result:
+        """Return the result of a job, with other members of the fronts where these are picked; raises UsageError."""
+        picks, result = parse_picks(request.query_params.getlist("pick")), await self._result(request)
+        return pick(result, picks) if picks else result
 
     async def _result(self, request: Request, *, may_be_late: bool = False) -> Result:
         """Return the result of a job, asked for once a second however many want it; it may be late by more for pages.
@@ -427,15 +434,15 @@ class Api:
         submission, table = given
         view = await gateway_of(request).ask(
             lambda client: client.hand_in(
-                job, name or submission.filename, submission.config, table, priority, shared=shared
+                job, name or submission.filenames[0], submission.config, table, priority, shared=shared
             )
         )
         return JSONResponse(to_jsonable_python(view), 201, {"location": f"jobs/{job}"})
 
     async def _submission(self, request: Request, made: Callable[[Submission], Any]) -> Any:
-        """Return what is made of the file and the options that were sent, in a thread."""
+        """Return what is made of the files and the options that were sent, in a thread."""
         asked = request.query_params
-        filename, options = asked.get("filename", "data.csv"), asked.get("options", "")
+        names, options = asked.getlist("filename") or ["data.csv"], asked.get("options", "")
         media_type, of = request.headers.get("content-type", "").partition(";")[0], asked.get("of")
         if of is not None and not is_id(of):
             raise HTTPException(422, "of names a job by its id")
@@ -443,7 +450,8 @@ class Api:
             body = await _body(request, MAX_BODY)
             if of is not None:
                 body, media_type = await gateway_of(request).ask(lambda client: client.table(of)), TABLE
-            return await run_in_threadpool(lambda: made(Submission.of(filename, body, options, media_type)))
+            files = _parts(names, asked.getlist("bytes"), body)
+            return await run_in_threadpool(lambda: made(Submission.of(files, options, media_type)))
 
     # ------------------------------------------------------------------------------ workers and coordinator
 
@@ -538,6 +546,17 @@ async def _body(request: Request, most: int) -> bytes:
     except ClientDisconnect:
         raise HTTPException(400, "the body was cut off") from None
     return bytes(body)
+
+
+def _parts(names: Sequence[str], sizes: Sequence[str], body: bytes) -> dict[str, bytes]:
+    """Return the files that are one after the other in a body, by name; raises HTTPException."""
+    sizes = sizes or ([str(len(body))] if len(names) == 1 else [])
+    ends = [0, *itertools.accumulate(int(size) if size.isdecimal() and len(size) < 16 else -1 for size in sizes)]
+    if len(sizes) != len(names) or len({*names}) != len(names) or ends[-1] != len(body) or ends != sorted(ends):
+        raise HTTPException(
+            422, "of several files each has another filename, and its bytes, which add up to those of the body"
+        )
+    return {name: body[first:end] for name, first, end in zip(names, ends, ends[1:], strict=False)}
 
 
 def _download(request: Request, text: str, name: str, media_type: str) -> Response:

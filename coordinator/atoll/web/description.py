@@ -22,11 +22,15 @@ from atoll_core.wire.messages.views import CoordinatorView, EventView, IslandVie
 _TEXT: Final[dict[str, Any]] = {"type": "string"}
 _FLAG: Final[dict[str, Any]] = {"type": "boolean"}
 _ID: Final[dict[str, Any]] = {"type": "string", "pattern": "^[A-Za-z0-9_-]{1,64}$"}
+_SIZES: Final[dict[str, Any]] = {"type": "array", "items": {"type": "integer", "minimum": 0}}
+_NAMES: Final[dict[str, Any]] = {"type": "array", "items": _TEXT}
 _OBJECT: Final[dict[str, Any]] = {"type": "object"}
 
+_PICK: Final[tuple[Mapping[str, Any], str]] = (_NAMES, "other equations: VARIABLE=NUMBER of its front, from 0")
 _OPTIONS: Final = "options of the command line by name, as a JSON object: texts, true, or lists of texts"
 _FILE: Final[Mapping[str, tuple[Mapping[str, Any], str]]] = {
-    "filename": (_TEXT, "the name that the file has; its ending says how it is read"),
+    "filename": (_NAMES, "the name that the file has; its ending says how it is read. Several files are one table"),
+    "bytes": (_SIZES, "of each of several files, which are one after the other in the body"),
     "options": (_TEXT, _OPTIONS),
     "of": (_ID, "a job whose data are taken in the place of a body"),
 }
@@ -58,7 +62,8 @@ QUERIES: Final[Mapping[str, Mapping[str, tuple[Mapping[str, Any], str]]]] = {
         "after": ({"type": "integer", "minimum": 0}, "as the header Last-Event-ID"),
     },
     "result": {"download": (_FLAG, "as a file")},
-    "export": {"download": (_FLAG, "as a file")},
+    "export": {"download": (_FLAG, "as a file"), "pick": _PICK},
+    "simulation": {"pick": _PICK},
     "workers": {"prefix": (_TEXT, "the beginning of their names")},
 }
 """What is asked in the query, by handler."""

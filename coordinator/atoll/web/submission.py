@@ -1,6 +1,7 @@
-"""A file and options as a page sends them: read, outlined, prepared for a look, made into a job.
+"""Files and options as a page sends them: read, outlined, prepared for a look, made into a job.
 
-A file is a body of bytes under the name that it had; options are those of the command line by name.
+A file is bytes under the name that it had, several are one after the other; options are those of the command line by
+name.
 """
 
 import json
@@ -19,7 +20,7 @@ from atoll.web.progress import some
 from atoll_coordinator.data.outline import outline
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.data.recording import Preparation, Recording, Trajectory
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import JobConfig
@@ -30,50 +31,52 @@ TABLE: Final = "application/vnd.atoll.table"
 """Content of a table that was read already, as clients of the bus upload it."""
 
 PREVIEWED: Final = 500
-"""Rows that are drawn of a table at most."""
+"""Rows that are drawn of a trajectory at most."""
 
 SHOWN: Final = 5
+
+TRAJECTORIES: Final = 20
+"""Of so many trajectories curves are drawn: with more a page would be longer than most tables."""
 
 
 @dataclass(frozen=True)
 class Submission:
     """Data and configuration of a job; `options` are as they were given."""
 
-    filename: str
+    filenames: tuple[str, ...]
     table: Table
     config: JobConfig
     options: Mapping[str, Any]
 
     @classmethod
-    def of(cls, filename: str, body: bytes, options: str, media_type: str = "") -> "Submission":
-        """Return what was sent.
+    def of(cls, files: Mapping[str, bytes], options: str, media_type: str = "") -> "Submission":
+        """Return what was sent: files by name, in order.
 
         Raises:
-            UsageError: an option is unknown or does not fit; the name of the file is none.
-            DataError: the file cannot be read.
+            UsageError: an option is unknown or does not fit; the name of a file is none.
+            DataError: a file cannot be read.
         """
         given = _options(options)
         values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
         config = configure(values)
         if media_type == TABLE:
-            table = Table.from_bytes(body)
-            return cls(table.files[0] if table.files else filename, table, config, given)
-        name = PurePath(filename.replace("\\", "/")).name
-        if not name or name in (".", "..") or len(name.encode()) > 200 or not name.isprintable():
-            raise UsageError("the name of the file must be printable and have at most 200 bytes, such as data.csv")
+            table = Table.from_bytes(b"".join(files.values()))
+            return cls(table.files or tuple(files), table, config, given)
         with tempfile.TemporaryDirectory(prefix="atoll-web-") as folder:
-            path = Path(folder) / name
-            path.write_bytes(body)
-            return cls(name, read_table([path], config.data), config, given)
+            paths = [Path(folder) / _plain(name) for name in files]
+            if len({*paths}) < len(paths):
+                raise UsageError("two files have the same name; send them under different ones")
+            for path, body in zip(paths, files.values(), strict=True):
+                path.write_bytes(body)
+            return cls(tuple(path.name for path in paths), read_table(paths, config.data), config, given)
 
     def outlined(self) -> dict[str, Any]:
         """Return how the file was read and what would be searched, as plain data."""
         roles, _ = assign_roles(self.table, self.config.data)
         plan = outline(self.table, self.config).as_dict()
+        angles = {angle.column: "degrees" if angle.degrees else "radians" for angle in roles.angles}
         units = plan["units"]
         assert isinstance(units, dict)
-        rows = some(self.table.rows, PREVIEWED)
-        columns = dict(zip(self.table.names, self.table.columns, strict=True))
         return {
             **plan,
             "read_as": describe(self.table, self.config),
@@ -82,21 +85,18 @@ class Submission:
                     "name": name,
                     "role": _role(name, roles),
                     "unit": units.get(name),
+                    "angle": angles.get(name),
                     "first": [f"{value:.6g}" for value in values[:SHOWN]],
                 }
-                for name, values in columns.items()
+                for name, values in zip(self.table.names, self.table.columns, strict=True)
             ],
-            "preview": {
-                "time": _numbers(columns[roles.time][rows]) if roles.time else [*rows],
-                "columns": {name: _numbers(values[rows]) for name, values in columns.items() if name != roles.time},
-            },
             "command": self.command(),
             "python": self.python(),
         }
 
     def command(self) -> str:
         """Return the command line that submits the same."""
-        words = ["coordinator", "submit", self.filename]
+        words = ["coordinator", "submit", *self.filenames]
         for name, value in self.options.items():
             flag = OPTIONS[name].flag
             if value is True:
@@ -109,7 +109,8 @@ class Submission:
     def python(self) -> str:
         """Return the lines of Python that submit the same."""
         given = "".join(f", {name}={value!r}" for name, value in self.options.items())
-        return f"import atoll\n\nmodel = atoll.discover({self.filename!r}{given})\nprint(model)"
+        files = repr(self.filenames[0] if len(self.filenames) == 1 else [*self.filenames])
+        return f"import atoll\n\nmodel = atoll.discover({files}{given})\nprint(model)"
 
     def prepared(self) -> dict[str, Any]:
         """Return what is measured, smoothed and differentiated, with standard errors; takes seconds."""
@@ -117,20 +118,22 @@ class Submission:
 
 
 def preview_of(preparation: Preparation) -> dict[str, Any]:
-    """Return the curves of the first trajectory of a preparation, decimated; none where nothing was differentiated.
+    """Return the curves of the first trajectories of a preparation, decimated; none where nothing was differentiated.
 
     `sigma` and `derivative_sigma` are standard errors: of one measurement, and of the derivative, None where unknown.
     """
-    recording = preparation.recording
-    if recording is None:
-        return {"time": [], "states": []}
-    trajectory = recording.trajectories[0]
+    recording, source = preparation.recording, preparation.source
+    trajectories = recording.trajectories[:TRAJECTORIES] if recording is not None else ()
+    curves = [_curves(recording, trajectory) for trajectory in trajectories if recording is not None]
+    return {"time_name": source.time if source is not None else None, "trajectories": curves}
+
+
+def _curves(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
     rows = some(len(trajectory.times), PREVIEWED)
     rates = trajectory.rates if trajectory.rates is not None else trajectory.slopes
     errors = trajectory.rate_errors if trajectory.rate_errors is not None else np.full_like(rates, np.nan)
     return {
-        "trajectory": trajectory.name,
-        "time_name": preparation.source.time if preparation.source is not None else None,
+        "name": trajectory.name,
         "time": _numbers(trajectory.times[rows] + recording.offset),
         "states": [
             {
@@ -180,6 +183,14 @@ def _options(text: str) -> dict[str, Any]:
         if not all(isinstance(part, (str, bool, int, float)) for part in texts):
             raise UsageError("the option %s must be a text, true, or a list of texts", name)
     return {name: value for name, value in given.items() if value not in (False, "", [])}
+
+
+def _plain(name: str) -> str:
+    """Return the name of a file without folders; raises UsageError where that is none."""
+    plain = PurePath(name.replace("\\", "/")).name
+    if not plain or plain in (".", "..") or len(plain.encode()) > 200 or not plain.isprintable():
+        raise UsageError("the name of a file must be printable and have at most 200 bytes, such as data.csv")
+    return plain
 
 
 def _role(name: str, roles: Roles) -> str:

@@ -137,7 +137,7 @@ class JobPage {
   #card(variable) {
     if (!this.#cards.has(variable)) {
       if (!this.#cards.size) this.equations.replaceChildren();
-      const card = new EquationCard(variable);
+      const card = new EquationCard(variable, (index) => this.outcome.choose(variable, index));
       this.#cards.set(variable, card);
       this.equations.append(card.box);
     }

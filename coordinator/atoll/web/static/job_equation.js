@@ -12,8 +12,8 @@ const WHY = {
 
 export class EquationCard {
   #equation = null; #chosen = null;
-  constructor(variable) {
-    this.variable = variable;
+  constructor(variable, pick) {
+    Object.assign(this, { variable, pick });
     this.draw = framed(() => this.#draw());
     this.#build();
   }
@@ -72,7 +72,7 @@ export class EquationCard {
     return wanted.find((index) => index >= 0) ?? points.length - 1;
   }
 
-  #choose(index) { this.#chosen = this.#points[index]?.complexity ?? null; this.draw(); }
+  #choose(index) { this.#chosen = this.#points[index]?.complexity ?? null; this.pick(index); this.draw(); }
 
   #draw() {
     const { lhs, expression, mathml, convergence, plateau } = this.#equation;
@@ -92,8 +92,9 @@ export class EquationCard {
   }
 
   #drawPicked(point) {
-    setText(this.picked, point ? `complexity ${point.complexity} · error ${number(errorOf(point), 4)}` : "");
-    redraw(this.pickedFormula, point?.mathml ?? point?.expression, () => (point ? formula(point.mathml, point.expression) : []));
+    const isChosen = this.#chosen !== null && point; // else it is the equation above
+    setText(this.picked, isChosen ? `chosen: complexity ${point.complexity} · error ${number(errorOf(point), 4)}` : "");
+    redraw(this.pickedFormula, isChosen ? point.mathml ?? point.expression : "", () => (isChosen ? formula(point.mathml, point.expression) : []));
   }
 
   #drawTable() {

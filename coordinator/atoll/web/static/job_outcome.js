@@ -4,15 +4,17 @@ import { check, get, getText, paths, send } from "./api.js";
 import { LinesChart, PhaseChart, cycled, legend, sparse } from "./charts.js";
 import { HAS_RESULT, plural } from "./format.js";
 import { announce, download, h, setText, show } from "./dom.js";
+import { Paced } from "./poll.js";
 
 const ASK_AGAIN = 1000;
 const EMPTY_PAGE = "<!doctype html><meta charset=utf-8><title>Report</title><p>A worker makes the report…</p>";
 const ENDINGS = { python: "py", c: "c", julia: "jl", matlab: "m", modelica: "mo", sbml: "xml", petab: "txt", xppaut: "ode", latex: "tex", sympy: "py", csv: "csv", json: "json" };
 
 export class Outcome {
-  #state = null; #charts = []; #isClosed = false;
+  #state = null; #charts = []; #isClosed = false; #picks = {};
   constructor(id) {
     this.id = id;
+    this.pace = new Paced(() => this.#load());
     this.tasks = h("p", { class: "faint" });
     this.refining = h("div", { class: "refining", hidden: true }, h("p", {}, "Refining: constants are fitted to the whole trajectories, candidates are compared, errors are estimated."),
       h("progress", { "aria-label": "Refining" }), this.tasks);
@@ -20,23 +22,35 @@ export class Outcome {
     this.reportSaid = h("span", { class: "faint", role: "status" });
     this.files = h("span", { class: "bar" });
     this.charts = h("div", { class: "pair" });
-    this.done = h("div", { hidden: true }, h("div", { class: "bar" }, this.report, this.reportSaid), h("p", { class: "label" }, "Take along"), this.files, this.charts);
+    this.label = h("p", { class: "label" }, "Take along");
+    this.done = h("div", { hidden: true }, h("div", { class: "bar" }, this.report, this.reportSaid), this.label, this.files, this.charts);
     this.box = h("section", { "aria-label": "Outcome", hidden: true }, h("h2", {}, "Outcome"), this.refining, this.done);
   }
 
   update(job) {
     setText(this.tasks, (job.tasks ?? []).map(taskText).join(" "));
+    this.isWhole = (job.variables ?? []).every((variable) => variable.expression);
     if (job.state === this.#state) return;
     this.#state = job.state;
-    const isDone = HAS_RESULT.includes(job.state);
-    show(this.refining, job.state === "refining");
-    show(this.done, isDone);
-    show(this.box, isDone || job.state === "refining");
-    if (isDone) this.#load((job.variables ?? []).every((variable) => variable.expression));
+    if (HAS_RESULT.includes(job.state)) this.pace.now();
+    this.#show();
   }
 
-  async #load(isWhole) {
-    const [exports, simulation] = await Promise.allSettled([get(paths.of(this.id, "exports")), isWhole ? get(paths.of(this.id, "simulation")) : null]);
+  /** Exports and simulation are of the equation that was chosen of a front, also while the job runs. */
+  choose(variable, index) { this.#picks[variable] = index; this.pace.soon(); this.#show(); }
+  get #query() { return { pick: Object.entries(this.#picks).map((pair) => pair.join("=")) }; }
+  #show() {
+    const isDone = HAS_RESULT.includes(this.#state);
+    const isChosen = Object.keys(this.#picks).length > 0;
+    setText(this.label, isChosen ? "Take along, with the chosen equations" : "Take along");
+    show(this.refining, this.#state === "refining");
+    show(this.report, isDone);
+    show(this.done, isDone || isChosen);
+    show(this.box, isDone || isChosen || this.#state === "refining");
+  }
+
+  async #load() {
+    const [exports, simulation] = await Promise.allSettled([get(paths.of(this.id, "exports")), this.isWhole ? get(paths.of(this.id, "simulation"), this.#query) : null]);
     if (this.#isClosed) return;
     const files = (exports.value?.formats ?? []).map((format) => [format, `exports/${format}`, ENDINGS[format] ?? "txt"]);
     this.files.replaceChildren(...[["result.json", "result", "json"], ...files].map(([name, what, ending]) =>
@@ -53,7 +67,7 @@ export class Outcome {
 
   async #download(what, name) {
     try {
-      download(name, await getText(paths.of(this.id, what)));
+      download(name, await getText(paths.of(this.id, what), this.#query));
     } catch (error) { setText(this.reportSaid, error.message); }
   }
 
@@ -132,7 +146,7 @@ export class Outcome {
     }
   }
 
-  close() { this.#isClosed = true; this.#charts.forEach((chart) => chart.close()); }
+  close() { this.#isClosed = true; this.pace.close(); this.#charts.forEach((chart) => chart.close()); }
 }
 
 /** A page that we open has our strict policy, under which styles in its text do not count: they become style sheets. */

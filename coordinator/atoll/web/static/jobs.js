@@ -70,7 +70,7 @@ class Jobs {
   }
   /** An empty service says what to do next. */
   #welcome() {
-    const file = h("input", { type: "file", class: "unseen", id: "first-file", onchange: () => this.#take(file.files[0]) });
+    const file = h("input", { type: "file", class: "unseen", id: "first-file", multiple: true, onchange: () => this.#take([...file.files]) });
     return h("section", { class: "welcome", hidden: true },
       h("h2", {}, "No jobs yet"),
       h("ol", {},
@@ -81,7 +81,7 @@ class Jobs {
         h("li", {}, "No data at hand? ", h("a", { class: "button", href: "#/new?demo=yes" }, "Try the demo data"))));
   }
 
-  #take(file) { this.app.dropped = file; location.hash = "#/new"; }
+  #take(files) { this.app.dropped = files; location.hash = "#/new"; }
   again() { return this.#load(null); }
 
   async #load(cursor) {

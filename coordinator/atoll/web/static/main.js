@@ -100,7 +100,7 @@ function acceptFiles() {
     document.body.classList.remove("dropping");
     if (!holdsFile(event)) return;
     event.preventDefault();
-    app.dropped = event.dataTransfer.files[0];
+    app.dropped = [...event.dataTransfer.files];
     if (current?.take) current.take(app.dropped);
     else location.hash = "#/new";
   });

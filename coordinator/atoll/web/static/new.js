@@ -19,7 +19,7 @@ export default function open(root, { parameters }, app) { return new NewJob(root
 
 class NewJob {
   #options = {};
-  #fields = new Map(); #charts = []; #file = null; #from = null; #columns = []; #asked = null; #timer = null;
+  #fields = new Map(); #charts = []; #files = null; #from = null; #columns = []; #asked = null; #timer = null;
   constructor(root, parameters, app) {
     this.app = app;
     this.#build(root);
@@ -27,7 +27,7 @@ class NewJob {
   }
 
   #build(root) {
-    const file = h("input", { type: "file", id: "file", onchange: () => this.take(file.files[0]) });
+    const file = h("input", { type: "file", id: "file", multiple: true, onchange: () => this.take([...file.files]) });
     const demo = h("button", { type: "button", onclick: () => this.#takeDemo() }, "Use the demo data");
     this.hint = h("p", { class: "lines", role: "status" });
     [this.unread, this.fault] = [faultBox(), faultBox()];
@@ -58,20 +58,20 @@ class NewJob {
     this.app.dropped = null;
   }
 
-  take(file) {
-    if (!file) return;
-    [this.#file, this.#from] = [file, null];
+  take(files) {
+    if (!files.length) return;
+    [this.#files, this.#from] = [files, null];
     this.#columns = [];
     redraw(this.outline, null, () => []);
-    this.name.placeholder = file.name;
-    setText(this.hint, `${file.name} is read…`);
+    this.name.placeholder = files[0].name;
+    setText(this.hint, `${this.#source} is read…`);
     this.#ask();
   }
 
   async #takeDemo() {
     try {
       const { filename, text } = await get("demo");
-      this.take(new File([text], filename, { type: "text/csv" }));
+      this.take([new File([text], filename, { type: "text/csv" })]);
     } catch (error) { this.fault.say(error.message); }
   }
   /** Takes over data and options of another job, and its equations to begin from. */
@@ -133,29 +133,33 @@ class NewJob {
   }
 
   #askSoon() { clearTimeout(this.#timer); this.#timer = setTimeout(() => this.#ask(), SETTLE); }
-  get #query() { return { ...(this.#file ? { filename: this.#file.name } : { of: this.#from.job }), options: JSON.stringify(this.#options) }; }
-  get #source() { return this.#file?.name ?? this.#from.name; }
+  get #query() {
+    const data = this.#files ? { filename: this.#files.map(({ name }) => name), bytes: this.#files.map(({ size }) => size) } : { of: this.#from.job };
+    return { ...data, options: JSON.stringify(this.#options) };
+  }
+  get #body() { return this.#files && new Blob(this.#files); }
+  get #source() { return this.#files?.map(({ name }) => name).join(", ") ?? this.#from.name; }
   /** Asks how the data are read with these options, then how they look smoothed. */
   async #ask() {
-    if (!this.#file && !this.#from) return;
+    if (!this.#files && !this.#from) return;
     this.#asked?.abort();
     const { signal } = (this.#asked = new AbortController());
     this.unread.say();
     try {
-      this.#drawOutline(await upload("outline", this.#file, this.#query, signal));
+      this.#drawOutline(await upload("outline", this.#body, this.#query, signal));
       this.send.disabled = !session.may_write;
       this.fault.say();
-      this.#drawPreview(await upload("preview", this.#file, this.#query, signal));
+      this.#drawPreview(await upload("preview", this.#body, this.#query, signal));
     } catch (error) {
       if (error.name === "AbortError") return;
       setText(this.hint, `${this.#source} cannot be read like this.`);
       this.unread.say(error.message);
-      if (this.#file) await this.#guessColumns();
+      if (this.#files) await this.#guessColumns();
     }
   }
   /** What cannot be read yet, as there is no time, still has names in its first line, of which one can be chosen. */
   async #guessColumns() {
-    const [line] = (await this.#file.slice(0, HEAD).text()).split(/\r?\n/);
+    const [line] = (await this.#files[0].slice(0, HEAD).text()).split(/\r?\n/);
     const names = line.split(/[,;\t]/).map((name) => name.trim().replace(/^"(.*)"$/, "$1"));
     const isText = names.length > 1 && names.every((name) => name && !/[\0-\x1f\ufffd]/.test(name));
     if (!this.#columns.length && isText) this.#drawColumns({ columns: names.map((name) => ({ name, role: "state", first: [] })), equations: [] });
@@ -173,17 +177,19 @@ class NewJob {
     const key = JSON.stringify([columns.map(({ name, role }) => [name, role]), equations]);
     const focused = document.activeElement?.id ?? ""; // the table is drawn anew under the hands of whoever changes it
     redraw(this.outline, key, () => this.#columnParts(columns, equations));
-    if (/^(role|unit)-/.test(focused)) document.getElementById(focused)?.focus();
+    if (/^(role|unit|angle)-/.test(focused)) document.getElementById(focused)?.focus();
   }
 
   #columnParts(columns, equations) {
-    const heads = ["Column", "Role", "Unit", "First values"].map((head) => h("th", { scope: "col" }, head));
+    const heads = ["Column", "Role", "Unit", "Angle", "First values"].map((head) => h("th", { scope: "col" }, head));
     const rows = columns.map((column, index) => {
       const roles = ROLES.includes(column.role) ? ROLES : [...ROLES, column.role];
       const role = h("select", { id: `role-${index}`, "aria-label": `Role of ${column.name}`, onchange: () => this.#setRoles(columns) }, roles.map((name) => h("option", {}, name)));
       role.value = column.role;
-      const unit = h("input", { id: `unit-${index}`, size: "8", value: column.unit ?? "", "aria-label": `Unit of ${column.name}`, onchange: () => this.#setUnits(columns) });
-      return h("tr", {}, h("th", { scope: "row" }, column.name), h("td", { "data-head": "Role" }, role), h("td", { "data-head": "Unit" }, unit),
+      const unit = h("input", { id: `unit-${index}`, size: "8", value: column.unit ?? "", "aria-label": `Unit of ${column.name}`, onchange: () => this.#collect("unit", columns, (name, text) => `${name}=${text}`) });
+      const angle = h("select", { id: `angle-${index}`, "aria-label": `Whether ${column.name} is an angle`, onchange: () => this.#collect("angle", columns, (name, text) => (text === "degrees" ? `${name}:deg` : name)) }, ["", "radians", "degrees"].map((name) => h("option", { value: name }, name || "no")));
+      angle.value = column.angle ?? "";
+      return h("tr", {}, h("th", { scope: "row" }, column.name), h("td", { "data-head": "Role" }, role), h("td", { "data-head": "Unit" }, unit), h("td", { "data-head": "Angle" }, angle),
         h("td", { class: "numbers", "data-head": "First values" }, column.first.join(", ")));
     });
     const sought = equations.map((equation) => [equation.lhs, equation.known ? `given: ${equation.known}` : `of ${[equation.variables].flat().join(", ")}${equation.guesses?.length ? `, beginning from ${[equation.guesses].flat().join("; ")}` : ""}`]);
@@ -197,17 +203,24 @@ class NewJob {
     for (const [role, option] of Object.entries(OPTION_OF)) this.#put(option, named[role].map(quoted).join(","));
   }
 
-  #setUnits(columns) {
-    const units = columns.map((column, index) => [column.name, document.getElementById(`unit-${index}`).value.trim()]);
-    this.#put("unit", units.filter(([, unit]) => unit).map(([name, unit]) => `${name}=${unit}`));
+  #collect(option, columns, say) {
+    const given = columns.map(({ name }, index) => [name, document.getElementById(`${option}-${index}`).value.trim()]);
+    this.#put(option, given.filter(([, text]) => text).map(([name, text]) => say(name, text)));
   }
 
   #put(name, value) { this.#fields.get(name)?.show(value); this.#set(name, value); }
 
-  #drawPreview({ time, states }) {
+  #drawPreview({ time_name: label, trajectories }) {
+    const choice = h("select", { onchange: () => this.#drawTrajectory(label ?? "time", trajectories[choice.value]) }, trajectories.map(({ name }, index) => h("option", { value: index }, name)));
+    this.pictures = h("div", { class: "pair" });
+    this.preview.replaceChildren(trajectories.length > 1 ? h("label", {}, "Trajectory ", choice) : "",
+      legend([["c1", "measured"], ["c0", "smoothed, ± 2 standard errors"], ["c2", "derivative, ± 2 standard errors"]]), this.pictures);
+    show(this.seen, trajectories.length > 0);
+    if (trajectories.length) this.#drawTrajectory(label ?? "time", trajectories[0]);
+  }
+
+  #drawTrajectory(label, { time: xs, states }) {
     this.#charts.forEach((chart) => chart.close());
-    const isSorted = time.every((moment, index) => index === 0 || moment > time[index - 1]);
-    const [xs, label] = isSorted ? [time, "time"] : [time.map((_, index) => index), "row"]; // several trajectories begin anew
     const shift = (value, sigma) => (value === null || sigma === null ? null : value + 2 * sigma);
     const band = (values, sigma) => (sigma === null ? null : [-1, 1].map((side) => values.map((value, i) => shift(value, side * (sigma[i] ?? sigma)))));
     const pictures = states.slice(0, MOST_CHARTS).flatMap((state) => {
@@ -217,17 +230,16 @@ class NewJob {
       this.#charts.push(curve, slope);
       return [curve.box, slope.box];
     });
-    this.preview.replaceChildren(legend([["c1", "measured"], ["c0", "smoothed, ± 2 standard errors"], ["c2", "derivative, ± 2 standard errors"]]), h("div", { class: "pair" }, pictures));
-    show(this.seen, true);
+    this.pictures.replaceChildren(...pictures);
   }
 
   async #submit(event) {
     event.preventDefault();
-    if (!this.#file && !this.#from) return;
+    if (!this.#files && !this.#from) return;
     this.send.disabled = true;
     try {
       const more = { name: this.name.value, priority: this.priority.value, shared: String(this.shared.checked) };
-      const job = await upload("jobs", this.#file, { ...this.#query, ...more });
+      const job = await upload("jobs", this.#body, { ...this.#query, ...more });
       announce("The job is submitted.");
       location.hash = `#/jobs/${encodeURIComponent(job.job)}`;
     } catch (error) { this.fault.say(error.message); this.send.disabled = false; }

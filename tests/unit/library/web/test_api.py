@@ -94,8 +94,8 @@ def test_a_file_is_submitted_with_options_under_an_id_of_ones_own(app, client) -
         ({"options": '{"sead": "1"}'}, CSV, "sead is no option"),
         ({"options": '{"seed": "x"}'}, CSV, "must be a whole number"),
         ({"options": '{"seed": {}}'}, CSV, "must be a text"),
-        ({"filename": "../.."}, CSV, "name of the file"),
-        ({"filename": "a\nb"}, CSV, "name of the file"),
+        ({"filename": "../.."}, CSV, "name of a file"),
+        ({"filename": "a\nb"}, CSV, "name of a file"),
         ({"id": "no id"}, CSV, "an id has"),
         ({"priority": "11"}, CSV, "from -10 to 10"),
         ({"shared": "yes"}, CSV, "true or false"),
@@ -133,7 +133,27 @@ def test_an_outline_says_how_a_file_is_read_and_what_the_command_would_be(app) -
     assert made["equations"][0]["lhs"] == "dx/dt"
     assert made["command"] == "coordinator submit d.csv --seed 3 --robust"
     assert "atoll.discover('d.csv', seed='3', robust=True)" in made["python"]
-    assert len(made["preview"]["columns"]["x"]) == 30
+    assert made["columns"][1]["angle"] is None
+    turned = wrote(app, "POST", "/outline", CSV, filename="d.csv", options='{"angle": ["x:deg"]}').json
+    assert turned["columns"][1]["angle"] == "degrees"
+
+
+def test_several_files_are_one_table(app, client) -> None:
+    sizes = [str(len(CSV))] * 2
+    made = wrote(app, "POST", "/outline", CSV + CSV, filename=["a.csv", "b.csv"], bytes=sizes).json
+    assert made["files"] == ["a.csv", "b.csv"]
+    assert made["command"] == "coordinator submit a.csv b.csv"
+    assert "discover(['a.csv', 'b.csv'])" in made["python"]
+    drawn = wrote(app, "POST", "/preview", CSV + CSV, filename=["a.csv", "b.csv"], bytes=sizes).json
+    assert [trajectory["name"] for trajectory in drawn["trajectories"]] == ["1", "2"]
+    for names, wrong in (
+        (["a.csv", "b.csv"], []), (["a.csv", "b.csv"], ["1", "1"]), (["a.csv", "a.csv"], sizes), (["a.csv"], ["x"]),
+        (["a.csv", "b.csv"], ["-1", str(2 * len(CSV) + 1)]), (["a.csv", "b.csv"], ["9" * 5000, "1"]),
+    ):  # fmt: skip
+        refused = wrote(app, "POST", "/jobs", CSV + CSV, filename=names, bytes=wrong)
+        assert (refused.status, "add up" in refused.json["detail"]) == (422, True)
+    same = wrote(app, "POST", "/jobs", CSV + CSV, filename=["x/a.csv", "y/a.csv"], bytes=sizes)
+    assert (same.status, client.calls) == (422, [])
 
 
 def test_the_data_of_a_job_are_taken_again_for_another(app, client) -> None:
@@ -150,8 +170,10 @@ def test_the_data_of_a_job_are_taken_again_for_another(app, client) -> None:
 
 def test_a_preview_has_smoothed_curves_and_derivatives_with_errors(app) -> None:
     made = wrote(app, "POST", "/preview", CSV, filename="d.csv").json
-    (state,) = made["states"]
-    assert len(made["time"]) == len(state["smoothed"]) == len(state["derivative_sigma"]) == 30
+    (drawn,) = made["trajectories"]
+    (state,) = drawn["states"]
+    assert made["time_name"] == "t"
+    assert len(drawn["time"]) == len(state["smoothed"]) == len(state["derivative_sigma"]) == 30
     assert state["derivative"][15] == pytest.approx(0.9**15 * -0.10536, rel=0.05)
 
 
