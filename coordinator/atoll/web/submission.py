@@ -1,21 +1,17 @@
-"""A file and options as a page sends them: read, outlined, prepared for a look, made into a job.
+"""A file and options as a page sends them: read, outlined, prepared for a look. Only `reading_process` does that."""
 
-A file is a body of bytes under the name that it had; options are those of the command line by name.
-"""
-
-import json
 import shlex
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from atoll.client.configure import configure
-from atoll.client.options import GROUPS, OPTIONS, Repeated
+from atoll.client.options import OPTIONS
+from atoll.web.options import configured
 from atoll.web.progress import some
+from atoll.web.reading import TABLE
 from atoll_coordinator.data.outline import outline
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
@@ -24,13 +20,12 @@ from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
-from atoll_core.errors import UsageError
-
-TABLE: Final = "application/vnd.atoll.table"
-"""Content of a table that was read already, as clients of the bus upload it."""
 
 PREVIEWED: Final = 500
 """Rows that are drawn of a table at most."""
+
+VALUES: Final = 50_000
+"""Values that are drawn of a table at most: so many rows of a hundred columns, about a megabyte."""
 
 SHOWN: Final = 5
 
@@ -45,26 +40,18 @@ class Submission:
     options: Mapping[str, Any]
 
     @classmethod
-    def of(cls, filename: str, body: bytes, options: str, media_type: str = "") -> "Submission":
-        """Return what was sent.
+    def of(cls, path: Path, options: str, media_type: str = "") -> "Submission":
+        """Return what was sent, as the file at `path`, whose name says how it is read.
 
         Raises:
-            UsageError: an option is unknown or does not fit; the name of the file is none.
+            UsageError: an option is unknown or does not fit.
             DataError: the file cannot be read.
         """
-        given = _options(options)
-        values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
-        config = configure(values)
-        if media_type == TABLE:
-            table = Table.from_bytes(body)
-            return cls(table.files[0] if table.files else filename, table, config, given)
-        name = PurePath(filename.replace("\\", "/")).name
-        if not name or name in (".", "..") or len(name.encode()) > 200 or not name.isprintable():
-            raise UsageError("the name of the file must be printable and have at most 200 bytes, such as data.csv")
-        with tempfile.TemporaryDirectory(prefix="atoll-web-") as folder:
-            path = Path(folder) / name
-            path.write_bytes(body)
-            return cls(name, read_table([path], config.data), config, given)
+        given, config = configured(options)
+        if media_type != TABLE:
+            return cls(path.name, read_table([path], config.data), config, given)
+        table = Table.from_bytes(path.read_bytes())
+        return cls(table.files[0], table, config, given)
 
     def outlined(self) -> dict[str, Any]:
         """Return how the file was read and what would be searched, as plain data."""
@@ -72,7 +59,7 @@ class Submission:
         plan = outline(self.table, self.config).as_dict()
         units = plan["units"]
         assert isinstance(units, dict)
-        rows = some(self.table.rows, PREVIEWED)
+        rows = some(self.table.rows, max(SHOWN, min(PREVIEWED, VALUES // max(1, len(self.table.names)))))
         columns = dict(zip(self.table.names, self.table.columns, strict=True))
         return {
             **plan,
@@ -144,42 +131,6 @@ def preview_of(preparation: Preparation) -> dict[str, Any]:
             for place, name in enumerate(recording.states)
         ],
     }
-
-
-def options_by_heading() -> dict[str, Any]:
-    """Return the options of a job with their help, by heading."""
-    return {
-        "groups": {
-            heading: [
-                {
-                    "name": option.name,
-                    "flag": option.flag,
-                    "metavar": option.metavar,
-                    "help": option.help,
-                    "is_repeatable": option.is_repeatable,
-                }
-                for option in options
-            ]
-            for heading, options in GROUPS.items()
-        }
-    }
-
-
-def _options(text: str) -> dict[str, Any]:
-    """Return options by name; raises UsageError."""
-    try:
-        given = json.loads(text or "{}")
-    except (ValueError, RecursionError):
-        raise UsageError('options must be a JSON object, such as {"seed": "3"}') from None
-    if not isinstance(given, dict):
-        raise UsageError('options must be a JSON object, such as {"seed": "3"}')
-    for name, value in given.items():
-        if name not in OPTIONS:
-            raise UsageError("%s is no option of a job", name[:64])
-        texts = value if isinstance(value, list) else [value]
-        if not all(isinstance(part, (str, bool, int, float)) for part in texts):
-            raise UsageError("the option %s must be a text, true, or a list of texts", name)
-    return {name: value for name, value in given.items() if value not in (False, "", [])}
 
 
 def _role(name: str, roles: Roles) -> str:
