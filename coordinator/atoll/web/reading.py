@@ -90,10 +90,15 @@ class Readers:
     """Has files read, a few at a time, by a process that is started anew where it has died."""
 
     def __init__(self, limits: Limits | None = None) -> None:
-        self._limits = limits or Limits()
+        self.limits = limits or Limits()
         self._slots = asyncio.Semaphore(READERS)
         self._process: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """The number of the process, if there is one."""
+        return None if self._process is None else self._process.pid
 
     async def read(self, file: Path, options: str, media_type: str, made: str) -> Path:
         """Return the file in which is what is made of a file, beside the folder of that; see `Asked`.
@@ -101,7 +106,7 @@ class Readers:
         Raises HTTPException: the file or the options are refused, or reading takes more than it may.
         """
         answer = file.parent.parent / "answer"
-        asked = Asked(str(file), str(answer), made, options, media_type, self._limits)
+        asked = Asked(str(file), str(answer), made, options, media_type, self.limits)
         async with self._slots:
             code = await self._asked(asked.to_line())
         if code == REFUSED:
@@ -109,7 +114,7 @@ class Readers:
         if code is None:
             raise HTTPException(503, "files cannot be read at the moment; ask again", {"retry-after": "1"})
         if code:
-            raise HTTPException(*self._limits.of_code(code, file.name))
+            raise HTTPException(*self.limits.of_code(code, file.name))
         return answer
 
     async def _asked(self, line: bytes) -> int | None:

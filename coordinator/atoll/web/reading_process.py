@@ -5,6 +5,7 @@ socket comes one descriptor for each file: a socket with a line of JSON, on whic
 file does to the fork (memory, time, a crash in a library), nothing else notices.
 """
 
+import importlib
 import json
 import os
 import resource
@@ -68,7 +69,13 @@ def main() -> None:
 
 
 def _load_ahead() -> None:
-    """Load what reading and smoothing need, kernels too; what is broken here breaks again where it is answered."""
+    """Load what reading and smoothing need, kernels too; what is broken here breaks again where it is answered.
+
+    Not polars, which starts threads: they would be missing after a fork.
+    """
+    for name in ("openpyxl", "h5py"):
+        with suppress(Exception):
+            importlib.import_module(name)
     with suppress(Exception):
         path = files("atoll.web").joinpath("static/predator_prey.csv")
         Submission.of(Path(str(path)), "{}").prepared()
