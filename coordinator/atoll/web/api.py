@@ -29,8 +29,9 @@ from atoll.export.formats import LANGUAGES, OF_RESULTS, written
 from atoll.model.model import Model
 from atoll.tasks.analyses import FUNCTIONS, Report, answered
 from atoll.web.access import gateway_of
+from atoll.web.connections import most_connections
 from atoll.web.feed import MAX_LISTENERS, Feed
-from atoll.web.gateway import Gateway
+from atoll.web.gateway import BusyError, Gateway
 from atoll.web.options import configured, name_of_file, options_by_heading
 from atoll.web.progress import progress, some
 from atoll.web.reading import MAX_BODY, TABLE, Readers
@@ -317,7 +318,8 @@ class Api:
         feed = self._feeds.get(gateway)
         if feed is None:
             feed = self._feeds[gateway] = Feed(gateway, lambda job: self._results.pop((gateway, job), None))
-        if feed.listeners >= MAX_LISTENERS:
+        left = min(MAX_LISTENERS, most_connections() // 2) - sum(feed.listeners for feed in self._feeds.values())
+        if feed.listeners >= left:  # one user leaves others as many as he has
             raise HTTPException(503, "too many pages listen already; ask for the status now and then instead")
         told = feed.listen(None if "all" in jobs else jobs, int(last) if last is not None else None)
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
@@ -597,6 +599,6 @@ def _resource(name: str) -> str:
 
 async def _until_broken(told: AsyncIterator[str]) -> AsyncIterator[str]:
     """End a stream where the coordinator cannot be asked: the page connects again."""
-    with contextlib.suppress(AtollError):
+    with contextlib.suppress(AtollError, BusyError):
         async for part in told:
             yield part
