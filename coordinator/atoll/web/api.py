@@ -4,13 +4,15 @@ import asyncio
 import contextlib
 import gzip
 import hashlib
-import itertools
 import json
+import tempfile
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -28,10 +30,12 @@ from atoll.model.model import Model
 from atoll.tasks.analyses import FUNCTIONS, Report, answered
 from atoll.text.render import parse_picks, pick
 from atoll.web.access import gateway_of
+from atoll.web.connections import most_connections
 from atoll.web.feed import MAX_LISTENERS, Feed
-from atoll.web.gateway import Gateway
+from atoll.web.gateway import BusyError, Gateway
+from atoll.web.options import configured, options_by_heading, sizes_by_name
 from atoll.web.progress import progress, some
-from atoll.web.submission import TABLE, Submission, options_by_heading
+from atoll.web.reading import MAX_BODY, TABLE, Readers, parted
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, RemoteProtocolError, UnreachableError
@@ -43,14 +47,15 @@ from atoll_core.wire.messages.views import JobView, WorkerService
 from atoll_core.wire.topics import is_id
 from atoll_core.wire.values import encode_value
 
-MAX_BODY: Final = 256 * 1024**2
-"""Bytes of a file that is sent; larger ones are submitted on the command line."""
-
-MAX_BODIES: Final = 2
-"""Bodies that are read or worked on at the same time; others wait."""
-
 BODY_LIMIT_S: Final = 300.0
 """How long a body may take to come."""
+
+PATIENCE_S: Final = 20.0
+SLOWEST: Final = 32_000
+"""A body that has come more slowly than so many bytes a second (a poor mobile network) for so long is cut off."""
+
+MAX_COMING: Final = 8
+"""Files that one user sends at a time, of which each takes room on the disk: a few pages and a program."""
 
 RESULT_S: Final = 1.0
 """For how long at least a result is given again without asking for it: any number of pages cost one question."""
@@ -132,12 +137,12 @@ async def _fetch(gateway: Gateway, job: str) -> tuple[Result, float]:
 class Api:
     """All resources. Feeds are one for each gateway, made when somebody listens."""
 
-    def __init__(self) -> None:
+    def __init__(self, readers: Readers) -> None:
+        self._readers = readers
+        self._coming: Counter[object] = Counter()
         self._feeds: dict[object, Feed] = {}
         self._results: dict[tuple[object, str], _Fetched] = {}
         self._shown: dict[tuple[object, str], tuple[Result, asyncio.Task[_Shown]]] = {}
-        self._bodies = asyncio.Semaphore(MAX_BODIES)
-        self.requests = 0
 
     def routes(self) -> list[BaseRoute]:
         """Return the routes below ``/api/v1``."""
@@ -179,7 +184,8 @@ class Api:
         return [Route(path, handler, methods=[method]) for method, path, handler in table]
 
     async def close(self) -> None:
-        """End all streams."""
+        """End all streams, and what reads files."""
+        self._readers.close()
         for feed in self._feeds.values():
             feed.stop()
 
@@ -313,7 +319,8 @@ class Api:
         feed = self._feeds.get(gateway)
         if feed is None:
             feed = self._feeds[gateway] = Feed(gateway, lambda job: self._results.pop((gateway, job), None))
-        if feed.listeners >= MAX_LISTENERS:
+        left = min(MAX_LISTENERS, most_connections() // 2) - sum(feed.listeners for feed in self._feeds.values())
+        if feed.listeners >= left:  # one user leaves others as many as he has
             raise HTTPException(503, "too many pages listen already; ask for the status now and then instead")
         told = feed.listen(None if "all" in jobs else jobs, int(last) if last is not None else None)
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
@@ -417,11 +424,13 @@ class Api:
 
     async def outline(self, request: Request) -> Response:
         """Say how a file is read and what would be searched."""
-        return JSONResponse(await self._submission(request, Submission.outlined))
+        async with self._made(request, "outline") as answer:
+            return Response(answer.read_bytes(), media_type="application/json")
 
     async def preview(self, request: Request) -> Response:
         """Smooth and differentiate a file, for a look before anything is searched."""
-        return JSONResponse(await self._submission(request, Submission.prepared))
+        async with self._made(request, "preview") as answer:
+            return Response(answer.read_bytes(), media_type="application/json")
 
     async def submit(self, request: Request) -> Response:
         """Submit a file as a job. The same id with the same contents is the same job."""
@@ -430,28 +439,38 @@ class Api:
         if not is_id(job):
             raise HTTPException(422, "an id has 1 to 64 letters, digits, _ or -")
         priority, shared = _whole(request, "priority", 0, -10, 10) or 0, _flag(request, "shared")
-        given = await self._submission(request, lambda submission: (submission, submission.table.to_bytes()))
-        submission, table = given
-        view = await gateway_of(request).ask(
-            lambda client: client.hand_in(
-                job, name or submission.filenames[0], submission.config, table, priority, shared=shared
+        config = configured(asked.get("options", ""))[1]
+        async with self._made(request, "table") as answer:
+            name = name or answer.with_name("name").read_text("utf-8")
+            view = await gateway_of(request).ask(
+                lambda client: client.hand_in(job, name, config, answer.read_bytes(), priority, shared=shared)
             )
-        )
         return JSONResponse(to_jsonable_python(view), 201, {"location": f"jobs/{job}"})
 
-    async def _submission(self, request: Request, made: Callable[[Submission], Any]) -> Any:
-        """Return what is made of the files and the options that were sent, in a thread."""
-        asked = request.query_params
-        names, options = asked.getlist("filename") or ["data.csv"], asked.get("options", "")
-        media_type, of = request.headers.get("content-type", "").partition(";")[0], asked.get("of")
+    @contextlib.asynccontextmanager
+    async def _made(self, request: Request, made: str) -> AsyncIterator[Path]:
+        """Yield the file that has what is made of the files and the options that were sent: see `Readers.read`."""
+        asked, gateway = request.query_params, gateway_of(request)
+        sizes = sizes_by_name(asked.getlist("filename"), asked.getlist("bytes"))
+        options, of = asked.get("options", ""), asked.get("of")
+        media_type = request.headers.get("content-type", "").partition(";")[0] if of is None else TABLE
+        configured(options)  # a mistake there is said before the file has come
         if of is not None and not is_id(of):
             raise HTTPException(422, "of names a job by its id")
-        async with self._bodies:
-            body = await _body(request, MAX_BODY)
-            if of is not None:
-                body, media_type = await gateway_of(request).ask(lambda client: client.table(of)), TABLE
-            files = _parts(names, asked.getlist("bytes"), body)
-            return await run_in_threadpool(lambda: made(Submission.of(files, options, media_type)))
+        if self._coming[gateway] >= MAX_COMING:
+            raise HTTPException(503, f"{MAX_COMING} files are being sent already; send this one later", _SOON)
+        self._coming[gateway] += 1
+        try:
+            with tempfile.TemporaryDirectory(prefix="atoll-web-", ignore_cleanup_errors=True) as folder:
+                body = Path(folder, "body")
+                with body.open("wb") as file:
+                    await _receive(request, MAX_BODY, file.write)
+                if of is not None:
+                    await gateway.ask(lambda client: body.write_bytes(client.table(of)))
+                parts = await run_in_threadpool(parted, body, sizes)
+                yield await self._readers.read(parts, options, media_type, made)
+        finally:
+            self._coming[gateway] -= 1
 
     # ------------------------------------------------------------------------------ workers and coordinator
 
@@ -480,6 +499,7 @@ class Api:
         return JSONResponse({"coordinator": to_jsonable_python(view)})
 
 
+_SOON: Final = {"retry-after": "1"}
 _REPORT: Final = (FUNCTIONS[Report], encode_value(Report()))
 
 
@@ -529,34 +549,34 @@ async def _read(request: Request, kind: type[Any]) -> Any:
 
 
 async def _body(request: Request, most: int) -> bytes:
-    """Return the body, of bounded size and within a limit of time; raises HTTPException."""
+    """Return the body; raises HTTPException as `_receive` does."""
+    body = bytearray()
+    await _receive(request, most, body.extend)
+    return bytes(body)
+
+
+async def _receive(request: Request, most: int, take: Callable[[bytes], object]) -> None:
+    """Take the body, of bounded size and within limits of time; raises HTTPException."""
     told = request.headers.get("content-length", "0")
     too_large = HTTPException(413, f"a body may have {most:,} bytes at most; use coordinator submit for larger files")
     if told.isdecimal() and int(told) > most:
         raise too_large
-    body = bytearray()
+    began, received = asyncio.get_running_loop().time(), 0
     try:
-        async with asyncio.timeout(BODY_LIMIT_S):
+        async with asyncio.timeout(PATIENCE_S) as limit:
             async for chunk in request.stream():
-                body += chunk
-                if len(body) > most:
+                received += len(chunk)
+                if received > most:
                     raise too_large
+                take(chunk)
+                limit.reschedule(began + min(BODY_LIMIT_S, PATIENCE_S + received / SLOWEST))
     except TimeoutError:
-        raise HTTPException(408, f"the body did not come within {BODY_LIMIT_S:.0f} s") from None
+        sentence = (
+            f"the body came too slowly; {SLOWEST:,} bytes a second are expected, and all of it in {BODY_LIMIT_S:.0f} s"
+        )
+        raise HTTPException(408, sentence, {"connection": "close"}) from None
     except ClientDisconnect:
         raise HTTPException(400, "the body was cut off") from None
-    return bytes(body)
-
-
-def _parts(names: Sequence[str], sizes: Sequence[str], body: bytes) -> dict[str, bytes]:
-    """Return the files that are one after the other in a body, by name; raises HTTPException."""
-    sizes = sizes or ([str(len(body))] if len(names) == 1 else [])
-    ends = [0, *itertools.accumulate(int(size) if size.isdecimal() and len(size) < 16 else -1 for size in sizes)]
-    if len(sizes) != len(names) or len({*names}) != len(names) or ends[-1] != len(body) or ends != sorted(ends):
-        raise HTTPException(
-            422, "of several files each has another filename, and its bytes, which add up to those of the body"
-        )
-    return {name: body[first:end] for name, first, end in zip(names, ends, ends[1:], strict=False)}
 
 
 def _download(request: Request, text: str, name: str, media_type: str) -> Response:
@@ -586,6 +606,6 @@ def _resource(name: str) -> str:
 
 async def _until_broken(told: AsyncIterator[str]) -> AsyncIterator[str]:
     """End a stream where the coordinator cannot be asked: the page connects again."""
-    with contextlib.suppress(AtollError):
+    with contextlib.suppress(AtollError, BusyError):
         async for part in told:
             yield part

@@ -17,17 +17,21 @@ from atoll.web.access import Access, AccessMiddleware
 from atoll.web.api import Api
 from atoll.web.gateway import BusyError
 from atoll.web.problems import of_error, of_refusal, of_too_many
+from atoll.web.reading import Readers
 from atoll_core.errors import AtollError
 
 _STATIC = files("atoll.web").joinpath("static")
 
 
-def build_application(access: Access) -> Starlette:
-    """Return the application, which closes its gateways at its end."""
-    api = Api()
+def build_application(access: Access, readers: Readers | None = None) -> Starlette:
+    """Return the application, which closes its gateways and what reads files at its end."""
+    readers = readers or Readers()
+    api = Api(readers)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        with contextlib.suppress(OSError):  # whoever sends a file is told
+            readers.start()
         yield
         await api.close()
         for gateway in {*access.gateways.values(), *([access.viewer] if access.viewer is not None else [])}:

@@ -13,7 +13,7 @@ from starlette.routing import Route
 
 from atoll.client.over_http import MESSAGE
 from atoll.web.api import BODIES, Api
-from atoll.web.submission import TABLE
+from atoll.web.reading import TABLE, Readers
 from atoll_core import VERSION
 from atoll_core.wire.messages.clients import QueueDepth
 from atoll_core.wire.messages.limits import MAX_PAGE_JOBS
@@ -113,7 +113,7 @@ def describe() -> dict[str, Any]:
         "properties": {"type": _TEXT, "title": _TEXT, "status": {"type": "integer"}, "detail": _TEXT},
     }
     paths: dict[str, dict[str, Any]] = {}
-    for route in Api().routes():
+    for route in Api(Readers()).routes():
         assert isinstance(route, Route)
         method = next(iter((route.methods or set()) - {"HEAD"})).lower()
         paths.setdefault(route.path, {})[method] = _operation(route)

@@ -34,7 +34,8 @@ KEEP_ALIVE_S: Final = 10.0
 MAX_BEHIND: Final = 2_000
 """Messages that wait for a slow page; beyond it the stream ends, and the page resumes where it was."""
 
-MAX_LISTENERS: Final = 1_000
+MAX_LISTENERS: Final = 2_000
+"""Pages that listen, of all users; one user has at most half of what others leave."""
 
 PAGE: Final = 200
 """Events that are asked for at a time."""

@@ -26,10 +26,15 @@ class Problem(JSONResponse):
         super().__init__(content, status, headers)
 
 
+def status_of(error: AtollError) -> int:
+    """Return the status of an answer that has the sentence of an error."""
+    return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), 500)
+
+
 def of_error(request: Request, error: Exception) -> Response:
     """Return what is answered where an error that is meant for a person has ended a request."""
     assert isinstance(error, AtollError)
-    status = next((status for kind, status in _STATUS.items() if isinstance(error, kind)), 500)
+    status = status_of(error)
     return Problem(status, str(error), {"retry-after": "1"} if status == 503 else None)
 
 

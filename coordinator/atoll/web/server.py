@@ -12,6 +12,7 @@ import uvicorn
 
 from atoll.web.access import LOCAL_HOSTS, Access, digest_of
 from atoll.web.application import build_application
+from atoll.web.connections import WAIT_S, Connection, allow_open_files
 from atoll.web.gateway import Gateway
 from atoll_core.errors import UsageError
 from atoll_core.wire.addresses import Destination, destination
@@ -102,11 +103,17 @@ def serve(listener: Listener, access: Access, token: str, say: Callable[[str], o
     except OSError as error:
         opened.close()
         raise UsageError(f"--listen {listener.host}:{listener.port} is not possible: {error.strerror}") from error
-    config = uvicorn.Config(
-        build_application(access), log_level="warning", access_log=False, server_header=False, date_header=False,
-        timeout_graceful_shutdown=_STOP_LIMIT_S, timeout_keep_alive=30, h11_max_incomplete_event_size=64 * 1024,
-        ws="none", limit_concurrency=2_000, proxy_headers=True, forwarded_allow_ips="127.0.0.1",
-        ssl_certfile=listener.certificate, ssl_keyfile=listener.key,
-    )  # fmt: skip
+    allow_open_files()
+    config = configured(build_application(access), listener)
     say(listener.url(opened.getsockname()[1], token))
     uvicorn.Server(config).run(sockets=[opened])
+
+
+def configured(application: Any, listener: Listener) -> uvicorn.Config:
+    """Return how uvicorn answers. It logs no requests, which may hold a token, and no complaints about clients."""
+    return uvicorn.Config(
+        application, log_level="error", access_log=False, server_header=False, date_header=False,
+        timeout_graceful_shutdown=_STOP_LIMIT_S, timeout_keep_alive=int(WAIT_S), proxy_headers=False,
+        h11_max_incomplete_event_size=64 * 1024, http=Connection, ws="none",
+        ssl_certfile=listener.certificate, ssl_keyfile=listener.key,
+    )  # fmt: skip

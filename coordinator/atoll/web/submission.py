@@ -1,22 +1,17 @@
-"""Files and options as a page sends them: read, outlined, prepared for a look, made into a job.
+"""Files and options as a page sends them: read, outlined, prepared for a look. Only `reading_process` does that."""
 
-A file is bytes under the name that it had, several are one after the other; options are those of the command line by
-name.
-"""
-
-import json
 import shlex
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from atoll.client.configure import configure
-from atoll.client.options import GROUPS, OPTIONS, Repeated
+from atoll.client.options import OPTIONS
+from atoll.web.options import configured
 from atoll.web.progress import some
+from atoll.web.reading import TABLE
 from atoll_coordinator.data.outline import outline
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
@@ -25,13 +20,12 @@ from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
-from atoll_core.errors import UsageError
-
-TABLE: Final = "application/vnd.atoll.table"
-"""Content of a table that was read already, as clients of the bus upload it."""
 
 PREVIEWED: Final = 500
 """Rows that are drawn of a trajectory at most."""
+
+VALUES: Final = 50_000
+"""Values that are drawn of a table at most, about a megabyte."""
 
 SHOWN: Final = 5
 
@@ -49,26 +43,18 @@ class Submission:
     options: Mapping[str, Any]
 
     @classmethod
-    def of(cls, files: Mapping[str, bytes], options: str, media_type: str = "") -> "Submission":
-        """Return what was sent: files by name, in order.
+    def of(cls, paths: Sequence[Path], options: str, media_type: str = "") -> "Submission":
+        """Return what was sent, as files whose names say how they are read.
 
         Raises:
-            UsageError: an option is unknown or does not fit; the name of a file is none.
+            UsageError: an option is unknown or does not fit.
             DataError: a file cannot be read.
         """
-        given = _options(options)
-        values = {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
-        config = configure(values)
-        if media_type == TABLE:
-            table = Table.from_bytes(b"".join(files.values()))
-            return cls(table.files or tuple(files), table, config, given)
-        with tempfile.TemporaryDirectory(prefix="atoll-web-") as folder:
-            paths = [Path(folder) / _plain(name) for name in files]
-            if len({*paths}) < len(paths):
-                raise UsageError("two files have the same name; send them under different ones")
-            for path, body in zip(paths, files.values(), strict=True):
-                path.write_bytes(body)
+        given, config = configured(options)
+        if media_type != TABLE:
             return cls(tuple(path.name for path in paths), read_table(paths, config.data), config, given)
+        table = Table.from_bytes(paths[0].read_bytes())
+        return cls(table.files, table, config, given)
 
     def outlined(self) -> dict[str, Any]:
         """Return how the file was read and what would be searched, as plain data."""
@@ -124,12 +110,13 @@ def preview_of(preparation: Preparation) -> dict[str, Any]:
     """
     recording, source = preparation.recording, preparation.source
     trajectories = recording.trajectories[:TRAJECTORIES] if recording is not None else ()
-    curves = [_curves(recording, trajectory) for trajectory in trajectories if recording is not None]
+    most = VALUES // max(1, 3 * sum(len(trajectory.measured) for trajectory in trajectories))
+    curves = [_curves(recording, trajectory, most) for trajectory in trajectories if recording is not None]
     return {"time_name": source.time if source is not None else None, "trajectories": curves}
 
 
-def _curves(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
-    rows = some(len(trajectory.times), PREVIEWED)
+def _curves(recording: Recording, trajectory: Trajectory, most: int) -> dict[str, Any]:
+    rows = some(len(trajectory.times), max(SHOWN, min(PREVIEWED, most)))
     rates = trajectory.rates if trajectory.rates is not None else trajectory.slopes
     errors = trajectory.rate_errors if trajectory.rate_errors is not None else np.full_like(rates, np.nan)
     return {
@@ -147,50 +134,6 @@ def _curves(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
             for place, name in enumerate(recording.states)
         ],
     }
-
-
-def options_by_heading() -> dict[str, Any]:
-    """Return the options of a job with their help, by heading."""
-    return {
-        "groups": {
-            heading: [
-                {
-                    "name": option.name,
-                    "flag": option.flag,
-                    "metavar": option.metavar,
-                    "help": option.help,
-                    "is_repeatable": option.is_repeatable,
-                }
-                for option in options
-            ]
-            for heading, options in GROUPS.items()
-        }
-    }
-
-
-def _options(text: str) -> dict[str, Any]:
-    """Return options by name; raises UsageError."""
-    try:
-        given = json.loads(text or "{}")
-    except (ValueError, RecursionError):
-        raise UsageError('options must be a JSON object, such as {"seed": "3"}') from None
-    if not isinstance(given, dict):
-        raise UsageError('options must be a JSON object, such as {"seed": "3"}')
-    for name, value in given.items():
-        if name not in OPTIONS:
-            raise UsageError("%s is no option of a job", name[:64])
-        texts = value if isinstance(value, list) else [value]
-        if not all(isinstance(part, (str, bool, int, float)) for part in texts):
-            raise UsageError("the option %s must be a text, true, or a list of texts", name)
-    return {name: value for name, value in given.items() if value not in (False, "", [])}
-
-
-def _plain(name: str) -> str:
-    """Return the name of a file without folders; raises UsageError where that is none."""
-    plain = PurePath(name.replace("\\", "/")).name
-    if not plain or plain in (".", "..") or len(plain.encode()) > 200 or not plain.isprintable():
-        raise UsageError("the name of a file must be printable and have at most 200 bytes, such as data.csv")
-    return plain
 
 
 def _role(name: str, roles: Roles) -> str:

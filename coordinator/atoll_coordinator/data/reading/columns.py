@@ -1,5 +1,6 @@
 """`RawTable` -> the columns of one file: numbers, dates, and text that is set aside. Pure."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
@@ -65,7 +66,8 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
         for name, column in cells.items()
         if name not in runs and name not in dates.values and (name not in texts or name in needed)
     }
-    called = {name: dates.renamed.get(name, name) for name in names if name in {**runs, **dates.values, **plain}}
+    kept = {*runs, *dates.values, *plain}
+    called = {name: dates.renamed.get(name, name) for name in names if name in kept}
     if texts and not assigned([*called.values()], config, trajectory).equations:
         raise _nothing_left(
             file, {name: column for name, column in texts.items() if name not in dates.values}, raw.lines
@@ -110,13 +112,13 @@ def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[st
     """Return units and cells by name."""
     units: dict[str, str] = {}
     named: dict[str, list[str]] = {}
-    names = [split_unit(on_one_line(header))[0] for header in raw.headers if header]
+    counts = Counter(split_unit(on_one_line(header))[0] for header in raw.headers if header)
     units_below = raw.units or ("",) * len(raw.headers)
     for header, unit_below, cells in zip(raw.headers, units_below, raw.columns, strict=True):
         if header:
             name, unit = split_unit(on_one_line(header))
-            if names.count(name) > 1:
-                raise DataError(f"{file} has {names.count(name)} columns named '{name}'; give each column its own name")
+            if counts[name] > 1:
+                raise DataError(f"{file} has {counts[name]} columns named '{name}'; give each column its own name")
             units[name], named[name] = unit or unit_below, cells
     if not raw.lines:
         raise DataError(f"{file} has a header but no rows; rows of numbers are expected below it")

@@ -59,6 +59,8 @@ def _collected(name: str, file: Any, h5py: Any, is_matlab: bool) -> _Arrays:
             raise DataError(f"{name} was written by pandas.to_hdf; write it with to_csv or to_parquet")
         if not isinstance(item, h5py.Dataset) or _is_hidden(path, item, is_matlab):
             return
+        if item.external or item.is_virtual:  # anybody's file, named by whoever wrote this one
+            raise DataError(f"dataset '{path}' of {name} is kept in another file; write its numbers into {name}")
         values = _with_missing(item, item[()])
         parts = {field: values[field] for field in values.dtype.names} if values.dtype.names else {"": values}
         for field, part in parts.items():

@@ -1,8 +1,11 @@
 """A coordinator that a test speaks for, behind the web process."""
 
+import atexit
 from typing import Any
 
 from atoll.web.access import LOCAL_HOSTS, Access, digest_of
+from atoll.web.application import build_application
+from atoll.web.reading import Readers
 from atoll_core.errors import RefusedError, UnknownJobError, UnreachableError
 from atoll_core.wire.addresses import destination
 from atoll_core.wire.messages.clients import JobList, QueueDepth
@@ -109,3 +112,13 @@ class AtHand:
 def access(gateway: Any, *, is_shown: bool = True) -> Access:
     """Return access for one token, and without one if `is_shown`."""
     return Access({digest_of(TOKEN): gateway}, gateway if is_shown else None, LOCAL_HOSTS)
+
+
+READERS = Readers()
+"""One process reads the files of all tests; it ends with them."""
+atexit.register(READERS.close)
+
+
+def application(client: Asked, *, is_shown: bool = True) -> Any:
+    """Return the application behind which a client stands."""
+    return build_application(access(AtHand(client), is_shown=is_shown), READERS)

@@ -4,10 +4,9 @@ import pytest
 
 from atoll.client.over_http import TOKEN as VARIABLE
 from atoll.web.access import token_of
-from atoll.web.application import build_application
 from atoll_core.errors import UsageError
 from tests.http import ask
-from tests.unit.library.web.made import AUTHORIZED, Asked, AtHand, access
+from tests.unit.library.web.made import AUTHORIZED, Asked, application
 from tests.views import job_view
 
 
@@ -17,7 +16,7 @@ def client() -> Asked:
 
 
 def answered(client, method="POST", path="/api/v1/jobs/b/cancel", *, is_shown=True, **headers):
-    return ask(build_application(access(AtHand(client), is_shown=is_shown)), method, path, **headers)
+    return ask(application(client, is_shown=is_shown), method, path, **headers)
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:7480", "", "localhost.", "[::2]:7480"])

@@ -93,3 +93,22 @@ def test_arrays_of_several_lengths_without_a_time_are_refused(tmp_path: Path) ->
     np.savez(tmp_path / "a.npz", a=np.zeros(3), b=np.zeros(4))
     with pytest.raises(DataError, match=r"a\.npz holds arrays of shapes \[\(3,\), \(4,\)\]"):
         read_table([tmp_path / "a.npz"], DataConfig())
+
+
+@pytest.mark.parametrize("kind", ["external", "virtual"])
+def test_a_dataset_that_names_another_file_is_refused(kind, tmp_path: Path) -> None:
+    """Whoever wrote a file would see what whoever reads it may read."""
+    h5py = pytest.importorskip("h5py")
+    (tmp_path / "other").write_bytes(np.arange(12, dtype=np.int8).tobytes())
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = np.arange(12.0)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"] = np.arange(12.0)
+        if kind == "external":
+            file.create_dataset("x", (12,), "int8", external=[(str(tmp_path / "other"), 0, 12)])
+        else:
+            layout = h5py.VirtualLayout((12,), "f8")
+            layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "x", (12,))
+            file.create_virtual_dataset("x", layout)
+    with pytest.raises(DataError, match=r"dataset 'x' of a\.h5 is kept in another file"):
+        read_table([tmp_path / "a.h5"], DataConfig())

@@ -1,0 +1,121 @@
+"""Connections of uvicorn with limits of time and number, so that clients that are slow, or many, cost others nothing.
+
+A connection on which no whole request comes, or whose answer is not read, is closed in time. Where there are too many,
+the one goes that has waited longest for a request; where all are at work, the newest is told to come later.
+"""
+
+import asyncio
+import resource
+from typing import ClassVar, Final
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from atoll.web.problems import Problem
+
+WAIT_S: Final = 30.0
+"""How long a request may take to begin and to have all its headers, on a new connection or one that is kept."""
+
+STALLED_S: Final = 30.0
+"""How long a client may take nothing of what waits for it: at least 64 kB, and what the system keeps."""
+
+MOST: Final = 4_096
+"""Connections at most: a browser opens six for a page."""
+
+_LATE: Final = Problem(408, f"the request did not come within {WAIT_S:.0f} s; send it at once", {"connection": "close"})
+_INVALID: Final = Problem(400, "this is no request of HTTP/1.1", {"connection": "close"})
+_FULL: Final = Problem(
+    503, "too many connections are at work; come back later", {"connection": "close", "retry-after": "5"}
+)
+
+
+def most_connections() -> int:
+    """Return how many connections there may be: half of the files that may be open; the other half is for the rest."""
+    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return MOST if soft == resource.RLIM_INFINITY else min(MOST, soft // 2)
+
+
+def allow_open_files() -> None:
+    """Let this process open as many files as its connections need, where the system does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = 2 * MOST if hard == resource.RLIM_INFINITY else min(2 * MOST, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+class Connection(H11Protocol):
+    """One connection."""
+
+    idle: ClassVar[dict["Connection", None]] = {}
+    """Those that wait for a request, the longest first."""
+
+    _timer: asyncio.TimerHandle | None = None
+    _stall: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take in a new connection, and let another one go where there are too many."""
+        super().connection_made(transport)
+        if len(self.connections) > most_connections():
+            if not self.idle:
+                self._refuse(_FULL)
+                return
+            next(iter(self.idle))._end()
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        """Take in what has come."""
+        super().data_received(data)
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._wait_no_more()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request, which may be there already."""
+        self._wait()
+        super().on_response_complete()
+        if not self.cycle.response_complete:
+            self._wait_no_more()
+
+    def pause_writing(self) -> None:
+        """Have a client that takes nothing end."""
+        super().pause_writing()
+        self._stall = self.loop.call_later(STALLED_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """Go on."""
+        super().resume_writing()
+        if self._stall is not None:
+            self._stall.cancel()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        self._wait_no_more()
+        super().connection_lost(exc)
+        if self._stall is not None:
+            self._stall.cancel()
+
+    def _wait(self) -> None:
+        self._wait_no_more()
+        self.idle[self] = None
+        self._timer = self.loop.call_later(WAIT_S, self._end)
+
+    def _wait_no_more(self) -> None:
+        self.idle.pop(self, None)
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no request; where an answer is under way, nothing can be said."""
+        self._refuse(_INVALID if self.cycle is None or self.cycle.response_complete else None)
+
+    def _end(self) -> None:
+        """Close the connection, with an answer where a request has begun."""
+        self._refuse(_LATE if self.conn.trailing_data[0] else None)
+
+    def _refuse(self, problem: Problem | None) -> None:
+        self._wait_no_more()
+        if problem is not None and not self.transport.is_closing():
+            head = "".join(f"{name.decode()}: {value.decode()}\r\n" for name, value in problem.raw_headers)
+            self.transport.write(f"HTTP/1.1 {problem.status_code} \r\n{head}\r\n".encode() + bytes(problem.body))
+        self.transport.close()
+        if self._stall is None:  # what is not taken shall not keep it open
+            self._stall = self.loop.call_later(STALLED_S, self.transport.abort)

@@ -1,0 +1,161 @@
+"""The process that reads and smooths files for the web process, each file in a fork of its own, within limits.
+
+``python -m atoll.web.reading_process SOCKET`` has everything loaded, so that a fork costs milliseconds. Through the
+socket comes one descriptor for each file: a socket with a line of JSON, on which the exit code is answered. Whatever a
+file does to the fork (memory, time, a crash in a library), nothing else notices.
+"""
+
+import importlib
+import json
+import os
+import resource
+import select
+import signal
+import socket
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from importlib.resources import files
+from pathlib import Path
+from typing import Final, TypeVar
+
+from atoll.web.problems import status_of
+from atoll.web.reading import LATE, REFUSED, Asked, Limits
+from atoll.web.submission import Submission
+from atoll_core.errors import AtollError
+from atoll_core.wire.messages.limits import MAX_UPLOAD
+
+T = TypeVar("T")
+
+MAX_ANSWER: Final = 4 * 1024**2
+"""Bytes of an outline or preview: with `submission.VALUES` values, it has ten thousand columns."""
+
+
+class TooLargeError(AtollError):
+    """Raised where an answer is too large for a page."""
+
+
+def _table(submission: Submission) -> bytes:
+    return submission.table.to_bytes()
+
+
+def _json(made: Mapping[str, object]) -> bytes:
+    packed = json.dumps(made).encode()
+    if len(packed) > MAX_ANSWER:
+        raise TooLargeError("the table has too many columns to be shown; submit it, or send fewer columns")
+    return packed
+
+
+MADE: Final[Mapping[str, Callable[[Submission], bytes]]] = {
+    "table": _table,
+    "outline": lambda submission: _json(submission.outlined()),
+    "preview": lambda submission: _json(submission.prepared()),
+}
+"""What can be asked for."""
+
+
+def main() -> None:
+    """Fork for each socket that comes, until the web process is gone."""
+    control = socket.socket(fileno=int(sys.argv[1]))
+    _load_ahead()
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system takes up those that have ended
+    while True:
+        sent, descriptors, _, _ = socket.recv_fds(control, 1, 1)
+        if not sent:
+            return
+        with socket.socket(fileno=descriptors[0]) as connection, suppress(OSError):  # no further process: it is closed
+            _fork(_watch_over, connection)
+
+
+def _load_ahead() -> None:
+    """Load what reading and smoothing need, kernels too; what is broken here breaks again where it is answered.
+
+    Not polars, which starts threads: they would be missing after a fork.
+    """
+    for name in ("openpyxl", "h5py"):
+        with suppress(Exception):
+            importlib.import_module(name)
+    with suppress(Exception):
+        path = files("atoll.web").joinpath("static/predator_prey.csv")
+        Submission.of([Path(str(path))], "{}").prepared()
+
+
+def _fork(work: Callable[[T], int], given: T) -> int:
+    """Return the process id of a fork that does this work, from which nothing returns into the code of its parent."""
+    pid = os.fork()
+    if pid:
+        return pid
+    code = 1
+    try:
+        code = work(given)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(code)
+
+
+def _watch_over(connection: socket.socket) -> int:
+    """Fork once more, wait for the end of that, and tell its exit code; kill it where it is late or nobody waits."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    asked = Asked.of(connection.makefile("rb").readline())
+    ended, held = os.pipe()
+    pid = _fork(_answer, asked)
+    os.close(held)
+    with suppress(OSError):
+        os.setpgid(pid, pid)
+    is_late = not select.select([ended, connection.fileno()], [], [], asked.limits.total_s)[0]
+    for kill in (os.killpg, os.kill):  # also what it has started
+        with suppress(OSError):
+            kill(pid, signal.SIGKILL)
+    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    connection.sendall(b"%d\n" % (LATE if is_late else code))
+    return 0
+
+
+def _answer(asked: Asked) -> int:
+    """Write the answer into its file, and the name that the data have beside it; return the exit code."""
+    with suppress(OSError):
+        os.setpgid(0, 0)
+    _limit(asked.limits)
+    paths, answer, code = [Path(file) for file in asked.files], Path(asked.answer), 0
+    try:
+        submission = Submission.of(paths, asked.options, asked.media_type)
+        answer.with_name("name").write_text(submission.filenames[0], "utf-8")
+        made = MADE[asked.made](submission)
+    except BaseException as error:  # also the panics of polars
+        status, sentence = _refusal(error, ", ".join(path.name for path in paths), asked.limits)
+        made, code = json.dumps({"status_code": status, "detail": sentence}).encode(), REFUSED
+    answer.write_bytes(made)
+    return code
+
+
+def _limit(limits: Limits) -> None:
+    """Bound memory, time and files of this process; where memory runs out in the machine, it is to go first."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (limits.processor_s, limits.processor_s + 1))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_UPLOAD, MAX_UPLOAD))
+    if sys.platform == "linux":  # elsewhere address space is not counted
+        pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
+        most = pages * os.sysconf("SC_PAGE_SIZE") + limits.memory
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        Path("/proc/self/oom_score_adj").write_text("1000", "ascii")
+
+
+def _refusal(error: BaseException, name: str, limits: Limits) -> tuple[int, str]:
+    """Return status and sentence."""
+    causes, cause = [error], error
+    while (cause := cause.__cause__ or cause.__context__) is not None and len(causes) < 10:  # type: ignore[assignment]
+        causes.append(cause)
+    if any(isinstance(cause, MemoryError) for cause in causes):
+        return limits.too_much_memory(name)
+    if isinstance(error, TooLargeError):
+        return 413, str(error)
+    if isinstance(error, AtollError):
+        return status_of(error), str(error)
+    print(f"reading {name!r} broke: {type(error).__name__}: {str(error)[:500]!r}", file=sys.stderr)  # noqa: T201
+    return 422, f"{name} broke the program that reads it; save it anew, or as CSV"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,234 @@
+"""Files that are sent to do harm: each ends as a sentence, in a process of its own, and the next file is read."""
+
+import asyncio
+import io
+import os
+import pickle
+import signal
+import tempfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from atoll.web import api
+from atoll.web.access import LOCAL_HOSTS, Access, digest_of
+from atoll.web.api import MAX_COMING
+from atoll.web.application import build_application
+from atoll.web.reading import LATE, Limits, Readers
+from tests.http import LOCAL, Answer, ask, ask_async
+from tests.unit.library.web.made import AUTHORIZED, READERS, Asked, AtHand, access
+
+CSV = b"t,x\n" + b"".join(b"%d,%f\n" % (row, 0.9**row) for row in range(30))
+LITTLE = Limits(memory=32 * 10**6)
+SHORT = Limits(processor_s=1)
+BOMB = 48 * 10**6
+
+
+def zipped(**members: tuple[bytes, int]) -> bytes:
+    """Return an archive of members by name, each a beginning and how many zeros or blanks follow."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, (beginning, more) in members.items():
+            with archive.open(name, "w", force_zip64=True) as member:
+                member.write(beginning)
+                for _ in range(more // 10**6):
+                    member.write(bytes(10**6))
+    return made.getvalue()
+
+
+def header(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
+    made = io.BytesIO()
+    np.lib.format.write_array_header_2_0(made, {"descr": kind, "fortran_order": False, "shape": shape})
+    return made.getvalue()
+
+
+def bomb_npz(size: int = BOMB) -> bytes:
+    return zipped(**{"t.npy": (header((size // 8,)), size)})
+
+
+def claim_npz() -> bytes:
+    return zipped(**{"t.npy": (header((10**12,)), 0)})
+
+
+def pickle_npz() -> bytes:
+    return zipped(**{"t.npy": (header((1,), "|O") + pickle.dumps(Evil()), 0)})
+
+
+class Evil:
+    """Makes a file where somebody unpickles it."""
+
+    place = "/nowhere"
+
+    def __reduce__(self) -> tuple[Callable[[str], object], tuple[str]]:
+        return Path.touch, (Path(self.place),)  # type: ignore[return-value]
+
+
+def book(sheet: str, text: str = "") -> bytes:
+    """Return a workbook with this XML as rows of its sheet, and a text."""
+    openpyxl = pytest.importorskip("openpyxl")
+    written, made = io.BytesIO(), io.BytesIO()
+    openpyxl.Workbook().save(written)
+    main = 'xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"'
+    with zipfile.ZipFile(written) as old, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as new:
+        for name in old.namelist():
+            content = old.read(name).decode()
+            if name == "xl/worksheets/sheet1.xml":
+                content = f"<worksheet {main}><sheetData>{sheet}</sheetData></worksheet>"
+            new.writestr(name, content)
+        if text:
+            new.writestr("xl/sharedStrings.xml", f"<sst {main}><si><t>{text}</t></si></sst>")
+    return made.getvalue()
+
+
+def long_book(rows: int = 250_000) -> bytes:
+    return book("<row><c><v>1</v></c><c><v>2</v></c></row>" * rows)
+
+
+def wide_text_book(size: int = BOMB) -> bytes:
+    return book(f'<row><c t="inlineStr"><is><t>{"a" * size}</t></is></c></row>')
+
+
+def one_line(size: int = BOMB) -> bytes:
+    return b"t,x\n1," + b"2" * size
+
+
+def columns(number: int = 100_000) -> bytes:
+    return b",".join(b"c%d" % place for place in range(number)) + b"\n" + (b"1," * number)[:-1] + b"\n"
+
+
+def parquet() -> bytes:
+    import polars
+
+    made = io.BytesIO()
+    polars.DataFrame({"t": range(1000), "x": [row * row for row in range(1000)]}).write_parquet(made)
+    return made.getvalue()
+
+
+def broken_parquet() -> bytes:
+    whole = parquet()
+    half = len(whole) // 2
+    return whole[:half] + bytes(len(whole) - half - 8) + whole[-8:]
+
+
+def matlab() -> bytes:
+    import scipy.io
+
+    made = io.BytesIO()
+    scipy.io.savemat(made, {"t": np.arange(30.0), "x": 0.9 ** np.arange(30.0)})
+    return made.getvalue()
+
+
+@pytest.fixture
+def readers(monkeypatch: pytest.MonkeyPatch) -> Readers:
+    monkeypatch.setattr(READERS, "limits", Limits())
+    return READERS
+
+
+def sent(readers: Readers, name: str, body: bytes, what: str = "outline") -> Answer:
+    app = build_application(access(AtHand(Asked())), readers)
+    return ask(app, "POST", f"/api/v1/{what}", body, {"filename": name}, authorization=AUTHORIZED)
+
+
+@pytest.mark.parametrize(
+    ("name", "made", "limits", "status", "said"),
+    [
+        ("a.npz", bomb_npz, LITTLE, 413, "a.npz takes more than 32 MB"),
+        ("a.npz", claim_npz, Limits(), 413, "a.npz takes more than"),
+        ("a.npz", pickle_npz, Limits(), 422, "is not an NPZ file of plain arrays"),
+        ("a.xlsx", wide_text_book, LITTLE, 413, "a.xlsx takes more than 32 MB"),
+        ("a.xlsx", long_book, SHORT, 422, "a.xlsx takes more than 1 s of a processor"),
+        ("a.csv", one_line, LITTLE, 413, "a.csv takes more than 32 MB"),
+        ("a.csv", columns, LITTLE, 413, "a.csv takes more than 32 MB"),
+        ("a.csv", lambda: CSV, Limits(total_s=0.0), 422, "or 0 s in all"),
+        ("a.parquet", parquet, Limits(), 200, ""),
+        ("a.mat", matlab, Limits(), 200, ""),
+        ("a.parquet", broken_parquet, Limits(), 422, "is not a Parquet file that can be read"),
+        ("a.json", lambda: b"[" * 10**6, Limits(), 422, "is not valid JSON"),
+    ],
+    ids=lambda value: getattr(value, "__name__", None),
+)
+def test_a_file_that_does_harm_is_refused_in_a_sentence_and_the_next_is_read(
+    readers, name, made, limits, status, said
+) -> None:
+    readers.limits = limits
+    answer = sent(readers, name, made())
+    assert (answer.status, said in answer.json.get("detail", "")) == (status, True), answer.body[:300]
+    readers.limits = Limits()
+    assert sent(readers, "a.csv", CSV).status == 200
+
+
+def test_what_is_pickled_in_a_file_is_not_run(readers, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(Evil, "place", str(tmp_path / "was here"))
+    sent(readers, "a.npz", pickle_npz())
+    assert [*tmp_path.iterdir()] == []
+    pickle.loads(pickle.dumps(Evil()))
+    assert [*tmp_path.iterdir()] != [], "it would have shown"
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "said"),
+    [
+        (-signal.SIGKILL, 413, "more than"),
+        (-signal.SIGABRT, 413, "more than"),
+        (-signal.SIGXCPU, 422, "of a processor"),
+        (LATE, 422, "of a processor"),
+        (-signal.SIGSEGV, 422, "broke the program that reads it"),
+        (1, 422, "broke the program that reads it"),
+    ],
+)
+def test_however_a_reader_ends_a_sentence_says_it(code, status, said) -> None:
+    assert (Limits().of_code(code, "a.csv")[0], said in Limits().of_code(code, "a.csv")[1]) == (status, True)
+
+
+def test_a_process_that_has_died_is_started_anew(readers) -> None:
+    assert sent(readers, "a.csv", CSV).status == 200
+    os.kill(readers.pid, signal.SIGKILL)
+    os.waitid(os.P_PID, readers.pid, os.WEXITED | os.WNOWAIT)
+    answers = [sent(readers, "a.csv", CSV).status for _ in range(2)]
+    assert answers[-1] == 200
+
+
+def test_nothing_is_left_of_what_was_sent(readers, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    for body in (CSV, b"\x00", pickle_npz()):
+        sent(readers, "a.csv", body)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_one_user_sends_few_files_at_a_time_and_others_go_on(readers) -> None:
+    """Bodies that never end keep their places; whoever else sends a file has others."""
+
+    async def go() -> None:
+        gateways = {digest_of(name * 16): AtHand(Asked()) for name in "ab"}
+        app = build_application(Access(gateways, None, LOCAL_HOSTS), readers)  # type: ignore[arg-type]
+
+        def send(name: str, body: list[bytes]) -> Any:
+            headers = LOCAL | {"authorization": f"Bearer {name * 16}"}
+            return ask_async(app, "POST", "/api/v1/outline", body, {"filename": "a.csv"}, headers)
+
+        waiting = [asyncio.create_task(send("a", [])) for _ in range(MAX_COMING)]
+        await asyncio.sleep(0)
+        late, other = await send("a", [CSV]), await send("b", [CSV])
+        assert (late.status, late.headers["retry-after"], other.status) == (503, "1", 200)
+        for task in waiting:
+            task.cancel()
+        await asyncio.gather(*waiting, return_exceptions=True)
+        assert (await send("a", [CSV])).status == 200
+
+    asyncio.run(go())
+
+
+def test_a_body_that_comes_too_slowly_is_cut_off(readers, monkeypatch) -> None:
+    monkeypatch.setattr(api, "PATIENCE_S", 0.0)
+    app = build_application(access(AtHand(Asked())), readers)
+
+    async def go() -> Answer:
+        headers = LOCAL | {"authorization": AUTHORIZED}
+        return await ask_async(app, "POST", "/api/v1/outline", [], {"filename": "a.csv"}, headers)
+
+    answer = asyncio.run(go())
+    assert (answer.status, "too slowly" in answer.json["detail"], answer.headers["connection"]) == (408, True, "close")
