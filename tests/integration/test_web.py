@@ -194,6 +194,7 @@ def test_users_have_tokens_for_their_certificates_and_see_their_own_jobs(lab: La
         address = _address(coordinator)
         lines = "".join(_entry(lab, name, token) for name, token in users.items())
         (tmp_path / "users.toml").write_text(lines)
+        (tmp_path / "users.toml").chmod(0o600)
         port, (authority, certificate, key) = free_port(), lab.files("coordinator")
         context = ssl.create_default_context(cafile=str(authority))
         context.check_hostname = False
@@ -205,11 +206,38 @@ def test_users_have_tokens_for_their_certificates_and_see_their_own_jobs(lab: La
             pages["ann"].submit("mine")
             assert pages["ann"].state("mine") in ("queued", "preparing")
             assert pages["bob"].ask("GET", "jobs/mine")[0] == 404
-            assert pages["bob"].ask("POST", "jobs/mine/cancel")[0] == 404
+            for method, path in _operations():
+                status = pages["bob"].ask(method, path, BODIES.get(path.rpartition("/")[2]))[0]
+                expected = {("DELETE", "jobs/mine"): 204, ("GET", "jobs/mine/exports"): 200}  # as of no job at all
+                assert status == expected.get((method, path), 404), (method, path)
+            assert pages["bob"].ask("DELETE", "jobs/none")[0] == 204
+            assert pages["ann"].state("mine") in ("queued", "preparing")
+            for method, path in (("PUT", "coordinator/queue"), ("PUT", "workers/lab1/service")):
+                status = pages["bob"].ask(method, path, BODIES[path.rpartition("/")[2]])[0]
+                assert status in (404, 409), path
+            assert pages["bob"].ask("POST", "outline?of=mine", b"")[0] == 404
+            assert pages["bob"].ask("GET", "jobs")[1]["jobs"] == []
             assert nobody.ask("GET", "jobs")[0] == 401
             assert pages["ann"].ask("GET", "session")[1]["user"] == "ann"
-            assert pages["bob"].ask("PUT", "coordinator/queue", b'{"paused": true}')[0] == 409
             assert pages["ann"].ask("POST", "jobs/mine/cancel")[1]["state"] == "cancelled"
+
+
+BODIES = {
+    "priority": b'{"priority": 1}', "sharing": b'{"shared": true}', "queue": b'{"paused": true}',
+    "service": b'{"service": "cordoned"}',
+}  # fmt: skip
+
+
+def _operations() -> list[tuple[str, str]]:
+    """Return all operations on a job of the description, on job "mine"."""
+    from atoll.web.description import describe
+
+    paths = {path: methods for path, methods in describe()["paths"].items() if "{job}" in path}
+    return [
+        (method.upper(), path[1:].replace("{job}", "mine").replace("{format}", "python"))
+        for path, methods in paths.items()
+        for method in methods
+    ]
 
 
 def _names(lab: Lab) -> Mapping[str, Any]:

@@ -3,7 +3,9 @@
 - `server`: addresses, tokens, TLS, uvicorn; `application`: what is answered where, and the middleware
 - `access`: who may look and who may change something; `problems`: errors as RFC 9457 has them
 - `gateway`: questions to the coordinator from threads; `feed`: what happens, told to all pages from one subscription
-- `api`: the resources; `submission`: files and options as a job
+- `connections`: limits of time and number that uvicorn lacks
+- `api`: the resources; `options`: those of a job
+- `reading`: files, read by `reading_process` in forks with limits; there `submission`: what is made of a file
 - `description`: the API as OpenAPI describes it, in ``openapi.json``
 - `progress`: fronts and convergence as pages draw them
 - ``static``: the page

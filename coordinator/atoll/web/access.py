@@ -30,6 +30,9 @@ LOCAL_HOSTS: Final = ("localhost", "127.0.0.1", "[::1]")
 _OPEN: Final = ("/", "/static/", "/api/v1/openapi.json", "/api/v1/version", "/api/v1/session", "/api/v1/health")
 """What is answered to everybody: nothing of any job."""
 
+_ONCE: Final = ("authorization", "host", "origin", "sec-fetch-site")
+"""Headers that decide what may be asked."""
+
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -68,6 +71,10 @@ class Access:
 
     def problem(self, method: str, path: str, headers: Headers) -> Problem | None:
         """Return why a request is refused; None: it is not."""
+        twice = next((name for name in _ONCE if len(headers.getlist(name)) > 1), None)
+        if twice is not None or ("transfer-encoding" in headers and "content-length" in headers):
+            sentence = f"a request has one {twice}" if twice else "a body has one length, told or in chunks"
+            return Problem(400, sentence + "; what is between us may have read another", {"connection": "close"})
         host = _name(headers.get("host", ""))
         if host not in self.hosts:
             return Problem(421, f"this process is not called {host!r}; start it with --allow-host {host or 'NAME'}")

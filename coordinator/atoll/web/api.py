@@ -315,6 +315,8 @@ class Api:
         last = request.headers.get("last-event-id") or request.query_params.get("after")
         if last is not None and not (last.isdecimal() and int(last) < 2**63):
             raise HTTPException(422, "Last-Event-ID is the number of an event")
+        if request.method == "HEAD":  # which would listen for ever and hear nothing
+            return Response(media_type="text/event-stream")
         gateway = gateway_of(request)
         feed = self._feeds.get(gateway)
         if feed is None:

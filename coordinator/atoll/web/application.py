@@ -10,7 +10,7 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import Mount, Route
+from starlette.routing import Mount, Route, Router
 from starlette.staticfiles import StaticFiles
 
 from atoll.web.access import Access, AccessMiddleware
@@ -37,16 +37,18 @@ def build_application(access: Access, readers: Readers | None = None) -> Starlet
         for gateway in {*access.gateways.values(), *([access.viewer] if access.viewer is not None else [])}:
             gateway.close()
 
-    return Starlette(
+    application = Starlette(
         routes=[
             Route("/", _page),
-            Mount("/api/v1", routes=api.routes()),
+            Mount("/api/v1", Router(api.routes(), redirect_slashes=False)),
             Mount("/static", StaticFiles(directory=str(_STATIC))),
         ],
         middleware=[Middleware(AccessMiddleware, access=access), Middleware(GZipMiddleware, minimum_size=1_000)],
         exception_handlers={AtollError: of_error, HTTPException: of_refusal, BusyError: of_too_many},
         lifespan=lifespan,
     )
+    application.router.redirect_slashes = False  # to an address that a proxy may not have
+    return application
 
 
 async def _page(request: Request) -> Response:

@@ -29,7 +29,7 @@ _FULL: Final = Problem(
 
 
 def most_connections() -> int:
-    """Return how many connections there may be: half of the files that may be open; the other half is for the rest."""
+    """Return how many connections there may be: half of the files that may be open; questions need others."""
     soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return MOST if soft == resource.RLIM_INFINITY else min(MOST, soft // 2)
 

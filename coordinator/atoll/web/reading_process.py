@@ -109,7 +109,8 @@ def _watch_over(connection: socket.socket) -> int:
         with suppress(OSError):
             kill(pid, signal.SIGKILL)
     code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    connection.sendall(b"%d\n" % (LATE if is_late else code))
+    with suppress(OSError):  # nobody waits any more
+        connection.sendall(b"%d\n" % (LATE if is_late else code))
     return 0
 
 

@@ -1,7 +1,9 @@
 """Serving the application: who may reach it and how, by TLS beyond this machine, until it is told to end."""
 
 import ipaddress
+import re
 import socket
+import stat
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,6 +21,12 @@ from atoll_core.wire.addresses import Destination, destination
 from atoll_core.wire.security.credentials import credentials_of
 
 _STOP_LIMIT_S: Final = 2
+
+_ENTRY: Final = {"token_sha256", "tls_ca", "tls_cert", "tls_key"}
+"""What there is of each user in a file of users."""
+
+_OTHERS: Final = stat.S_IRWXO | stat.S_IWGRP
+"""Rights by which others could guess at tokens or add one. A group may read the file, as that of a service."""
 
 
 @dataclass(frozen=True)
@@ -73,19 +81,37 @@ def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
     """Return the gateways of users by the SHA-256 of their tokens, from a file such as
     ``[ann]`` / ``token_sha256 = "…"`` / ``tls_cert = "ann.pem"`` / ``tls_key = "ann.key"`` / ``tls_ca = "ca.pem"``."""
     try:
-        table: dict[str, Any] = tomllib.loads(file.read_text("utf-8"))
+        mode, text = file.stat().st_mode, file.read_text("utf-8")
+        table: dict[str, Any] = tomllib.loads(text)
     except OSError as error:
         raise UsageError(f"--users {file} cannot be read: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"--users {file} is not valid TOML: {error}") from error
+    if mode & _OTHERS:
+        raise UsageError(f"--users {file} can be read by everybody or changed by its group; run: chmod 600 {file}")
+    if not table:
+        raise UsageError(f"--users {file} names nobody; add [NAME] with {', '.join(sorted(_ENTRY))}")
     gateways: dict[str, Gateway] = {}
     for name, entry in table.items():
-        expected = {"token_sha256", "tls_ca", "tls_cert", "tls_key"}
-        if not isinstance(entry, dict) or set(entry) != expected:
-            raise UsageError(f"--users {file}: {name} needs {', '.join(sorted(expected))}, and nothing else")
-        paths = {key: str(file.parent / entry[key]) for key in ("tls_ca", "tls_cert", "tls_key")}
-        credentials = credentials_of(paths, {}, "connect")
-        gateways[str(entry["token_sha256"]).lower()] = Gateway(destination(str(at.address), credentials))
+        if (
+            not isinstance(entry, dict)
+            or set(entry) != _ENTRY
+            or not all(isinstance(text, str) for text in entry.values())
+        ):
+            raise UsageError(f"--users {file}: {name} needs {', '.join(sorted(_ENTRY))} as texts, and nothing else")
+        token = entry["token_sha256"].lower()
+        if not re.fullmatch("[0-9a-f]{64}", token) or token == digest_of(""):
+            raise UsageError(
+                f"--users {file}: token_sha256 of {name} is no SHA-256 of a token; printf %s TOKEN | sha256sum"
+            )
+        if token in gateways:
+            raise UsageError(f"--users {file}: {name} has the token of another user; give each a token of its own")
+        try:
+            paths = {key: str(file.parent / entry[key]) for key in _ENTRY - {"token_sha256"}}
+            credentials = credentials_of(paths, {}, "connect")
+        except (UsageError, ValueError) as error:  # the latter of a name that no file can have
+            raise UsageError(f"--users {file}: {name}: {error}") from error
+        gateways[token] = Gateway(destination(str(at.address), credentials))
     return gateways
 
 
@@ -93,8 +119,17 @@ def serve(listener: Listener, access: Access, token: str, say: Callable[[str], o
     """Answer until SIGTERM or Ctrl-C.
 
     Raises:
-        UsageError: nobody can listen there.
+        UsageError: nobody can listen there, or the certificate cannot be used.
     """
+    allow_open_files()
+    config = configured(build_application(access), listener)
+    try:
+        config.load()
+    except OSError as error:  # also what is no certificate
+        raise UsageError(
+            f"--cert {listener.certificate} with --key {listener.key} cannot be used ({error.strerror or error}); "
+            "give a certificate and its unencrypted key as PEM"
+        ) from error
     family = socket.AF_INET6 if ":" in listener.host else socket.AF_INET
     opened = socket.socket(family)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -103,8 +138,6 @@ def serve(listener: Listener, access: Access, token: str, say: Callable[[str], o
     except OSError as error:
         opened.close()
         raise UsageError(f"--listen {listener.host}:{listener.port} is not possible: {error.strerror}") from error
-    allow_open_files()
-    config = configured(build_application(access), listener)
     say(listener.url(opened.getsockname()[1], token))
     uvicorn.Server(config).run(sockets=[opened])
 
@@ -116,4 +149,5 @@ def configured(application: Any, listener: Listener) -> uvicorn.Config:
         timeout_graceful_shutdown=_STOP_LIMIT_S, timeout_keep_alive=int(WAIT_S), proxy_headers=False,
         h11_max_incomplete_event_size=64 * 1024, http=Connection, ws="none",
         ssl_certfile=listener.certificate, ssl_keyfile=listener.key,
+        ssl_keyfile_password="-",  # else OpenSSL would ask for one on the terminal
     )  # fmt: skip

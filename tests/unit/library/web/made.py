@@ -68,6 +68,8 @@ class Asked:
         return JobList(jobs=tuple(jobs[start:end]), before=start if start else None)
 
     def events(self, job: str | None, after: int = 0, limit: int = 200, **_: Any) -> tuple[EventView, ...]:
+        if job is not None:
+            self._view(job)
         found = [event for event in self.happened if event.number > after and job in (None, event.job)]
         return tuple(found[:limit])
 
@@ -86,6 +88,18 @@ class Asked:
     def result(self, job: str) -> dict[str, object]:
         self._view(job, "result")
         return self.contents
+
+    def islands(self, job: str) -> tuple[Any, ...]:
+        self._view(job, "islands")
+        return ()
+
+    def analysis(self, job: str, *question: Any) -> tuple[str | None, bytes | None]:
+        self._view(job, "analysis")
+        return "waits", None
+
+    def exchange(self, question: Any) -> bytes:
+        self.calls.append(("exchange", question))
+        return b""
 
     def hand_in(
         self, job: str, name: str, config: Any, data: bytes, priority: int = 0, *, shared: bool = False
