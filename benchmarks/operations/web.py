@@ -22,7 +22,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 from atoll.client.client import Client
 from atoll.client.over_http import TOKEN
@@ -71,9 +71,9 @@ class Watched:
 
 
 @contextmanager
-def served(islands: int) -> Iterator[tuple[Machines, int]]:
-    """Run all programs, with a job without an end; yield the port of the web process."""
-    with running(1) as (machines, client):
+def served(islands: int, **settings: Any) -> Iterator[tuple[Machines, int]]:
+    """Run all programs, with a job without an end; yield the port of the web process. `settings` are of `Machines`."""
+    with running(1, **settings) as (machines, client):
         port = _start_web(machines)
         config = configured(0, budget=ENDLESS)
         config = config.model_copy(update={"evolution": config.evolution.model_copy(update={"islands": islands})})

@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -89,6 +89,7 @@ class Feed:
         self._touched: set[str] = set()
         self._connection = Told("connection", json.dumps({"connected": True, "reason": ""}))
         self._last: int | None = None
+        self._told: int | None = None
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._looking: asyncio.Task[None] | None = None
@@ -107,7 +108,7 @@ class Feed:
         self._listeners.add(listener)
         try:
             self._start()
-            yield f"retry: 1000\n\n{self._connection.text}"
+            yield f"retry: 1000\n\n{self._greeting().text}"
             last = after or 0
             if after is not None:
                 async for told in self._missed(after, listener):
@@ -172,6 +173,10 @@ class Feed:
                 connection.close()
 
     def _follow_one(self, client: Client, loop: asyncio.AbstractEventLoop) -> None:
+        if self._last is None:
+            newest = client.events(None, 0, 1)
+            self._last = newest[-1].number if newest else 0
+            self._post(loop, self._take_start, self._last)
         subscription = Subscription(client, None, self._last)
         self._post(loop, self._take_connection, None)
         while not self._stop.is_set():
@@ -185,8 +190,17 @@ class Feed:
         if not loop.is_closed():
             loop.call_soon_threadsafe(take, *values)
 
+    def _greeting(self) -> Told:
+        """Return how the connection is, and how far things have come: whoever hears nothing yet can resume, too."""
+        return replace(self._connection, number=self._told)
+
+    def _take_start(self, last: int) -> None:
+        self._told = last
+        self._tell(self._greeting())
+
     def _take_events(self, events: tuple[EventView, ...]) -> None:
         for event in events:
+            self._told = event.number
             if event.job is not None:
                 self._touched.add(event.job)
             if event.event == "deleted":  # which names no job, since nothing of it is kept

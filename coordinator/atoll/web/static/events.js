@@ -152,7 +152,7 @@ class Leader {
 
   #pass(type, id, data) {
     if (type === "connection") this.#say(data.connected, data.reason);
-    else this.#tell({ kind: "event", type, id, data });
+    this.#tell({ kind: "event", type, id, data });
   }
 
   #say(connected, reason) {

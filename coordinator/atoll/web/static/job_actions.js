@@ -39,6 +39,7 @@ export class Actions {
     const shown = [[this.bar, mayWrite], [this.note, !mayWrite], [this.pause, !isOver], [this.cancel, !isOver], [this.priority, !isOver], [this.retry, isBroken], [this.remove, isOver]];
     for (const [element, isShown] of shown) show(element, isShown);
     if (document.activeElement !== this.level) this.level.value = job.priority;
+    if (this.bar.contains(document.activeElement) && !document.activeElement.checkVisibility()) this.anew.focus(); // its button is gone
   }
 
   #post(what) { return this.#do(() => change("POST", paths.of(this.id, what))); }

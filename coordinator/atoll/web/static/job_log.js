@@ -1,7 +1,7 @@
 // What happened to a job, newest first: what somebody may have to do something about stands out.
 
 import { get, paths } from "./api.js";
-import { h, redraw, show } from "./dom.js";
+import { framed, h, keyed, show } from "./dom.js";
 import { clock } from "./format.js";
 
 const MOST = 300;
@@ -15,7 +15,8 @@ export class Log {
   #events = new Map(); #last = 0;
   constructor(id) {
     this.id = id;
-    this.all = h("input", { type: "checkbox", onchange: () => this.#draw() });
+    this.draw = framed(() => this.#draw()); // events come by the hundred
+    this.all = h("input", { type: "checkbox", onchange: () => this.draw() });
     this.list = h("ol", { class: "log", reversed: true });
     this.none = h("p", { class: "faint" }, "Nothing yet.");
     this.box = h("section", { "aria-label": "Events" },
@@ -37,7 +38,7 @@ export class Log {
 
   add(events) {
     for (const event of events) { this.#events.set(event.number, event); this.#last = Math.max(this.#last, event.number); }
-    if (events.length) this.#draw();
+    if (events.length) this.draw();
   }
 
   #draw() {
@@ -45,7 +46,7 @@ export class Log {
     const shown = [...this.#events.values()].filter(isShown).sort((a, b) => b.number - a.number).slice(0, MOST);
     if (this.#events.size > 4 * MOST) this.#events = new Map([...this.#events].sort(([a], [b]) => a - b).slice(-2 * MOST));
     show(this.none, !shown.length);
-    redraw(this.list, shown.map((event) => event.number).join(), () => shown.map(line));
+    keyed(this.list, shown, (event) => event.number, line);
   }
 }
 
