@@ -26,6 +26,7 @@ NOISY = b"t,x,v,note\n" + b"".join(
     b"%.17g,%.17g,%.17g,%.17g\n" % (0.1 * row, 1 + 0.9**row + 0.01 * (-1) ** row, 0.5 + 0.8**row, 3 - 0.97**row)
     for row in range(200)
 )
+CLEAN = b"t,x\n" + b"".join(b"%.17g,%.17g\n" % (0.1 * row, 1 + 2 * 0.95**row) for row in range(100))
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +117,7 @@ def test_a_file_is_dropped_corrected_watched_and_reported(stage: Stage) -> None:
         tab.get_by_role("button", name="Submit the job").click()
         tab.get_by_role("heading", name=HOSTILE).wait_for()
         job = tab.url.rpartition("/")[2]
+        tab.get_by_text("candidates compared so far").wait_for()
         tab.get_by_role("button", name="Open the report").wait_for()
         tab.locator("math").first.wait_for()
         check(tab)
@@ -133,6 +135,34 @@ def test_a_file_is_dropped_corrected_watched_and_reported(stage: Stage) -> None:
         tab.get_by_role("button", name="Pause the queue").click()
         tab.get_by_role("button", name="Let the queue go on").wait_for()
         check(tab, "light")
+
+
+def test_two_files_are_one_job_of_which_a_chosen_equation_is_simulated(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port), started(stage.place, "island_worker", "--connect", stage.address):
+        until(stage.page.is_up)
+        tab = stage.open("#/new")
+        paths = [stage.place / name for name in ("one.csv", "two.csv")]
+        for path in paths:
+            path.write_bytes(CLEAN)
+        tab.locator("input[type=file]").set_input_files(paths)
+        tab.get_by_text("coordinator submit one.csv two.csv").wait_for()
+        tab.get_by_role("combobox", name="Trajectory", exact=True).select_option(label="2")
+        tab.get_by_label("Whether x is an angle").select_option("degrees")
+        tab.get_by_text("--angle x:deg").wait_for()
+        check(tab, "light")
+        tab.get_by_label("Whether x is an angle").select_option("no")
+        tab.get_by_text("--angle x:deg").wait_for(state="detached")
+        tab.get_by_role("button", name="Submit the job").click()
+        tab.get_by_role("button", name="Open the report").wait_for()
+        tab.get_by_text("The front as a table").first.click()
+        with tab.expect_request(lambda request: "simulation?pick=x%3D0" in request.url):
+            tab.locator("details table button").first.click()
+        tab.get_by_text("Take along, with the chosen equations").wait_for()
+        tab.get_by_text("chosen: complexity").wait_for()
+        with tab.expect_download() as saved:
+            tab.get_by_role("button", name="python").click()
+        assert "def " in Path(saved.value.path()).read_text("utf-8")
+        check(tab, "dark")
 
 
 def test_a_death_and_its_recovery_are_seen_and_another_job_is_cancelled(stage: Stage) -> None:
