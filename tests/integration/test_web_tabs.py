@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.integration.test_web import web
+from tests.integration.test_web import Listening, web
 from tests.integration.test_web_browser import CHROMIUM, Stage, browser, stage  # noqa: F401
 from tests.programs import until
 
@@ -48,6 +48,7 @@ class Tabs:
         self.context = stage.browser.new_context()
         self.context.add_init_script(HEARING)
         self.context.route("**/api/v1/events*", self._take)
+        self.witness = Listening(stage.page, "j1")
         self.open_ones: list[Any] = []
         self.is_holding = False
         self.held: list[Any] = []
@@ -57,6 +58,11 @@ class Tabs:
             self.held.append(route)
         else:
             route.continue_()
+
+    def change_unheard(self, priority: int) -> None:
+        """Give j1 another priority, and wait until the service has told everybody who listens."""
+        prioritize(self.stage, "j1", priority)
+        until(lambda: numbers(self.stage, "j1")[-1] in self.witness.numbers)
 
     @contextlib.contextmanager
     def between_streams(self) -> Iterator[None]:
@@ -84,11 +90,11 @@ class Tabs:
         tab.close()
 
     def listeners(self) -> int:
-        """How many streams the service tells."""
+        """How many streams of tabs the service tells."""
         _, text = self.stage.page.ask("GET", "metrics")
         found = re.search(r"^atoll_web_listeners (\d+)$", text, re.MULTILINE)
         assert found is not None
-        return int(found[1])
+        return int(found[1]) - 1  # the witness's
 
     def leads(self, tab: Any) -> bool:
         """Tell whether a tab holds the lock."""
@@ -141,7 +147,7 @@ def test_ten_tabs_of_a_browser_share_a_stream_and_lose_nothing_with_the_one_that
             with tabs.between_streams():
                 tabs.close(tabs.leader())
                 tabs.wait_for_the_next_stream()
-                prioritize(stage, "j1", -priority)
+                tabs.change_unheard(-priority)
             change(priority)
             for tab, job in watched.items():
                 if tab in tabs.open_ones and job == "j1":
@@ -179,6 +185,7 @@ def test_ten_tabs_of_a_browser_share_a_stream_and_lose_nothing_with_the_one_that
             if tab in tabs.open_ones and job == "j1":
                 until(show(tab, "its priority is 6 now"))
         until(lambda: tabs.listeners() == 1)
+        tabs.witness.is_over.set()
 
 
 def test_what_happens_while_a_quiet_stream_is_opened_for_another_job_is_not_lost(stage: Stage) -> None:  # noqa: F811
@@ -194,5 +201,6 @@ def test_what_happens_while_a_quiet_stream_is_opened_for_another_job_is_not_lost
         with tabs.between_streams():
             tabs.open("#/jobs/j2")
             tabs.wait_for_the_next_stream()
-            prioritize(stage, "j1", 1)
+            tabs.change_unheard(1)
         until(show(first, "its priority is 1 now"))
+        tabs.witness.is_over.set()
