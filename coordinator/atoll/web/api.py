@@ -323,7 +323,7 @@ class Api:
             feed = self._feeds[gateway] = Feed(gateway, lambda job: self._results.pop((gateway, job), None))
         left = min(MAX_LISTENERS, most_connections() // 2) - sum(feed.listeners for feed in self._feeds.values())
         if feed.listeners >= left:  # one user leaves others as many as he has
-            raise HTTPException(503, "too many pages listen already; ask for the status now and then instead")
+            raise HTTPException(429, "too many pages listen already; ask for the status now and then instead")
         told = feed.listen(None if "all" in jobs else jobs, int(last) if last is not None else None)
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
         return StreamingResponse(_until_broken(told), media_type="text/event-stream", headers=headers)
@@ -460,7 +460,7 @@ class Api:
         if of is not None and not is_id(of):
             raise HTTPException(422, "of names a job by its id")
         if self._coming[gateway] >= MAX_COMING:
-            raise HTTPException(503, f"{MAX_COMING} files are being sent already; send this one later", _SOON)
+            raise HTTPException(429, f"{MAX_COMING} files are being sent already; send this one later", _SOON)
         self._coming[gateway] += 1
         try:
             with tempfile.TemporaryDirectory(prefix="atoll-web-", ignore_cleanup_errors=True) as folder:
