@@ -89,7 +89,7 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
     with web(stage.place, stage.address, stage.port), started(stage.place, "island_worker", "--connect", stage.address):
         until(stage.page.is_up)
         tab = stage.open()
-        tab.get_by_role("heading", name="No jobs yet").wait_for()
+        tab.get_by_text(f"island-worker --connect {stage.address}").wait_for()  # an empty service says what to do next
         keys = Keys(tab)
         assert keys.press("Tab")["text"] == "Skip to the content"  # type: ignore[index]
         assert keys.press("Enter")["tag"] == "main"  # type: ignore[index]

@@ -55,9 +55,13 @@ def web_process(
 
 
 def _keep(command: list[str], given: dict[str, str], stop: threading.Event) -> None:
-    """Keep a process running until `stop`; it says on stderr where it listens."""
+    """Keep a process running until `stop`; say on stderr where it listens, between what else is shown there."""
     while not stop.is_set():
-        process = start_apart(command, given, stdin=subprocess.DEVNULL, stdout=sys.stderr.fileno())
+        process = start_apart(command, given, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        with process.stdout as said:
+            if address := said.readline().decode("utf-8", "replace").strip():
+                note(address)
         while process.poll() is None and not stop.wait(0.2):
             pass
         if process.returncode is None:

@@ -196,10 +196,11 @@ class Api:
         return JSONResponse({"version": VERSION, "protocol": PROTOCOL_VERSION, "engine": ENGINE_REVISION, "api": "v1"})
 
     async def session(self, request: Request) -> Response:
-        """Say as whom one asks, and whether one may change anything."""
-        credentials = gateway_of(request).destination.credentials if request.scope["gateway"] is not None else None
-        user = credentials.name if credentials is not None else None
-        return JSONResponse({"user": user, "may_write": request.scope["may_write"], "version": VERSION})
+        """Say as whom one asks, whether one may change anything, and where workers connect."""
+        at = gateway_of(request).destination if request.scope["gateway"] is not None else None
+        user = at.credentials.name if at is not None and at.credentials is not None else None
+        known = {"user": user, "may_write": request.scope["may_write"], "version": VERSION}
+        return JSONResponse({**known, "connect": str(at) if at is not None else None})
 
     async def health(self, request: Request) -> Response:
         """Say whether the coordinator answers, as probes ask."""

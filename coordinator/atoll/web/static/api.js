@@ -3,7 +3,7 @@
 const STORE = `atoll-token ${location.pathname}`;
 /** Told of each request whether anything answered. */
 export const hooks = { answered() {} };
-export const session = { user: null, may_write: false, version: "" };
+export const session = { user: null, may_write: false, version: "", connect: "tcp/HOST:7447" };
 /** Takes the token from the address, where history and screenshots would keep it, into the store of this tab. */
 function takeToken() {
   const here = new URL(location.href);

@@ -55,7 +55,6 @@ class JobPage {
     this.log.fetch();
   }
 
-
   #change({ changes, deleted }) {
     if (deleted) {
       announce("The job is deleted.");

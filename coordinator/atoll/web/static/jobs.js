@@ -1,6 +1,6 @@
 // The list of jobs: newest first as the service gives them, sorted and filtered here, kept up to date by events.
 
-import { get } from "./api.js";
+import { get, session } from "./api.js";
 import { follow } from "./events.js";
 import { framed, faultBox, h, keyed, redraw, setClass, setText, show, viewHeading } from "./dom.js";
 import { ENDED, duration, elapsed, heard, largestError, moment, number, plural, stateOf } from "./format.js";
@@ -76,8 +76,8 @@ class Jobs {
       h("ol", {},
         h("li", {}, "Drop a data file anywhere on this page, or ", file, h("label", { for: "first-file", class: "button" }, "choose a file"),
           ": one row per moment, one column per quantity, such as CSV."),
-        h("li", {}, "Have at least one worker running, on this or any other machine: ",
-          h("code", {}, `island-worker --connect tcp/${location.hostname}:7447`)),
+        h("li", {}, "Have at least one worker running, on any machine that can reach the coordinator: ",
+          h("code", {}, `island-worker --connect ${session.connect}`)),
         h("li", {}, "No data at hand? ", h("a", { class: "button", href: "#/new?demo=yes" }, "Try the demo data"))));
   }
 

@@ -16,7 +16,7 @@ export default function open(root, _place, app) {
   const body = h("tbody");
   const heads = HEADS.map((head) => h("th", { scope: "col", class: NUMBERS.has(head) ? "number" : null }, head));
   const table = h("table", { class: "list stacked", hidden: true }, h("caption", { class: "unseen" }, "Workers"), h("thead", {}, h("tr", {}, heads)), body);
-  const none = h("p", { hidden: true }, "Start one on any machine that can reach the coordinator: ", h("code", {}, `island-worker --connect tcp/${location.hostname}:7447`));
+  const none = h("p", { hidden: true }, "Start one on any machine that can reach the coordinator: ", h("code", {}, `island-worker --connect ${session.connect}`));
   root.append(viewHeading("Workers"), summary, fault, h("div", { class: "wide" }, table), none);
   const poll = new Poll("workers", app, ({ workers }) => {
     const alive = workers.filter((worker) => worker.state !== "lost").length;
