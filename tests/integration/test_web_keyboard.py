@@ -4,13 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
+from tests.integration.stage import LIMIT_MS, Stage, needs_chromium
 from tests.integration.test_web import TOKEN, web
-from tests.integration.test_web_browser import CHROMIUM, LIMIT_MS, Stage, browser, stage  # noqa: F401
 from tests.programs import started, until
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium; Debian's package is chromium")
+pytestmark = needs_chromium
 
 MOST_STEPS = 120
 FOCUSED = """() => {
@@ -85,7 +83,7 @@ def chosen(tab: Any) -> Callable[[], str]:
     return lambda: str(tab.get_by_role("slider").first.get_attribute("aria-valuetext"))
 
 
-def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stage: Stage) -> None:  # noqa: F811
+def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stage: Stage) -> None:
     with web(stage.place, stage.address, stage.port), started(stage.place, "island_worker", "--connect", stage.address):
         until(stage.page.is_up)
         tab = stage.open()

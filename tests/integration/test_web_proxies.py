@@ -18,12 +18,12 @@ from typing import Any
 
 import pytest
 
+from tests.integration.stage import LIMIT_MS, Stage, needs_chromium
 from tests.integration.test_web import Page, free_port, web
-from tests.integration.test_web_browser import CHROMIUM, LIMIT_MS, Stage, browser, stage  # noqa: F401
 from tests.programs import started, until
 
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium; Debian's package is chromium"),
+    needs_chromium,
     pytest.mark.slow,
 ]
 
@@ -181,7 +181,7 @@ def _listens(port: int) -> bool:
 @pytest.mark.parametrize("proxy", [nginx, caddy, jupyter, ssh])
 def test_from_the_demo_data_to_a_result_behind(
     proxy: Callable[[Path, int], AbstractContextManager[str]],
-    stage: Stage,  # noqa: F811
+    stage: Stage,
 ) -> None:
     direct, folder = stage.page, stage.place / "proxy"
     folder.mkdir()

@@ -5,13 +5,11 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import pytest
-
+from tests.integration.stage import Stage, needs_chromium
 from tests.integration.test_web import Listening, web
-from tests.integration.test_web_browser import CHROMIUM, Stage, browser, stage  # noqa: F401
 from tests.programs import until
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium; Debian's package is chromium")
+pytestmark = needs_chromium
 
 TABS = 10
 HEARING = """
@@ -43,7 +41,7 @@ LINES = "[...document.querySelectorAll('.log li')].map((line) => line.textConten
 class Tabs:
     """Tabs of one browser, in the order in which they were opened."""
 
-    def __init__(self, stage: Stage) -> None:  # noqa: F811
+    def __init__(self, stage: Stage) -> None:
         self.stage = stage
         self.context = stage.browser.new_context()
         self.context.add_init_script(HEARING)
@@ -105,7 +103,7 @@ class Tabs:
         return next(tab for tab in self.open_ones if self.leads(tab))
 
 
-def numbers(stage: Stage, job: str) -> list[int]:  # noqa: F811
+def numbers(stage: Stage, job: str) -> list[int]:
     _, answer = stage.page.ask("GET", f"jobs/{job}/logs?limit=1000&after=1")
     return [event["number"] for event in answer["events"]]
 
@@ -114,14 +112,14 @@ def show(tab: Any, text: str) -> Callable[[], bool]:
     return lambda: any(text in line for line in tab.evaluate(LINES))
 
 
-def prioritize(stage: Stage, job: str, priority: int) -> None:  # noqa: F811
+def prioritize(stage: Stage, job: str, priority: int) -> None:
     status, _ = stage.page.ask(
         "PUT", f"jobs/{job}/priority", b'{"priority": %d}' % priority, **{"Content-Type": "application/json"}
     )
     assert status == 200
 
 
-def test_ten_tabs_of_a_browser_share_a_stream_and_lose_nothing_with_the_one_that_leads(stage: Stage) -> None:  # noqa: F811
+def test_ten_tabs_of_a_browser_share_a_stream_and_lose_nothing_with_the_one_that_leads(stage: Stage) -> None:
     with web(stage.place, stage.address, stage.port):
         until(stage.page.is_up)
         for job in ("j1", "j2", "j3"):
@@ -188,7 +186,7 @@ def test_ten_tabs_of_a_browser_share_a_stream_and_lose_nothing_with_the_one_that
         tabs.witness.is_over.set()
 
 
-def test_what_happens_while_a_quiet_stream_is_opened_for_another_job_is_not_lost(stage: Stage) -> None:  # noqa: F811
+def test_what_happens_while_a_quiet_stream_is_opened_for_another_job_is_not_lost(stage: Stage) -> None:
     with web(stage.place, stage.address, stage.port):
         until(stage.page.is_up)
         for job in ("j1", "j2"):

@@ -1,0 +1,5 @@
+"""Fixtures that several files of tests share."""
+
+from tests.integration.stage import browser, stage
+
+__all__ = ["browser", "stage"]
