@@ -39,7 +39,7 @@ class NewJob {
     this.send = h("button", { class: "primary", disabled: true }, "Submit the job");
     const step = (title, ...parts) => h("section", {}, h("h2", {}, title), parts);
     root.append(viewHeading("New job"), h("form", { onsubmit: (event) => this.#submit(event) },
-      step("Data", h("div", { class: "drop" }, h("label", { for: "file" }, "A data file: drop it here, or choose one "), file, demo), this.hint, this.unread, this.outline),
+      step("Data", h("div", { class: "drop" }, h("label", { for: "file" }, "Data files: drop them here, or choose some "), file, demo), this.hint, this.unread, this.outline),
       (this.seen = step("Smoothed", this.preview)), step("Options", this.form), (this.same = step("The same elsewhere", this.commands)),
       step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You are looking only: open the address with the token to submit."),
         h("div", { class: "tools" }, h("label", {}, "Name ", this.name), h("label", {}, "Priority ", this.priority),
