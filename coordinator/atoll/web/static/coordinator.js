@@ -28,7 +28,7 @@ export default function open(root, _place, app) {
 
 function queueFacts(queue) {
   const words = { tasks_ready: "Tasks ready", workers_wanted: "Workers wanted" };
-  return Object.entries(queue).map(([name, amount]) => [words[name] ?? name[0].toUpperCase() + name.slice(1), String(amount)]);
+  return Object.entries(queue).filter(([name]) => name !== "kind").map(([name, amount]) => [words[name] ?? name[0].toUpperCase() + name.slice(1), String(amount)]);
 }
 
 function processFacts({ version, incarnation, seconds, counters, store }) {
