@@ -51,7 +51,7 @@ class Comparison {
     this.#drawEquations(all);
     const plain = jobs.map((job) => job.name);
     const [configs, data] = [all.map(({ config }) => flat(config ?? {})), all.map(dataFacts)];
-    this.options.replaceChildren(differences("Options that differ", plain, configs));
+    this.options.replaceChildren(differences("Options that differ", plain, configs, "(default)"));
     this.data.replaceChildren(differences("Data that differ", plain, data));
   }
 
@@ -97,12 +97,14 @@ function flat(value, prefix = "") {
 }
 
 function dataFacts({ result, files }) {
-  const data = result?.data ?? {};
-  return { files: (data.files ?? files ?? []).join(", "), rows: String(data.rows ?? "not known before the end"), "read as": data.read_as ?? "–", trajectories: String(data.trajectories?.length ?? "–"), sha256: data.digest ?? "–" };
+  const data = result?.data;
+  if (!data) return { files: (files ?? []).join(", "), rows: "not known before the end" };
+  return { files: (data.files ?? []).join(", "), rows: String(data.rows), "read as": data.read_as, trajectories: String(data.trajectories?.length ?? "–"), sha256: data.digest };
 }
 
-function differences(caption, names, [a, b]) {
-  const rows = [...new Set([...Object.keys(a), ...Object.keys(b)])].filter((key) => a[key] !== b[key]).map((key) => [key, a[key] ?? "(default)", b[key] ?? "(default)"]);
+function differences(caption, names, [a, b], lacking = null) { // what one of them lacks is not compared
+  const rows = [...new Set([...Object.keys(a), ...Object.keys(b)])].map((key) => [key, a[key] ?? lacking, b[key] ?? lacking])
+    .filter(([, one, other]) => one !== other && one !== null && other !== null);
   return rows.length ? pairTable(caption, names, rows) : "None.";
 }
 

@@ -52,7 +52,7 @@ class JobPage {
     } catch (error) { return this.fault.say(error.message); }
     if (this.#job.variables?.length) this.progress.now(); // there is nothing to see while data are prepared
     if (!ENDED.includes(this.#job.state)) this.islands.now();
-    this.log.fetch();
+    this.log.fetch().catch(() => {}); // the banner says it if the service is away
   }
 
   #change({ changes, deleted }) {

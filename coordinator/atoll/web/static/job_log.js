@@ -25,14 +25,10 @@ export class Log {
   }
   /** Fetches what happened since the last event that is known, page by page. */
   async fetch() {
-    try {
-      for (;;) {
-        const { events } = await get(paths.of(this.id, "logs"), { after: this.#last, limit: PAGE, of_workers: "false" });
-        this.add(events);
-        if (events.length < PAGE) return;
-      }
-    } catch {
-      // the banner says it if the service is away
+    for (;;) {
+      const { events } = await get(paths.of(this.id, "logs"), { after: this.#last, limit: PAGE, of_workers: "false" });
+      this.add(events);
+      if (events.length < PAGE) return;
     }
   }
 
