@@ -44,7 +44,6 @@ def test_a_file_is_dropped_corrected_watched_and_reported(stage: Stage) -> None:
         tab.get_by_role("button", name="Open the report").wait_for()
         tab.locator("math").first.wait_for()
         check(tab)
-        shoot(tab, "web-job")
         with tab.context.expect_page() as opened:
             tab.get_by_role("button", name="Open the report").click()
         opened.value.get_by_role("heading", level=1).wait_for()

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tests.integration.stage import LIMIT_MS, Stage, needs_chromium
+from tests.integration.stage import LIMIT_MS, Stage, needs_chromium, shoot
 from tests.integration.test_web import TOKEN, web
 from tests.programs import started, until
 
@@ -99,7 +99,7 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
         keys.to("Role of")
         data = stage.place / "mine.csv"
         data.write_bytes((Path("coordinator/atoll/web/static/predator_prey.csv")).read_bytes())
-        keys.to("A data file", "Shift+Tab")
+        keys.to("Data files", "Shift+Tab")
         tab.locator("#file").set_input_files(data)  # the dialog of the system is the browser's
         tab.get_by_text("mine.csv", exact=False).first.wait_for()
         keys.to("search")
@@ -108,16 +108,18 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
         tab.keyboard.type("3")
         tab.get_by_text("--seed 3", exact=False).first.wait_for()
         keys.to("Name")
-        tab.keyboard.type("by keys")
+        tab.keyboard.type("predators and prey")
         keys.to("Submit the job")
         tab.keyboard.press("Enter")
-        tab.get_by_role("heading", name="by keys").wait_for()
+        tab.get_by_role("heading", name="predators and prey").wait_for()
         assert keys.focused()["tag"] == "h1"  # type: ignore[index]
         first = tab.url.rpartition("/")[2]
 
         tab.get_by_role("button", name="Open the report").wait_for()
         tab.get_by_role("slider").first.wait_for()
         check_round(keys)
+        tab.get_by_label("Phase portrait").locator("canvas").wait_for()
+        shoot(tab, "web-job")
         keys.to("choose an equation")
         keys.press("End")
         last = chosen(tab)()
@@ -162,7 +164,7 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
 
         keys.to("Jobs", "Shift+Tab")
         tab.keyboard.press("Enter")
-        for name in ("Compare d.csv", "Compare by keys"):
+        for name in ("Compare d.csv", "Compare predators and prey"):
             keys.to(name)
             tab.keyboard.press("Space")
         keys.to("Compare the two", "Shift+Tab")

@@ -181,12 +181,13 @@ export class ConvergenceChart extends Chart {
     const columns = kept.map((curve) => lastValues(curve, xs));
     const [isLogX, isLogY] = [isWide(xs), isWide(kept.flatMap((curve) => curve.errors))];
     const names = kept.map((curve) => curve.island);
-    this.draw([xs, ...columns], `curves ${names} ${isLogX} ${isLogY}`, (UPlot) => this.#options(UPlot, names, isLogX, isLogY));
+    this.isShort = xs.length < 2; // of one generation there is no line
+    this.draw([xs, ...columns], `curves ${names} ${isLogX} ${isLogY} ${this.isShort}`, (UPlot) => this.#options(UPlot, names, isLogX, isLogY));
   }
 
   #options(UPlot, names, isLogX, isLogY) {
     const paths = UPlot.paths.stepped({ align: 1 });
-    const series = names.map((_, index) => ({ stroke: stroke(cycled(index)), dash: dashOf(cycled(index)), width: 1.4, paths, spanGaps: true, points: { show: false } }));
+    const series = names.map((_, index) => ({ stroke: stroke(cycled(index)), dash: dashOf(cycled(index)), width: 1.4, paths, spanGaps: true, points: { show: this.isShort } }));
     return frame("generation", "error (normalized)", {
       isLogX, isLogY, series: [{}, ...series], hooks: { draw: [(plot) => this.#drawPlateau(plot)] },
     });
