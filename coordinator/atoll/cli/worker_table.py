@@ -7,7 +7,7 @@ from atoll_core.wire.messages.views import CoordinatorView, Counters, WorkerView
 
 _HEADS = (
     "NAME", "HOST", "PID", "STATE", "ISLANDS", "SILENT", "MEMORY", "CPU", "IN", "OUT", "WAITED", "TROUBLE", "VERSION",
-    "DOING",
+    "CORES", "JOINED", "DOING",
 )  # fmt: skip
 
 
@@ -63,5 +63,6 @@ def _row(view: WorkerView) -> tuple[str, ...]:
         size(counters.memory_bytes), duration(counters.cpu_s),
         size(sum(entry.bytes_in for entry in counters.traffic)),
         size(sum(entry.bytes_out for entry in counters.traffic)),
-        duration(counters.waited_s), trouble(counters), view.version, doing or view.detail,
+        duration(counters.waited_s), trouble(counters), view.version, str(view.cores),
+        duration(view.joined), doing or view.detail,
     )  # fmt: skip

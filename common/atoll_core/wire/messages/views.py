@@ -205,7 +205,8 @@ class IslandView(Frozen):
 class WorkerView(Frozen):
     """One worker as `workers` shows it; `silent` is seconds since it was last heard of, `detail` for a person.
 
-    `doing` is what it last said that it computes; `standing` is for how many seconds that has not got on.
+    `doing` is what it last said that it computes, the job first; `standing` is for how many seconds that has not got
+    on. `joined` is seconds since it joined; `cores` are those that the processes of its host may use.
     """
 
     worker: str
@@ -220,6 +221,8 @@ class WorkerView(Frozen):
     standing: float = 0.0
     counters: Counters = Counters()
     service: WorkerService = "open"
+    joined: float = 0.0
+    cores: int = 1
 
 
 MAX_DETAILS: Final = 8

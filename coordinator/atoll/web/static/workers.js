@@ -5,8 +5,8 @@ import { faultBox, h, keyed, setClass, setText, show, viewHeading } from "./dom.
 import { bytes, duration, plural } from "./format.js";
 import { Poll } from "./poll.js";
 
-const HEADS = ["Worker", "State", "Doing", "Islands", "CPU", "Memory", "Received", "Sent", "Version", "Service"];
-const NUMBERS = new Set(["Islands", "CPU", "Memory", "Received", "Sent"]);
+const HEADS = ["Worker", "State", "Doing", "Islands", "CPU", "Memory", "Received", "Sent", "Version", "Cores", "Joined", "Service"];
+const NUMBERS = new Set(["Islands", "CPU", "Memory", "Received", "Sent", "Cores", "Joined"]);
 const SERVICES = { open: [["Cordon", "cordoned"], ["Drain", "draining"]], cordoned: [["Uncordon", "open"], ["Drain", "draining"]], draining: [["Uncordon", "open"]] };
 const SILENT = 5;
 
@@ -35,17 +35,17 @@ export default function open(root, _place, app) {
 function row(serve) {
   const made = h("tr", {}, HEADS.map((head) => h("td", { "data-head": head, class: NUMBERS.has(head) ? "number" : head === "Worker" ? "title" : null })));
   made.children[1].append(h("span"), h("small", { class: "faint" }));
-  made.children[9].append(h("span"), h("span", { class: "bar" }));
+  made.children[11].append(h("span"), h("span", { class: "bar" }));
   made.serve = serve;
   return made;
 }
 
 function fill(made, worker) {
-  const { 0: name, 1: state, 9: service } = made.children;
+  const { 0: name, 1: state, 11: service } = made.children;
   const traffic = worker.counters?.traffic ?? [];
   const sum = (what) => traffic.reduce((total, kind) => total + kind[what], 0);
   const doing = [worker.doing || worker.detail, worker.standing > SILENT ? `(for ${duration(worker.standing)})` : ""].join(" ").trim();
-  const texts = [doing || "–", worker.islands, duration(worker.counters?.cpu_s), bytes(worker.counters?.memory_bytes), bytes(sum("bytes_in")), bytes(sum("bytes_out")), worker.version];
+  const texts = [doing || "–", worker.islands, duration(worker.counters?.cpu_s), bytes(worker.counters?.memory_bytes), bytes(sum("bytes_in")), bytes(sum("bytes_out")), worker.version, worker.cores, `${duration(worker.joined)} ago`];
   texts.forEach((text, index) => setText(made.children[2 + index], text));
   setText(name, worker.worker);
   name.title = `process ${worker.pid} on ${worker.host}`;

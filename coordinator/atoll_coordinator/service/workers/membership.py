@@ -52,6 +52,7 @@ class Member:
     progressed_at: float = 0.0
     lost_by: str = ""
     has_our_kernels: bool = False
+    joined_at: float = 0.0
 
     def step(self, step: MemberStep) -> None:
         """Go to the next state by the table."""
@@ -105,7 +106,7 @@ class Membership:
         if refusal is not None:
             return refusal
         if self.is_new(hello):
-            self._members[hello.name] = Member(hello, "here", now, progressed_at=now)
+            self._members[hello.name] = Member(hello, "here", now, progressed_at=now, joined_at=now)
         else:
             known = self._members[hello.name]
             known.hello, known.heard_at = hello, now
@@ -286,7 +287,6 @@ def _view(name: str, member: Member, now: float) -> WorkerView:
     state: WorkerState = status.state if status else "compiling"
     if member.state in ("lost", "hung"):
         state = "lost" if member.state == "lost" else "hung"
-    doing = status.doing if status is not None else None
     return WorkerView(
         worker=name,
         host=member.hello.host,
@@ -295,10 +295,20 @@ def _view(name: str, member: Member, now: float) -> WorkerView:
         islands=sum(assignment_status.islands for assignment_status in status.holdings)
         if status and state != "lost"
         else 0,
-        doing=f"{doing.job}/{doing.variable} island {doing.island} epoch {doing.epoch}" if doing is not None else "",
+        doing=_doing(status) if status is not None else "",
         standing=max(0.0, now - member.progressed_at) if _is_computing(member) else 0.0,
         counters=status.counters if status is not None else Counters(),
         silent=max(0.0, now - member.heard_at),
         version=member.hello.version,
         detail=status.detail if status else "",
+        joined=max(0.0, now - member.joined_at),
+        cores=member.hello.cores,
     )
+
+
+def _doing(status: WorkerStatus) -> str:
+    """Return in words what a worker computes, the job first: an island, or a task beside or without islands."""
+    words = [f"{one.job}/{one.variable} island {one.island} epoch {one.epoch}" for one in [status.doing] if one]
+    words += [f"{held.job}/a task" for held in status.tasks if held.state == "running"]
+    words += [f"{held.job}/a task of another worker" for held in status.tasks if held.state == "helping"]
+    return words[0] if words else ""

@@ -10,8 +10,9 @@ from atoll_coordinator.service.workers.membership import (
 )
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.wire.messages.handshake import Hello
+from atoll_core.wire.messages.tasks import TaskStatus
 from atoll_core.wire.messages.views import WorkerState
-from atoll_core.wire.messages.workers import AssignmentStatus, WorkerStatus
+from atoll_core.wire.messages.workers import AssignmentStatus, Doing, WorkerStatus
 
 
 def hello(name: str = "w0", instance: str = "a", fingerprint: str = "f", **changes: object) -> Hello:
@@ -141,13 +142,28 @@ def test_clients_need_the_same_protocol_only() -> None:
 
 def test_views_show_what_people_want_to_know() -> None:
     membership = with_worker()
-    membership.register(hello("v", "x"), 1.0)
+    membership.register(hello("v", "x", cores=8), 1.0)
     first, second = membership.views(3.0)
+    assert [(view.cores, view.joined) for view in (first, second)] == [(8, 2.0), (1, 3.0)]
     assert (first.worker, first.state, first.islands) == ("v", "compiling", 0)
     assert (second.worker, second.state, second.islands, second.silent, second.host) == ("w0", "ready", 4, 3.0, "lab")
     membership.record_presence("w0", False, 3.0)
     membership.expire(20.0)
     assert [view.state for view in membership.views(20.0)] == ["lost", "lost"]
+
+
+def test_views_say_what_a_worker_computes_islands_before_tasks() -> None:
+    membership, said = with_worker(), status("computing")
+    helping, own = (
+        TaskStatus(task=name * 64, job="k", state=state) for name, state in (("a", "helping"), ("b", "running"))
+    )
+    island = Doing(job="j", variable="x", island=3, epoch=7)
+    for told, expected in (
+        ({}, ""), ({"tasks": (helping,)}, "k/a task of another worker"), ({"tasks": (helping, own)}, "k/a task"),
+        ({"tasks": (own,), "doing": island}, "j/x island 3 epoch 7"),
+    ):  # fmt: skip
+        membership.record_heartbeat("w0", said.model_copy(update=told), 1.0)
+        assert membership.views(1.0)[0].doing == expected
 
 
 def test_lost_workers_are_forgotten_in_the_end() -> None:
