@@ -54,7 +54,7 @@ GOALS: Final = (0.05, 0.30)
 _ANSWER_LIMIT_S: Final = 2.0
 """How long an answer to what may be no whole request is waited for."""
 
-_PACE: Final = 1_500.0
+_PACE: Final = 1_000.0
 """Bytes a second, at most, that a page fetches of progress."""
 
 

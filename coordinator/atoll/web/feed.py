@@ -87,7 +87,7 @@ class Feed:
         self._listeners: set[_Listener] = set()
         self._views: dict[str, dict[str, Any]] = {}
         self._touched: set[str] = set()
-        self._connection = Told("connection", json.dumps({"connected": True, "reason": ""}))
+        self._connection = Told("connection", _encode({"connected": True, "reason": ""}))
         self._last: int | None = None
         self._told: int | None = None
         self._stop = threading.Event()
@@ -208,7 +208,7 @@ class Feed:
             self._tell(_happened(event))
 
     def _take_connection(self, reason: str | None) -> None:
-        told = Told("connection", json.dumps({"connected": reason is None, "reason": reason or ""}))
+        told = Told("connection", _encode({"connected": reason is None, "reason": reason or ""}))
         if told != self._connection:
             self._connection = told
             self._tell(told)
@@ -242,7 +242,7 @@ class Feed:
                 views[job] = await self._gateway.ask(lambda client, job=job: client.status(job))  # type: ignore[misc]
             except UnknownJobError:
                 if self._views.pop(job, None) is not None:
-                    self._tell(Told("job", json.dumps({"job": job, "changes": {}, "deleted": True}), job))
+                    self._tell(Told("job", _encode({"job": job, "changes": {}, "deleted": True}), job))
         self._take_connection(None)
         for view in views.values():
             self._take_view(view)
@@ -271,13 +271,17 @@ _AGEING: Final = {"elapsed", "point_evaluations_per_second"}
 """Fields of a view that change by time alone."""
 
 
+def _encode(value: object) -> str:
+    return json.dumps(value, separators=(",", ":"))  # without blanks it is a tenth shorter
+
+
 def _open_jobs(client: Client) -> tuple[JobView, ...]:
     return client.jobs(is_open=True, last=MAX_PAGE_JOBS)
 
 
 def _changes(job: str, changes: Mapping[str, Any]) -> Told:
-    return Told("job", json.dumps({"job": job, "changes": changes}), job)
+    return Told("job", _encode({"job": job, "changes": changes}), job)
 
 
 def _happened(event: EventView) -> Told:
-    return Told("happened", json.dumps(to_jsonable_python(event)), event.job, event.number)
+    return Told("happened", _encode(to_jsonable_python(event)), event.job, event.number)

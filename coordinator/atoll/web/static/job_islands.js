@@ -8,6 +8,7 @@ import { Paced } from "./poll.js";
 
 /** So long a cell shows what happened to its island. */
 const FRESH = 6000;
+const PAUSE = 4000;
 const MARKS = { placed: "placed", unplaced: "no worker", isolated: "isolated", "worker-lost": "lost", stalled: "waits" };
 
 export class Islands extends Paced {
@@ -22,7 +23,7 @@ export class Islands extends Paced {
     this.box = h("section", { "aria-label": "Islands", hidden: true }, h("h2", {}, "Islands"), this.summary, this.workers, this.map);
   }
 
-  async #read() { this.#islands = (await get(paths.of(this.id, "islands"))).islands; this.draw(); }
+  async #read() { this.#islands = (await get(paths.of(this.id, "islands"))).islands; this.draw(); return PAUSE; }
 
   update(job) {
     this.isOver = ENDED.includes(job.state);

@@ -1,9 +1,9 @@
-// Fetches the progress of a job: no more than 2.5 kB/s on average.
+// Fetches the progress of a job: no more than 1 kB/s on average.
 
 import { check, paths, send } from "./api.js";
 import { Paced } from "./poll.js";
 
-const BYTES_PER_SECOND = 1500;
+const BYTES_PER_SECOND = 1000;
 
 export class Progress extends Paced {
   #tag = null;
