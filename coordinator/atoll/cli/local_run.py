@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -56,7 +57,7 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
                 note(f"result in {path}")
                 if options.report:
                     write_report(folder / REPORT, result)
-                proposed = next_step(result, folder, sys.argv[1:])
+                proposed = next_step(result, folder, sys.argv[1:], program_of(Path(sys.argv[0]), Path.cwd()))
                 if proposed is not None:
                     note(f"next: {proposed}")
             if stays:
@@ -78,6 +79,13 @@ def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobVi
         display.print_note(f"coordinator: {error}")
         forced = FAILED
     return client.cancel_and_wait(follower.job), forced
+
+
+def program_of(path: Path, here: Path) -> str:
+    """Return how the program at `path` is called from `here`: by its path where the shell does not find it."""
+    if path.name != "coordinator" or shutil.which("coordinator") is not None:
+        return "coordinator"
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
 
 
 def _stay(client: Client, check_processes: Callable[[], object]) -> None:

@@ -24,10 +24,11 @@ _Proposal = tuple[list[str], str]
 """The words of a command, and what it is for."""
 
 
-def next_step(result: Result, folder: Path, words: Sequence[str]) -> str | None:
+def next_step(result: Result, folder: Path, words: Sequence[str], program: str = "coordinator") -> str | None:
     """Return a command and, behind two spaces and ``#``, what it is for; None where there is nothing to propose.
 
-    `result` is of a job that has ended, written into `folder`; `words` of the command line that gave it.
+    `result` is of a job that has ended, written into `folder`; `words` of the command line that gave it, of a
+    `program` that is called like this.
     """
     if result.state == "cancelled" and result.refining == "not refined":
         why = "it was interrupted before the equations were fitted to trajectories and compared"
@@ -42,7 +43,7 @@ def next_step(result: Result, folder: Path, words: Sequence[str]) -> str | None:
             or _with_result(result, str(folder))
         )
     command, purpose = proposal
-    return f"{shlex.join(['coordinator', *command])}  # {purpose}"
+    return f"{shlex.join([program, *command])}  # {purpose}"
 
 
 def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None:

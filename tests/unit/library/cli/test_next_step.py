@@ -1,11 +1,13 @@
 """What is worth trying after a run, by what came of it."""
 
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from atoll.cli.local_run import program_of
 from atoll.cli.next_step import next_step
 from atoll.cli.options.parser import parse
 from atoll_coordinator.result.result import Result
@@ -115,3 +117,18 @@ def test_what_is_proposed_can_be_said() -> None:
         advice = after(**outcome)  # type: ignore[arg-type]
         assert advice is not None
         assert parse(shlex.split(advice.partition("  # ")[0])[1:]).verb
+
+
+@pytest.mark.parametrize(
+    ("path", "is_found", "called"),
+    [
+        ("/lab/.venv/bin/coordinator", False, ".venv/bin/coordinator"),
+        (".venv/bin/coordinator", False, ".venv/bin/coordinator"),
+        ("/opt/bin/coordinator", False, "/opt/bin/coordinator"),
+        ("/lab/.venv/bin/coordinator", True, "coordinator"),
+        ("/lab/atoll/__main__.py", False, "coordinator"),
+    ],
+)
+def test_the_program_is_called_as_it_is_found_from_here(path, is_found, called, monkeypatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}" if is_found else None)
+    assert program_of(Path(path), Path("/lab")) == called
