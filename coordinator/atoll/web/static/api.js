@@ -49,14 +49,8 @@ export async function send(path, { query, headers, ...options } = {}) {
 /** Raises what a response complains about. */
 export async function check(response) {
   if (response.ok || response.status === 304) return response;
-  let sentence = `The service answered ${response.status} ${response.statusText}`.trim();
-  try {
-    const problem = await response.json();
-    sentence = problem.detail ?? problem.title ?? sentence;
-  } catch {
-    // not a problem document: the status has to do
-  }
-  throw new ApiError(sentence, response.status);
+  const problem = await response.json().catch(() => ({})); // no problem document: the status has to do
+  throw new ApiError(problem.detail ?? `The service answered ${response.status} ${response.statusText}`.trim(), response.status);
 }
 
 export async function get(path, query, signal) { return (await check(await send(path, { query, signal }))).json(); }

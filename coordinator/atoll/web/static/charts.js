@@ -83,8 +83,7 @@ function axis(label, isLog, more = {}) {
 
 /** Over many decades the lines between them would be one grey. */
 function decadesOnly(_plot, splits) {
-  const span = Math.log10(splits.at(-1) / splits[0]);
-  if (span < 3) return splits;
+  if (Math.log10(splits.at(-1) / splits[0]) < 3) return splits;
   return splits.map((split) => (Math.abs(Math.log10(split) - Math.round(Math.log10(split))) < 1e-9 ? split : null));
 }
 

@@ -28,12 +28,8 @@ class Comparison {
   again() { return this.pace.now(); }
 
   async #load() {
-    try {
-      const all = await Promise.all(this.ids.map((id) => this.#fetch(id)));
-      if (this.isClosed) return;
-      this.fault.say();
-      this.#draw(all);
-    } catch (error) { this.fault.say(error.message); }
+    const all = await this.fault.guard(() => Promise.all(this.ids.map((id) => this.#fetch(id))));
+    if (all && !this.isClosed) this.#draw(all);
   }
   /** A job that is not over has no result yet, one that has just begun no progress either. */
   async #fetch(id) {

@@ -28,8 +28,8 @@ export default function open(root, _place, app) {
 }
 
 function queueFacts(queue) {
-  const words = { tasks_ready: "Tasks ready", workers_wanted: "Workers wanted" };
-  return Object.entries(queue).filter(([name]) => name !== "kind").map(([name, amount]) => [words[name] ?? name[0].toUpperCase() + name.slice(1), String(amount)]);
+  const word = (name) => (name[0].toUpperCase() + name.slice(1)).replaceAll("_", " ");
+  return Object.entries(queue).filter(([name]) => name !== "kind").map(([name, amount]) => [word(name), String(amount)]);
 }
 
 function userFact({ user, queued, begun }) { return [user ?? "without a certificate", `${queued} in the queue, ${begun} begun`]; }

@@ -13,14 +13,7 @@ const SETTLE = 100;
 /** The service tells of so many jobs by name; of more it tells of all. */
 const MOST_NAMES = 32;
 /** Tabs of another path or of another user see other jobs, so that they have an election of their own. */
-const NAME = `atoll-events ${hash(`${new URL(".", document.baseURI).pathname} ${token() ?? ""}`)}`;
-
-function hash(text) {
-  let value = 2166136261;
-  for (const letter of text) value = Math.imul(value ^ letter.codePointAt(0), 16777619) >>> 0;
-  return value.toString(36);
-}
-
+const NAME = `atoll-events ${new URL(".", document.baseURI).pathname} ${token() ?? ""}`;
 const tab = Math.random().toString(36).slice(2);
 const hasLocks = Boolean(navigator.locks) && typeof BroadcastChannel === "function";
 const channel = hasLocks ? new BroadcastChannel(NAME) : null;

@@ -46,10 +46,9 @@ class JobPage {
   }
 
   async again() {
-    try {
-      this.#merge(await get(paths.job(this.id)));
-      this.fault.say();
-    } catch (error) { return this.fault.say(error.message); }
+    const job = await this.fault.guard(() => get(paths.job(this.id)));
+    if (!job) return;
+    this.#merge(job);
     if (this.#job.variables?.length) this.progress.now(); // there is nothing to see while data are prepared
     if (!ENDED.includes(this.#job.state)) this.islands.now();
     this.log.fetch().catch(() => {}); // the banner says it if the service is away

@@ -3,7 +3,7 @@
 import { check, get, getText, paths, send } from "./api.js";
 import { LinesChart, PhaseChart, cycled, legend, sparse } from "./charts.js";
 import { HAS_RESULT, plural } from "./format.js";
-import { announce, download, h, setText, show } from "./dom.js";
+import { announce, download, faultBox, h, setText, show } from "./dom.js";
 import { Paced } from "./poll.js";
 
 const ASK_AGAIN = 1000;
@@ -21,9 +21,10 @@ export class Outcome {
     this.report = h("button", { type: "button", onclick: () => this.#openReport() }, "Open the report");
     this.reportSaid = h("span", { class: "faint", role: "status" });
     this.files = h("span", { class: "bar" });
+    this.fault = faultBox();
     this.charts = h("div", { class: "pair" });
     this.label = h("p", { class: "label" }, "Take along");
-    this.done = h("div", { hidden: true }, h("div", { class: "bar" }, this.report, this.reportSaid), this.label, this.files, this.charts);
+    this.done = h("div", { hidden: true }, h("div", { class: "bar" }, this.report, this.reportSaid), this.label, this.files, this.fault, this.charts);
     this.box = h("section", { "aria-label": "Outcome", hidden: true }, h("h2", {}, "Outcome"), this.refining, this.done);
   }
 
@@ -59,17 +60,8 @@ export class Outcome {
   }
 
   /** What was measured is in the result only, which may be large: it is fetched when somebody wants to see it. */
-  async #addMeasured(simulation) {
-    try {
-      this.#drawCharts(simulation, await get(paths.of(this.id, "result")));
-    } catch (error) { setText(this.reportSaid, error.message); }
-  }
-
-  async #download(what, name) {
-    try {
-      download(name, await getText(paths.of(this.id, what), this.#query));
-    } catch (error) { setText(this.reportSaid, error.message); }
-  }
+  #addMeasured(simulation) { return this.fault.guard(async () => this.#drawCharts(simulation, await get(paths.of(this.id, "result")))); }
+  #download(what, name) { return this.fault.guard(async () => download(name, await getText(paths.of(this.id, what), this.#query))); }
 
   #drawCharts(simulation, result) {
     const { time, columns } = simulation;

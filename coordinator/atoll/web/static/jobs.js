@@ -85,14 +85,10 @@ class Jobs {
   again() { return this.#load(null); }
 
   async #load(cursor) {
-    try {
-      const page = await get("jobs", { limit: PAGE, cursor, state: this.filter });
-      if (cursor === null) this.#jobs.clear();
-      for (const job of page.jobs) this.#jobs.set(job.job, heard(job));
-      this.#next = page.next;
-      this.#isLoaded = true;
-      this.fault.say();
-    } catch (error) { this.fault.say(error.message); }
+    const page = await this.fault.guard(() => get("jobs", { limit: PAGE, cursor, state: this.filter }));
+    if (page && cursor === null) this.#jobs.clear();
+    for (const job of page?.jobs ?? []) this.#jobs.set(job.job, heard(job));
+    if (page) [this.#next, this.#isLoaded] = [page.next, true];
     this.draw();
   }
 
@@ -112,11 +108,9 @@ class Jobs {
   }
 
   #filterBy(values) {
-    const isOther = "filter" in values;
     Object.assign(this, values);
     this.#keep();
-    if (isOther) this.again();
-    else this.draw();
+    return "filter" in values ? this.again() : this.draw();
   }
 
   #sortBy(name) {

@@ -79,13 +79,10 @@ function connection(source, isThere, reason) {
 }
 
 async function loadSession() {
-  try {
-    Object.assign(session, await get("session"));
-  } catch {
-    return; // the banner says it
-  }
-  const who = session.may_write ? session.user ?? "signed in" : "looking only";
-  setText(document.getElementById("session"), `${who} · ${session.version}`);
+  const known = await get("session").catch(() => null);
+  if (!known) return; // the banner says it
+  Object.assign(session, known);
+  setText(document.getElementById("session"), `${session.may_write ? session.user ?? "signed in" : "looking only"} · ${session.version}`);
 }
 
 function acceptFiles() {

@@ -44,8 +44,7 @@ class NewJob {
       step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You are looking only: open the address with the token to submit."),
         h("div", { class: "tools" }, h("label", {}, "Name ", this.name), h("label", {}, "Priority ", this.priority),
           h("label", {}, this.shared, " everybody may see it"), this.send), this.fault)));
-    show(this.seen, false);
-    show(this.same, false);
+    [this.seen, this.same].forEach((part) => show(part, false));
   }
 
   async #begin(parameters) {
@@ -68,11 +67,11 @@ class NewJob {
     this.#ask();
   }
 
-  async #takeDemo() {
-    try {
+  #takeDemo() {
+    return this.fault.guard(async () => {
       const { filename, text } = await get("demo");
       this.take([new File([text], filename, { type: "text/csv" })]);
-    } catch (error) { this.fault.say(error.message); }
+    });
   }
   /** Takes over data and options of another job, and its equations to begin from. */
   async #takeOver(id) {

@@ -3,30 +3,6 @@
 import { get } from "./api.js";
 
 const PAUSE = 2000;
-/** Calls `draw(answer)` again and again until the view is closed; says it if nothing answers. */
-export class Poll {
-  #timer = null;
-  constructor(path, app, draw) { Object.assign(this, { path, app, draw }); this.again(); }
-
-  async again() {
-    clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => this.again(), PAUSE);
-    if (document.visibilityState === "hidden") return;
-    try {
-      const answer = await get(this.path);
-      if (this.isClosed) return;
-      this.draw(answer);
-      this.app.connection("poll", true);
-    } catch (error) { if (!this.isClosed) this.app.connection("poll", false, error.message); }
-  }
-
-  close() {
-    this.isClosed = true;
-    clearTimeout(this.#timer);
-    this.app.connection("poll", true); // whoever asks no more misses nothing
-  }
-}
-
 /** Fetches when something changed, at most every two seconds; `fetch` may return a longer pause in milliseconds. */
 export class Paced {
   #due = null; #earliest = 0; #isBusy = false; #isStale = false;
@@ -53,4 +29,28 @@ export class Paced {
     clearTimeout(this.#due);
     this.#isBusy = this.isClosed = true; // nothing is fetched for a view that is gone
   }
+}
+
+/** Calls `draw(answer)` again and again until the view is closed; says it if nothing answers. */
+export class Poll extends Paced {
+  constructor(path, app, draw) {
+    super(() => this.#read(path, draw));
+    this.app = app;
+    this.again();
+  }
+
+  again() { return this.now(); }
+
+  async #read(path, draw) {
+    this.soon();
+    if (document.visibilityState === "hidden") return;
+    try {
+      const answer = await get(path);
+      if (this.isClosed) return;
+      draw(answer);
+      this.app.connection("poll", true);
+    } catch (error) { if (!this.isClosed) this.app.connection("poll", false, error.message); }
+  }
+
+  close() { super.close(); this.app.connection("poll", true); } // whoever asks no more misses nothing
 }

@@ -75,10 +75,8 @@ function eventReader(take) {
     const blocks = (rest + text).split("\n\n");
     rest = blocks.pop();
     for (const block of blocks) {
-      const fields = block.split("\n").map((line) => /^([a-z]*): ?(.*)$/.exec(line) ?? []);
-      const values = (wanted) => fields.filter(([, name]) => name === wanted).map(([, , value]) => value);
-      const data = values("data");
-      if (data.length) take(values("event")[0] ?? "message", values("id")[0] ?? null, data.join("\n"));
+      const { event, id = null, data } = Object.fromEntries(block.split("\n").map((line) => line.split(/: (.*)/, 2)));
+      if (data) take(event, id, data);
     }
   };
 }
