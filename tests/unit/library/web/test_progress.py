@@ -31,7 +31,7 @@ def test_few_islands_are_drawn_one_by_one() -> None:
 
 @pytest.mark.parametrize("islands", [1, MAX_CURVES, MAX_CURVES + 1, 1024])
 def test_the_size_does_not_grow_with_the_job(islands) -> None:
-    made = progress(result(islands, 3_000))
+    made = progress(result(islands, 100_000 // islands + 100))
     (equation,) = made["equations"]
     points = sum(len(curve["errors"]) for curve in equation["convergence"])
     assert points <= MAX_POINTS + len(equation["convergence"])
