@@ -7,8 +7,7 @@ import { Poll } from "./poll.js";
 
 export default function open(root, _place, app) {
   const [queue, users, process] = [h("div"), h("div"), h("div")];
-  const state = h("span", { class: "state" });
-  const fault = faultBox();
+  const [state, fault] = [h("span", { class: "state" }), faultBox()];
   const toggle = h("button", { type: "button", hidden: true, onclick: turn }, "Pause the queue");
   let isPaused = false;
   root.append(h("div", { class: "head" }, viewHeading("Coordinator"), state), h("h2", {}, "Queue"), queue, h("p", { class: "bar" }, toggle), fault, h("h2", {}, "Jobs by user"), users, h("h2", {}, "Process"), process);

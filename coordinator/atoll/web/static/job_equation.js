@@ -62,7 +62,7 @@ export class EquationCard {
     if (!this.#equation && view.expression) setText(this.now, `${view.lhs} = ${view.expression}`);
   }
   /** Shows an equation of the progress. */
-  show(equation) { this.#equation = equation; this.draw(); }
+  show(equation) { this.#equation = equation; this.#tell(); this.draw(); }
   get #points() { return this.#equation?.front ?? []; }
   /** The chosen point stays chosen while the front grows; without a choice it is the one that the search holds best. */
   get #index() {
@@ -72,7 +72,8 @@ export class EquationCard {
     return wanted.find((index) => index >= 0) ?? points.length - 1;
   }
 
-  #choose(index) { this.#chosen = this.#points[index]?.complexity ?? null; this.pick(index); this.draw(); }
+  #choose(index) { this.#chosen = this.#points[index]?.complexity ?? null; this.#tell(); this.draw(); }
+  #tell() { if (this.#chosen !== null) this.pick(this.#index); } // its number is another one when the front has grown
 
   #draw() {
     const { lhs, expression, mathml, convergence, plateau } = this.#equation;

@@ -38,7 +38,7 @@ export class Outcome {
   }
 
   /** Exports and simulation are of the equation that was chosen of a front, also while the job runs. */
-  choose(variable, index) { this.#picks[variable] = index; this.pace.soon(); this.#show(); }
+  choose(variable, index) { if (this.#picks[variable] !== index) { this.#picks[variable] = index; this.pace.soon(); this.#show(); } }
   get #query() { return { pick: Object.entries(this.#picks).map((pair) => pair.join("=")) }; }
   #show() {
     const isDone = HAS_RESULT.includes(this.#state);
