@@ -16,7 +16,7 @@ Letters: n rows, N rows over their correlation length, k constants, O measured s
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -149,6 +149,9 @@ class RegressionCriterion:
 
 # -------------------------------------------------------------------------------------- a system along trajectories
 
+_SMALLEST_COUNT: Final = 1e-6
+"""Guard: independent numbers where none is left."""
+
 
 def system_length(misfit: float, programs: Sequence[Program], constants: int, constant_nats: float) -> float:
     """Return the description length of a fitted system: misfit + structures + k/2 ln N (Schwarz 1978).
@@ -184,7 +187,9 @@ class TrajectoryMisfit:
         n/2 ln b + m/2 ln(1 + (n/m) (s/b - 1))   above
         n/2 ln a - m/2 ln(1 + (n/m) (a/s - 1))   below
 
-    Its slope by ln s is that of n independent rows where s is near v, and of m where it is far away.
+    Its slope by ln s is that of n independent rows where s is near v, and of m where it is far away. With the variance
+    and p numbers of a system integrated out, n - p rows count and not n; so m is n - p at most (`with_fitted`), and a
+    system with as many numbers as rows gains nothing by describing all of them.
 
     Args:
         low: a (O,).
@@ -200,6 +205,13 @@ class TrajectoryMisfit:
     counts: FloatArray
     pieces: FloatArray
     below: FloatArray
+
+    def with_fitted(self, numbers: float) -> "TrajectoryMisfit":
+        """Return the misfit of systems with so many fitted numbers for each state; itself where rows are many more."""
+        free = np.maximum(self.counts - numbers, _SMALLEST_COUNT)
+        if (free >= np.maximum(self.pieces, self.below)).all():
+            return self
+        return replace(self, pieces=np.minimum(self.pieces, free), below=np.minimum(self.below, free))
 
     def total(self, squares: FloatArray) -> float:
         """Return the length of errors of these mean squares (O,)."""

@@ -22,6 +22,8 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.inference.group_constants import summarize_groups
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
+from atoll_coordinator.model.inference.target_evidence import target_evidence
+from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement, Simulation
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
@@ -63,11 +65,25 @@ def refine_all(
             comes of it, to the bit.
     """
     deadline = deadline or Deadline()
-    made = _with_units(_refined(preparation, config, pools, deadline, laws, batches), preparation, config)
+    refined = _refined(preparation, config, pools, deadline, laws, batches)
+    if preparation.recording is None:
+        refined = _judged_by_target(refined, preparation, deadline)
+    made = _with_units(refined, preparation, config)
     if not deadline.has_cut_short:
         return made
     warnings = tuple(warning for warning in made.warnings if warning != NOT_SIMULATED)
     return replace(made, warnings=(*warnings, OUT_OF_TIME), end="max-time")
+
+
+def _judged_by_target(made: Refinement, preparation: Preparation, deadline: Deadline) -> Refinement:
+    """Return the same with verdicts by the rows of the targets, where there are no trajectories."""
+    stopped = "the choice of the equation" if deadline.has_cut_short else ""
+    equations = {}
+    for name, equation in made.equations.items():
+        problem = preparation.dataset.problem(name)
+        verdict = judge(target_evidence(equation, problem, preparation.weights, stopped=stopped))
+        equations[name] = replace(equation, grade=verdict.grade, reason=verdict.reason, checks=verdict.checks)
+    return replace(made, equations=equations)
 
 
 def _with_units(made: Refinement, preparation: Preparation, config: JobConfig) -> Refinement:

@@ -19,6 +19,10 @@ from atoll_core.expression.writing.expansion import Shape
 from atoll_core.search.pareto import FrontEntry
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
+JobKind = Literal["trajectories", "groups", "target", "process"]
+"""Kinds of job by what an equation is tested against: simulated trajectories, with constants of their own for groups of
+them or not; a target on rows; the steps of a stochastic process."""
+CheckOutcome = Literal["passed", "failed", "not made"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: by itself, by ``--max-time`` with the best so far, or without a result of its own."""
 
@@ -78,6 +82,22 @@ class Member:
 def decode_members(entries: Sequence[FrontEntry], inputs: int) -> tuple[Member, ...]:
     """Return the members of a front; `inputs` is how many variables there are."""
     return tuple(Member(Program.from_bytes(entry.program, inputs), entry.error, entry.mse) for entry in entries)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check of an equation: its `name`, its `outcome`, and the `reason` as a clause.
+
+    `value` is what was measured and `limit` what it is compared with. `power` is the smallest departure that the check
+    would have seen, as a share of the variance of the state or target; None: it has none, or it is not known.
+    """
+
+    name: str
+    outcome: CheckOutcome
+    reason: str
+    value: float | None = None
+    limit: float | None = None
+    power: float | None = None
 
 
 @dataclass(frozen=True)
@@ -274,6 +294,7 @@ class Refined:
     alternatives: tuple[Alternative, ...] = ()
     grade: Grade | None = None
     reason: str | None = None
+    checks: tuple[Check, ...] = ()
     origin: Origin | None = None
     prediction: Prediction | None = None
     by_group: tuple[GroupEquation, ...] = ()

@@ -100,6 +100,20 @@ class Prediction(Part):
     measure_from: Numbers | None = None
 
 
+class Check(Part):
+    """A check of an equation: "passed", "failed" or "not made", and the reason as a clause.
+
+    `power` is the smallest departure that it would have seen, as a share of the variance of the state or target.
+    """
+
+    name: Text
+    outcome: Text
+    reason: Text
+    value: Number = None
+    limit: Number = None
+    power: Number = None
+
+
 class Convergence(Part):
     """The generations in which the error of an island fell, and these errors over the target's deviation."""
 
@@ -157,6 +171,7 @@ class Equation(Part):
     implied: tuple[ImpliedConstant, ...] = ()
     verdict: Text | None = None
     reason: Text | None = None
+    checks: tuple[Check, ...] = ()
     epoch: Count | None = None
     generation: Count | None = None
     point_evaluations: Count | None = None

@@ -66,17 +66,20 @@ def _simulated(fit: TrajectoryFit, rows: int, stride: int, step: float, toleranc
     return estimator.simulate(fit.system, fit.simulated[:, -1])
 
 
-def along(measurements: Measurements, times: FloatArray, tolerance: float, measured_rows: int) -> MultipleShooting:
+def along(
+    measurements: Measurements, times: FloatArray, tolerance: float, measured_rows: int, owner: int = 0
+) -> MultipleShooting:  # fmt: skip
     """Return an estimator that simulates systems without inputs along these `times`, where nothing was measured.
 
-    So much time has about so many `measured_rows`, each of which is allowed its steps.
+    So much time has about so many `measured_rows`, each of which is allowed its steps. Constants are those of the group
+    of the trajectory `owner`.
     """
     rows, count = len(times), len(measurements.observed)
     low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
     made = replace(
         measurements,
         bounds=np.array([[0, rows]], dtype=np.int64),
-        owners=np.zeros(1, dtype=np.int64),
+        owners=np.array([owner], dtype=np.int64),
         times=times,
         measured=np.zeros((count, rows)),
         weights=np.ones((count, rows)),

@@ -7,7 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from atoll_coordinator.data.recording import Smoothing
+from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.inference.attractor import look_for_chaos
+from atoll_coordinator.model.inference.checks import Evidence
+from atoll_coordinator.model.inference.null_models import log_bayes_factor, random_walk_nats
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.shared_terms import fit_together
@@ -26,7 +29,7 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     scaled_covariance,
     simulated,
 )
-from atoll_coordinator.model.inference.verdict import Evidence, judge
+from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import (
     Alternative,
     Chaos,
@@ -135,11 +138,14 @@ class Final:
 class LongRun:
     """What is known of a model along trajectories that are longer than the pieces of its fit.
 
-    It `fits` them in whole or not, None where that is not known, as where there is or may be `chaos`.
+    It `fits` them in whole up to their noise or not, None where that is not known, as where there is or may be `chaos`.
+    `r2` has the R2 of each state by simulations of whole trajectories of the equations as they are shown, only the
+    initial states fitted; None where they were not simulated, minus infinity where they could not be.
     """
 
     fits: bool | None
     chaos: Chaos | None
+    r2: Sequence[float | None] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,9 +174,9 @@ def summarize(selection: SelectedModel) -> Refinement | None:
         known.with_simple(simple) for known, simple in zip(described, final.equations.rounded.simple, strict=True)
     ]
     out = None if final.unseen is None else _held_out(final, final.unseen, final.shown, errors)
-    long_run = _long_run(final)
+    long_run = long_run_of(final)
     chaos = long_run.chaos
-    predictions = _predictions(final, errors, is_near=chaos is not None and chaos.is_kept)
+    predictions = predictions_of(final, errors, is_near=chaos is not None and chaos.is_kept)
     equations = {
         name: refined_equation(
             final,
@@ -467,21 +473,48 @@ def _carried_bands(final: Final, comparison: ModelComparison, fit: TrajectoryFit
     return np.concatenate(trajectory_bands, axis=1)
 
 
-def _long_run(final: Final) -> LongRun:
+def long_run_of(final: Final) -> LongRun:
     """Return what is known of a model along whole trajectories.
 
     It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
     has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing.
     """
+    if final.task.piece >= final.task.longest:
+        return LongRun(True, None)
     fit = final.free.fit
     rate = growth_rate(fit)
     growths = (rate, rate - speed_growth(fit))
     fits = None if all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
     if fits:
         return LongRun(fits, None)
-    if all(predictable_rows(fit, final.comparison, growth) < final.task.longest for growth in growths):
-        return LongRun(None, look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance))
-    return LongRun(None if final.task.is_nearly_clean else fits, None)  # errors of a solver add up
+    if not final.by_group and all(
+        predictable_rows(fit, final.comparison, growth) < final.task.longest for growth in growths
+    ):
+        chaos = look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
+        return LongRun(None, chaos, None if chaos is not None else _whole_r2(final))
+    fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up
+    return LongRun(fits, None, _whole_r2(final) if fits is None else None)
+
+
+def _whole_r2(final: Final) -> list[float | None] | None:
+    """Return R2 (O,) of the equations as they are shown along whole trajectories; None where time is over.
+
+    Without inputs, of very many rows every so-manyth is simulated.
+    """
+    task = replace(final.task, piece=final.task.longest)
+    if task.is_over:
+        return None
+    measurements = task.measurements(task.variables)
+    if not len(measurements.inputs):
+        measurements = measurements.strided(-(-measurements.rows // SETTINGS.rows.most))
+    comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=measurements.rows)
+    if final.by_group:
+        fit = comparison.estimator.fit(final.seen_fit.system, None, SETTINGS.effort.steps)
+    else:
+        fit = fit_starts(comparison, final.shown)
+    if fit is None:
+        return None if task.is_over else [-math.inf for _ in measurements.observed]
+    return r2_of(measurements, fit, slice(None))
 
 
 def _is_exponential(final: Final, rate: float) -> bool:
@@ -523,7 +556,7 @@ def _fits_in_whole(final: Final) -> bool | None:
     return True
 
 
-def _predictions(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
+def predictions_of(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
     """Return how far each state can be foretold from other initial states, see `foretell`."""
     ranking = final.ranking
     least = ranking.selection.model.nats
@@ -560,7 +593,9 @@ def refined_equation(
     if sensor is not None and sensor.shares[index] > 0.0:
         noise, whitened = float(sensor.sigmas[index]), final.seen.estimator.whitened(final.seen_fit.residuals, sensor)
         innovations = _pieces_of(whitened, measurements, index)
+    is_interpolated = smoothing.method == "interpolation" and smoothing.quantisation is None
     evidence = Evidence(
+        kind="groups" if final.by_group else "trajectories",
         error=error / problem.target.standard_deviation,
         target_uncertainty=problem.target.uncertainty,
         convergence_threshold=problem.target.convergence_threshold(),
@@ -569,31 +604,36 @@ def refined_equation(
         innovations=innovations,
         solver=final.task.solver,
         parameters=(final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed),
-        noise=0.0 if smoothing.method == "interpolation" and smoothing.quantisation is None else noise,
+        noise=0.0 if is_interpolated else noise,
+        noise_estimate=float(measurements.noise[index]),
         standard_deviation=_standard_deviation(measurements, index),
         reference=_reference_smoother(smoothing, noise) if innovations is None else None,
         are_errors_summed=final.are_errors_summed,
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
+        null_nats=_null_nats(final, index),
         constants=known.written,
         unit_coefficients=[coefficient.constant for coefficient in known.unit_coefficients],
         prediction=prediction,
+        unpredicted="states without an equation are inputs as smoothed",
         chaos=long_run.chaos,
-        fails_beyond=final.task.piece if long_run.fits is False else None,
+        fits_whole=_fits(long_run, noise / _standard_deviation(measurements, index), index),
+        piece=final.task.piece,
         alternative=min((alternative.nats for alternative in nearest), default=None),
         rivals=rivals if task.is_nearly_clean else 0.0,
         rivals_agree=not is_told,
         passes_pole=_passes_pole(final, program),
         distinct_rows=_distinct_rows(measurements),
+        stopped="the choice of the equations" if task.has_been_stopped else "",
     )
-    grade, reason = judge(evidence)
+    verdict = judge(evidence)
     member = task.candidates[name].member_of(program)
     origin = final.origin(index, final.ranking.selection.model.programs[index])
     together = final.equations.rounded.together
     return Refined(
-        member, program, error, mse, known.written, known.unit_coefficients, alternatives, grade, reason, origin,
-        prediction, simple_together=together[index] if together else None,
+        member, program, error, mse, known.written, known.unit_coefficients, alternatives, verdict.grade,
+        verdict.reason, verdict.checks, origin, prediction, simple_together=together[index] if together else None,
     )  # fmt: skip
 
 
@@ -657,9 +697,56 @@ def _pieces_of(residuals: FloatArray, measurements: Measurements, index: int) ->
 
 
 def _standard_deviation(measurements: Measurements, index: int) -> float:
-    """Return the standard deviation of what was measured of a state, where it counts."""
-    values = measurements.measured[index][measurements.weights[index] > 0.0]
-    return max(float(values.std()), 1e-300) if len(values) else 1e-300
+    """Return the standard deviation of the measured values of a state, where they count, as in a row of weight 1."""
+    counts = measurements.weights[index] > 0.0
+    values = measurements.measured[index][counts]
+    if not len(values):
+        return 1e-300
+    weights = np.ones(len(values))
+    if measurements.inverse_variances is not None:
+        weights = measurements.inverse_variances[index][counts]
+    mean = float((weights * values).sum() / weights.sum())
+    return max(math.sqrt(float(np.mean(weights * (values - mean) ** 2))), 1e-300)
+
+
+def _fits(long_run: LongRun, noise: float, index: int) -> bool | None:
+    """Tell whether the equation of a state describes whole trajectories; None where that was not tested.
+
+    Where pieces are all that is described up to the noise, whole trajectories have an R2 above 0.9 less the noise.
+    """
+    if long_run.fits is not None or long_run.r2 is None:
+        return long_run.fits
+    r2 = long_run.r2[index]
+    return r2 is None or r2 >= 1.0 - SETTINGS.inference.part - noise * noise
+
+
+def _null_nats(final: Final, index: int) -> float:
+    """Return by how many nats an equation describes the measured state better than no equation does.
+
+    Rows count as many as are independent. The state is constant along each trajectory, or a random walk, without an
+    equation. Constants are the equation's own, or as many as each state has on average, if that is more.
+    """
+    measurements, fit = final.seen.estimator.measurements, final.seen_fit
+    program, is_given = final.shown[index], index in final.comparison.fixed
+    residuals, series, deviations = [], [], 0.0
+    for owner in range(len(measurements.names)):
+        rows = (measurements.owners_of_rows == owner) & (measurements.weights[index] > 0.0)
+        values, weights = measurements.measured[index][rows], measurements.weights[index][rows]
+        if len(values):
+            mean = float((weights * values).sum() / weights.sum())
+            deviations += float((weights * (values - mean) ** 2).sum())
+            residuals.append(weights * fit.residuals[index][rows] ** 2)
+            series.append(np.sqrt(weights) * (values - mean))
+    if not deviations > 0.0:
+        return math.inf
+    count = float(sum(map(len, series)))
+    lengths = final.free.fit.errors.lengths
+    rows_per_one = float(lengths[index]) if len(lengths) > index else 1.0
+    rows = count / max(rows_per_one, 1.0) - (len(series) - 1)
+    constants = 0.0 if is_given else max(len(constant_places(program)), final.free.fit.system.count / len(final.shown))
+    left = float(sum(map(np.sum, residuals))) / deviations
+    price = 0.0 if is_given else structure_length(program)
+    return log_bayes_factor(rows, constants, left) - price - random_walk_nats(series) / max(rows_per_one, 1.0)
 
 
 def _prediction_r2(final: Final, out: HeldOut | None, index: int) -> float | None:

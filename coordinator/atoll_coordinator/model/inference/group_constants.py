@@ -16,9 +16,10 @@ import numpy as np
 from atoll_coordinator.model.inference.conclusion import (
     Final,
     HeldOut,
-    LongRun,
     Shown,
+    long_run_of,
     pole_remarks,
+    predictions_of,
     refined_equation,
     shortest_writing,
     state_errors,
@@ -124,13 +125,15 @@ def _refinement(final: Final, shared: frozenset[Place], errors: Errors, values: 
     spread = bands(comparison.estimator.measurements, model.fit, *scaled_covariance(model.fit, errors))
     out = None if final.unseen is None else _held_out(final, final.unseen)
     trajectories = simulated(comparison.estimator.measurements, final.seen_fit, spread, task.variables, held_out=False)
+    long_run = long_run_of(final)
+    predictions = predictions_of(final, errors, is_near=False)
     described = _Described(final, errors, values)
     equations, by_group = {}, described.covariances()
     for index, name in enumerate(task.variables):
         known = Known(described.means(index, shared), ())
         r2 = None if out is None else out.r2[index]
         equations[name] = replace(
-            refined_equation(final, index, known, r2, None, LongRun(None, None)),
+            refined_equation(final, index, known, r2, None if predictions is None else predictions[index], long_run),
             by_group=described.equations(index),
             shared=()
             if index in comparison.fixed
@@ -143,7 +146,7 @@ def _refinement(final: Final, shared: frozenset[Place], errors: Errors, values: 
             task.variables, (*trajectories, *(out.trajectories if out else ())), student_95(errors.degrees_of_freedom)
         ),
         errors=state_errors(final),
-        warnings=(*remarks(task), *pole_remarks(final)),
+        warnings=(*remarks(task, is_tested_in_whole=long_run.fits is True), *pole_remarks(final)),
         covariance=by_group[0].covariance if is_one else None,
         by_group=by_group,
     )

@@ -1,5 +1,8 @@
 """What a model foretells from other initial states within the measured cloud, and whether its rivals foretell the same.
 
+Where there are inputs, or groups of trajectories with constants of their own, each initial state takes the inputs and
+the group of one of the measured trajectories.
+
 Data decide between two equations as far as these describe the measurements unequally well. Where they describe them
 about as well and yet foretell something else from initial states that were not measured, the data do not decide what
 happens there. So the model, its alternatives and draws of its constants are simulated from such states; what share of
@@ -10,7 +13,7 @@ Letters: D states, O measured ones, N rows, P fitted constants, G initial states
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from typing import Final
@@ -20,7 +23,7 @@ import numpy as np
 from atoll_coordinator.model.inference.attractor import along
 from atoll_coordinator.model.refinement import Prediction
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import Unsimulated
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, Unsimulated
 from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.thinning import thinned_places
@@ -45,7 +48,7 @@ def foretell(
     measurements: Measurements, model: System, rivals: Sequence[Rival], tolerance: float,
     drawn: Iterable[System] = (), *, is_near: bool = False,
 ) -> list[Prediction] | None:  # fmt: skip
-    """Return the prediction of each measured state; None where the system has inputs, which are not known elsewhere.
+    """Return the prediction of each measured state; None where smoothed states are inputs, which others would not be.
 
     Args:
         measurements: the trajectories that were measured.
@@ -55,7 +58,7 @@ def foretell(
         drawn: the model with constants drawn from their distribution, of which as many are taken as decide.
         is_near: whether initial states are near measured ones: an attractor's box has parts that lead elsewhere.
     """
-    if len(measurements.inputs) or measurements.rows < SETTINGS.shooting.lengths[-1] // 4:
+    if measurements.has_smoothed_inputs:
         return None
     elsewhere = _Elsewhere(measurements, tolerance, is_near=is_near)
     own = elsewhere.own_courses(model)
@@ -117,12 +120,7 @@ class _Elsewhere:
         self._measurements = measurements
         low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
         self._low, self._width = low, np.maximum(high - low, 1e-300)
-        length, rows = max(
-            (float(measurements.times[end - 1] - measurements.times[first]), end - first)
-            for first, end in measurements.bounds.tolist()
-        )
-        self._times = np.linspace(0.0, length, SETTINGS.shooting.lengths[-1])
-        self._estimator = along(measurements, self._times, tolerance, rows)
+        self._estimators = _estimators(measurements, tolerance)
         self._is_near = is_near
         self._rows: dict[int, int] = {}
         """Of the courses that are not followed to their end, by initial state."""
@@ -140,27 +138,27 @@ class _Elsewhere:
         """Return the model's courses from all initial states; from now on all are followed for as long as these."""
         courses = []
         for place, start in enumerate(self.starts):
-            simulated, why = self._estimator.simulate_as_far(model, start)
+            simulated, why = self._estimator(place).simulate_as_far(model, start)
             if why == "ran away" and self._leaves_as_measured(simulated[:, np.isfinite(simulated).all(axis=0)]):
-                self._rows[place] = self._rows_measured_from(start)
+                self._rows[place] = self._rows_measured_from(start, place)
             courses.append(self._followed(simulated, why, self._rows.get(place)))
         return courses
 
     def courses(self, system: System, places: Sequence[int]) -> list[Course]:
         """Return the courses from these of the initial states."""
-        return [self._course(system, self.starts[place], self._rows.get(place)) for place in places]
+        return [self._course(system, place, self.starts[place], self._rows.get(place)) for place in places]
 
     def horizon(self, model: System, own: Sequence[Course]) -> int:
         """Return for how many rows slightly different initial states lead to about the same course: chaos ends it."""
         moved = self.starts + SETTINGS.common.negligible * self._measurements.scales
         whole = [place for place, course in enumerate(own) if not isinstance(course, str) and place not in self._rows]
-        others = ((own[place], self._course(model, moved[place])) for place in whole)
+        others = ((own[place], self._course(model, place, moved[place])) for place in whole)
         pairs = [
             (own_course, moved_course)
             for own_course, moved_course in others
             if not isinstance(own_course, str) and not isinstance(moved_course, str)
         ]
-        rows = SETTINGS.shooting.lengths[-1]
+        rows = max(estimator.measurements.rows for estimator in self._estimators)
         least = 1.0 - SETTINGS.inference.part
         while rows > 8 and not all(
             (_r2([own_course[:, :rows]], [moved_course[:, :rows]]) > least).all() for own_course, moved_course in pairs
@@ -198,8 +196,12 @@ class _Elsewhere:
         names = self._measurements.variables[: len(self._low)]
         return dict(zip(names, self.starts[place].tolist(), strict=True))
 
-    def _course(self, system: System, start: FloatArray, rows: int | None = None) -> Course:
-        return self._followed(*self._estimator.simulate_as_far(system, start), rows)
+    def _estimator(self, place: int) -> MultipleShooting:
+        """Return what simulates systems from one of the initial states."""
+        return self._estimators[place % len(self._estimators)]
+
+    def _course(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
+        return self._followed(*self._estimator(place).simulate_as_far(system, start), rows)
 
     def _followed(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
         """Return the measured states of so many rows, all unless given, or why a simulation did not come so far."""
@@ -216,19 +218,51 @@ class _Elsewhere:
         end = self._low[state] + (self._width[state] if side else 0.0)
         return bool(beyond[side, state] > 0.0 and np.any(ends >= end if side else ends <= end))
 
-    def _rows_measured_from(self, start: FloatArray) -> int:
+    def _rows_measured_from(self, start: FloatArray, place: int = 0) -> int:
         """Return for how many rows the trajectory was measured that has the state nearest to this one."""
-        measurements = self._measurements
+        measurements, times = self._measurements, self._estimator(place).measurements.times
         nearest = int(np.argmin(np.abs((measurements.smoothed.T - start) / self._width).max(axis=1)))
         last = self._last_rows[np.searchsorted(self._last_rows, nearest)]
         left = float(measurements.times[last] - measurements.times[nearest])
-        return int(np.searchsorted(self._times, left, side="right"))
+        return int(np.searchsorted(times - times[0], left, side="right"))
 
     @cached_property
     def _last_rows(self) -> Ints:
         """The last row of each trajectory."""
         owners = self._measurements.owners_of_rows
         return np.flatnonzero(np.append(owners[1:] != owners[:-1], True))
+
+
+def _estimators(measurements: Measurements, tolerance: float) -> list[MultipleShooting]:
+    """Return what simulates systems from initial states, which take these in turn.
+
+    Without inputs that is for as long as the longest trajectory. With inputs it is along a few of the trajectories, up
+    to as many rows as a search is given.
+    """
+    lengths = np.bincount(measurements.owners_of_rows)
+    owners = np.flatnonzero(lengths)
+    has_inputs = len(measurements.inputs) > 0
+    if has_inputs or measurements.groups is not None:
+        owners = owners[np.linspace(0, len(owners) - 1, min(len(owners), SETTINGS.effort.beam)).astype(int)]
+    else:
+        owners = owners[:1]
+    if has_inputs:
+        return [
+            MultipleShooting(_in_one_piece(measurements.part([owner]), owner), tolerance) for owner in owners.tolist()
+        ]
+    length, rows = max(
+        (float(np.ptp(measurements.times[measurements.owners_of_rows == owner])), int(lengths[owner]))
+        for owner in np.flatnonzero(lengths).tolist()
+    )
+    times = np.linspace(0.0, length, SETTINGS.shooting.lengths[-1])
+    return [along(measurements, times, tolerance, rows, owner) for owner in owners.tolist()]
+
+
+def _in_one_piece(measurements: Measurements, owner: int) -> Measurements:
+    """Return the beginning of one trajectory, simulated at a stretch."""
+    rows = min(measurements.rows, SETTINGS.rows.most)
+    beginning = measurements.pieces([(0, rows, owner)])
+    return replace(beginning, resting=None, offset=np.zeros(0, dtype=np.int64))
 
 
 class _Misses:

@@ -1,17 +1,19 @@
-"""What a simulation leaves of a state: is it as large as the noise, and is it without a pattern? Pure.
+"""Residuals of a simulated state: are they as large as the noise, and without a pattern? Pure.
 
-Residuals of a right model are the measurement errors: their variance is that of the noise, and neighbours do not know
-of each other. Both are asked of all trajectories together, with p-values. Letters: R rows of one trajectory, n rows of
-all, p fitted parameters.
+The residuals of a right model are the measurement errors: their variance is the variance of the noise, and neighbours
+are independent. Both are tested over all trajectories together, with p-values, and with the power of each test: the
+smallest departure of the model that it would have seen. Letters: R rows of one trajectory, n rows of all, p fitted
+parameters.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.inference.quadratic_forms import variance_ratio_tail
+from atoll_coordinator.model.inference.quadratic_forms import positive_tail, variance_ratio_tail
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -26,13 +28,16 @@ class ReferenceSmoother:
 
 
 @dataclass(frozen=True)
-class Check:
-    """What was found of the residuals of one state.
+class ResidualStatistics:
+    """Tests of the residuals of one state.
 
-    `standard_deviation` is theirs, corrected for what was fitted. `ratio` is that over the noise and
-    `too_large` the probability of at least that ratio if they were noise. `correlation` is that of neighbours, as far
-    as it exceeds what fitting causes: about the share of the residuals' variance that follows a pattern; `patterned` is
-    the probability of at least that much, over a few lags, if they were noise.
+    `standard_deviation` is corrected for the fitted parameters. `ratio` is the standard deviation over the noise and
+    `too_large` the probability of at least that ratio if the residuals were noise. `correlation` is the correlation of
+    neighbours, as far as it exceeds what fitting causes: about the share of the residual variance that follows a
+    pattern; `patterned` is the probability of at least that much, over a few lags, if the residuals were noise.
+
+    `seen_ratio` and `seen_correlation` are the power of both tests: the smallest true ratio, and the smallest share of
+    a pattern, that they find in five of six tables (infinite: none).
     """
 
     standard_deviation: float
@@ -40,26 +45,31 @@ class Check:
     too_large: float
     correlation: float
     patterned: float
+    seen_ratio: float = math.inf
+    seen_correlation: float = math.inf
 
 
-def check(
+_EXACT_ROWS: Final = 250
+"""Rows up to which the distribution of correlations is exact: eigenvalues take the cube of them. The normal one is as
+good beyond that."""
+
+
+def residual_statistics(
     residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0, reference: ReferenceSmoother | None = None,
     innovations: Sequence[FloatArray] | None = None, *, is_robust: bool = False,
-) -> Check:  # fmt: skip
-    """Return the checks of one state's residuals.
+) -> ResidualStatistics:  # fmt: skip
+    """Return the tests of one state's residuals.
 
     Args:
         residuals: (R,) for each trajectory, measured minus simulated, finite.
         noise: standard deviation of the measurement errors, in the same unit. 0 gives an infinite ratio.
         parameters: p, how many numbers were fitted to these residuals: constants and initial values, by share where
             other states decide as well.
-        innovations: the residuals, what goes together in errors of measurement taken out, for both probabilities; None:
-            such errors are independent.
-        reference: what estimates the noise from the same errors, for `too_large`; None: `noise` is known.
+        innovations: the whitened residuals where errors of measurement are correlated, for both probabilities; None:
+            errors are independent.
+        reference: the smoother that estimates the noise from the same errors, for `too_large`; None: `noise` is known.
         is_robust: whether there are outliers, which must not decide.
     """
-    from scipy import special
-
     rows = sum(len(series) for series in residuals)
     free = max(rows - parameters, 1.0)
     errors = _clip_outliers(residuals) if is_robust else residuals
@@ -67,21 +77,102 @@ def check(
     standard_deviation = math.sqrt(square / free)
     ratio = standard_deviation / noise if noise > 0.0 else math.inf
     if square == 0.0:
-        return Check(0.0, 0.0 if noise > 0.0 else 1.0, 1.0, 0.0, 1.0)
+        return ResidualStatistics(0.0, 0.0 if noise > 0.0 else 1.0, 1.0, 0.0, 1.0)
     if innovations is None:
         correlations, weights = _correlations(errors, square, rows / free * parameters)
     else:
         errors = _clip_outliers(innovations) if is_robust else innovations
         square = float(sum(series @ series for series in errors))
         correlations, weights = _correlations(errors, square, parameters)
-    score = sum(correlations) / math.sqrt(sum(weights)) if sum(weights) else 0.0
-    return Check(
+    patterned = _patterned(errors, correlations, weights)
+    if innovations is None and rows <= _EXACT_ROWS and rows - parameters >= 1.0 and correlations:
+        correlations[0], patterned = _exact_pattern(errors, square, parameters)
+    is_testable = rows - parameters >= 1.0
+    return ResidualStatistics(
         standard_deviation,
         ratio,
         _too_large(errors, square / free, noise, parameters, reference),
         correlations[0] if correlations else 0.0,
-        float(special.ndtr(-score)),
+        patterned,
+        _seen_ratio(errors, noise, parameters, reference) if is_testable else math.inf,
+        _seen_correlation(weights, rows) if is_testable else math.inf,
     )
+
+
+def _patterned(errors: Sequence[FloatArray], correlations: Sequence[float], variances: Sequence[float]) -> float:
+    """Return the probability of at least these correlations, all together, in noise: they are about normal."""
+    from scipy import special
+
+    return float(special.ndtr(-sum(correlations) / math.sqrt(sum(variances)))) if sum(variances) else 0.5
+
+
+def _exact_pattern(errors: Sequence[FloatArray], square: float, parameters: float) -> tuple[float, float]:
+    """Return the correlation of neighbours beyond that of residuals of noise, and the probability of all lags' sum.
+
+    What p parameters can do is smooth, so that residuals of noise are noise without the p slowest cosines along the
+    rows. The sum of correlations exceeds r where the quadratic form e'(A - r I)e of such residuals e is positive, with
+    1/2 in the off-diagonals of A as far as the lags reach.
+    """
+    rows = sum(map(len, errors))
+    observed = first = expected = free = 0.0
+    blocks = []
+    for series in errors:
+        count = len(series)
+        slow = min(max(round(parameters * count / rows), 1), count - 1)
+        places = (np.arange(count) + 0.5) * (math.pi / count)
+        basis = np.cos(places[:, None] * np.arange(count))
+        basis /= np.sqrt((basis**2).sum(axis=0))
+        kept = basis[:, slow:]
+        lags = [np.eye(count, k=lag) for lag in range(1, min(SETTINGS.inference.lags, count - 1) + 1)]
+        near = sum((0.5 * (lag + lag.T) for lag in lags), np.zeros((count, count)))
+        blocks.append(kept.T @ near @ kept)
+        observed += float(series @ near @ series)
+        if count > 1:
+            first += float(series[:-1] @ series[1:])
+            expected += float((kept[:-1] * kept[1:]).sum())
+        free += count - slow
+    ratio = observed / square
+    weights = np.concatenate([np.linalg.eigvalsh(block - ratio * np.eye(len(block))) for block in blocks])
+    return first / square - expected / free, positive_tail(weights, np.ones(len(weights)))
+
+
+def _seen_ratio(
+    errors: Sequence[FloatArray], noise: float, parameters: float, reference: ReferenceSmoother | None
+) -> float:
+    """Return the ratio of standard deviations, model to noise, that the test finds in five of six tables.
+
+    That is the ratio whose variance, less one standard deviation of it, is still too large.
+    """
+    free = max(sum(map(len, errors)) - parameters, 1.0)
+
+    def is_too_large(ratio: float) -> bool:
+        return _too_large(errors, (ratio * unit) ** 2, noise, parameters, reference) < SETTINGS.inference.improbable
+
+    unit = noise if reference is None else reference.noise
+    if not unit > 0.0:
+        return math.inf
+    critical, most = SETTINGS.inference.excess, 1e3
+    while not is_too_large(critical):
+        critical *= SETTINGS.inference.excess
+        if critical > most:
+            return math.inf
+    spread = 1.0 - math.sqrt(2.0 / free)  # of a variance, relative
+    return critical / math.sqrt(spread) if spread > 0.0 else math.inf
+
+
+def _seen_correlation(weights: Sequence[float], rows: int) -> float:
+    """Return the share of a slow pattern in the residual variance that the test finds in five of six tables.
+
+    A slow pattern with this share correlates the rows at each lag by about as much.
+    """
+    from scipy import special
+
+    if not weights:
+        return math.inf
+    pairs = sum(weight * (rows + 2) for weight in weights)
+    critical = -float(special.ndtri(SETTINGS.inference.improbable)) + 1.0
+    share = critical * math.sqrt(sum(weights)) / pairs
+    return max(share, SETTINGS.inference.part) if share < 1.0 else math.inf
 
 
 def _too_large(

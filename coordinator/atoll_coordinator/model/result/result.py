@@ -24,6 +24,7 @@ from atoll_coordinator.model.result.source import data, settings, system
 from atoll_coordinator.model.result.trust import (
     candidates,
     chaos,
+    checks,
     correlations,
     covariance,
     groups,
@@ -189,11 +190,12 @@ def _version(package: str) -> str:
 
 def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> parts.Equation:
     dataset = given.dataset
-    target = dataset.problem(outcome.variable).target
+    problem = dataset.problem(outcome.variable)
+    target = problem.target
     shown = equation_of(outcome, dataset, config)
     member = None if shown is None else shown.member
     has_trajectories = given.recording is not None
-    grade, reason = verdict(shown, target, state, has_trajectories=has_trajectories, is_known=outcome.why == KNOWN)
+    judged = verdict(shown, problem, state, has_trajectories=has_trajectories, why=outcome.why, weights=given.weights)
     described = {} if shown is None else _best(shown, dataset, target, config)
     return parts.Equation.model_validate(
         {
@@ -202,8 +204,9 @@ def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, s
             "expression": None if shown is None else to_infix(shown.program, dataset.names),
             "converged": False,
             **described,
-            "verdict": grade,
-            "reason": reason,
+            "verdict": None if judged is None else judged.grade,
+            "reason": None if judged is None else judged.reason,
+            "checks": () if judged is None else checks(judged.checks),
             "epoch": outcome.epoch,
             "generation": _generation(None if member is None else outcome.front[member], outcome, config),
             "point_evaluations": _total(outcome),

@@ -1,21 +1,20 @@
 """What a result says of how far its model can be trusted: alternatives, verdicts, correlations, simulations."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation, Recording, Source
 from atoll_coordinator.model import refinement
-from atoll_coordinator.model.inference.verdict import Evidence, judge
-from atoll_coordinator.model.refinement import Alternative, GroupCovariance, Refined
+from atoll_coordinator.model.inference.target_evidence import target_evidence
+from atoll_coordinator.model.inference.verdict import Verdict, judge, with_objection
+from atoll_coordinator.model.refinement import Alternative, GroupCovariance, JobKind, Refined
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
-from atoll_coordinator.result.equations import Candidate, Prediction
+from atoll_coordinator.result.equations import Candidate, Check, Prediction
 from atoll_coordinator.result.findings import Chaos, Correlation, Covariance, Group, Place
 from atoll_coordinator.result.listed_trajectories import Simulated, Simulation
-from atoll_core.data.dataset import Dataset, FloatArray, Target
+from atoll_core.data.dataset import Dataset, FloatArray, Problem
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
@@ -28,38 +27,57 @@ MOST_CANDIDATES: Final = 20
 
 
 def verdict(
-    shown: Refined | None, target: Target, state: JobState, *, has_trajectories: bool, is_known: bool = False
-) -> tuple[str | None, str | None]:
-    """Return grade and reason of an equation; None while the job has not ended.
+    shown: Refined | None, problem: Problem, state: JobState, *, has_trajectories: bool, why: str | None = None,
+    weights: FloatArray | None = None,
+) -> Verdict | None:  # fmt: skip
+    """Return the verdict on an equation; None while the job has not ended.
 
     Where refining did not judge it, its error on the target decides. Where there are trajectories, it is doubtful at
     best then: it could not be simulated along them, or there was no time.
+
+    Args:
+        shown: the equation, None where none was found.
+        problem: the rows of its search.
+        state: of the job.
+        has_trajectories: whether equations are to be simulated along trajectories.
+        why: why its search ended, "known" where the equation was given.
+        weights: (R,) of the rows, None: all alike.
     """
     if state not in FINAL_STATES:
-        return None, None
+        return None
     if shown is None:
-        return "no model", "The search has found no equation."
-    grade, reason = (
-        (shown.grade, shown.reason)
-        if shown.grade is not None
-        else judge(replace(_on_target(shown, target, is_known), is_unsimulated=has_trajectories))
-    )
-    if shown.units is not None and shown.units.faults and grade in ("exact", "good"):
-        return "doubtful", f"Units contradict it: {shown.units.faults[0]}."
-    return grade, reason
+        return Verdict("no model", "The search has found no equation.", ())
+    judged = Verdict(shown.grade, shown.reason or "", shown.checks) if shown.grade is not None else None
+    if judged is None:
+        kind: JobKind = "trajectories" if has_trajectories else "target"
+        judged = judge(target_evidence(shown, problem, weights, kind=kind, is_known=why == _KNOWN))
+    if judged.grade in ("exact", "good") and shown.units is not None and shown.units.faults:
+        judged = with_objection(judged, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
+    if judged.grade == "good" and why in _STOPPED:
+        judged = with_objection(judged, "search", "not made", _STOPPED[why])
+    return judged
 
 
-def _on_target(shown: Refined, target: Target, is_known: bool) -> Evidence:
-    error = shown.error / target.standard_deviation if target.standard_deviation else math.inf
-    variance = target.standard_deviation * target.standard_deviation
-    r2 = 1.0 - shown.mse / variance if variance else math.nan
-    return Evidence(
-        error,
-        target.uncertainty,
-        finite(r2),
-        constants=shown.constants,
-        is_known=is_known,
-        convergence_threshold=target.convergence_threshold(),
+_KNOWN: Final = "known"
+_STOPPED: Final = {
+    "max-time": "the limit of time stopped the search before it converged or stagnated: give more time with --max-time",
+    "cancelled": "the search was cancelled before it converged or stagnated: let it run on",
+}
+"""What stops a search before it has looked at all that it would have, by why it ended."""
+
+
+def checks(made: Sequence[refinement.Check]) -> tuple[Check, ...]:
+    """Return the checks of an equation as they are written."""
+    return tuple(
+        Check(
+            name=check.name,
+            outcome=check.outcome,
+            reason=check.reason,
+            value=finite(check.value),
+            limit=finite(check.limit),
+            power=finite(check.power),
+        )
+        for check in made
     )
 
 

@@ -113,7 +113,7 @@ def _work(outcomes: Iterable[FitOutcome | None]) -> int:
 
 def _spread(rows: FloatArray) -> FloatArray:
     """Return by what factors (O,) variances that the roughness of so many rows tells may be wrong."""
-    return np.asarray(1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(rows, 4.0)))
+    return np.asarray(1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(rows, 1.0)))
 
 
 class ModelComparison:
@@ -140,6 +140,7 @@ class ModelComparison:
         self.groups: Final = None if constraints is None else constraints.groups
         self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
         self.counts: Final = measurements.weights.sum(axis=1)
+        self._starts: Final = len(measurements.bounds) * (len(measurements.scales) + len(measurements.offset))
         self.least_errors: Final = SETTINGS.shooting.exact * measurements.scales[measurements.observed]
         self.pieces: Final = np.minimum(
             np.maximum(count_pieces(measurements), SETTINGS.selection.systematic_numbers), self.counts
@@ -148,7 +149,7 @@ class ModelComparison:
         self._is_noisy: Final = measurements.noise >= smallest
         self.errors: ErrorModel | None = None
         self._roughness = measurements.noise
-        self.misfit = self._misfit(measurements.noise)
+        self.misfit = self._misfit(measurements.noise, self.counts)
         self._shared_nats: Final = constant_nats_of(measurements.rows)
         count = 1 if self.groups is None else self.groups.count
         self._own_nats: Final = constant_nats_of(measurements.rows / count)
@@ -474,7 +475,7 @@ class ModelComparison:
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
         self.spread.note(1)
-        misfit = self.misfit.total(self.squares(fit)) + self._drift(fit)
+        misfit = self._misfit_of(fit.system).total(self.squares(fit)) + self._drift(fit)
         return FittedModel(fit.system.programs[len(self.leading) :], fit, misfit, self._length(misfit, fit.system))
 
     def _length(self, misfit: float, system: System) -> float:
@@ -483,7 +484,19 @@ class ModelComparison:
 
     def _goal(self, system: System, most: float) -> Goal | None:
         """Return the misfit at which the description with a system takes `most` nats; None where that has no end."""
-        return Goal(self.misfit, most - self._length(0.0, system)) if most < math.inf else None
+        return Goal(self._misfit_of(system), most - self._length(0.0, system)) if most < math.inf else None
+
+    def _misfit_of(self, system: System) -> TrajectoryMisfit:
+        """Return the misfit of systems with as many fitted numbers."""
+        return self.misfit.with_fitted(self._fitted_numbers(system))
+
+    def _fitted_numbers(self, system: System) -> float:
+        """Return how many numbers are fitted for each measured state: constants, also where they are held for a while,
+        and initial states."""
+        programs = system.programs[len(self.leading) :]
+        sought = (program for index, program in enumerate(programs) if index not in self.fixed)
+        constants = max(system.count, sum(len(constant_places(program)) for program in sought))
+        return (constants + self._starts) / len(self.counts)
 
     def _constants_length(self, system: System) -> float:
         """Return the nats of all fitted numbers: those of one group are known from its rows alone."""
@@ -513,16 +526,26 @@ class ModelComparison:
         """
         fit = self._with_errors(model.fit, None) if model.fit.errors.shares.any() else model.fit
         fit, measurements = fit or model.fit, self.estimator.measurements
-        self._roughness = roughness(measurements, fit.residuals)
-        self.errors, self.misfit = None, self._misfit(self._roughness)
+        free = self.counts - self._fitted_numbers(fit.system)
+        self._roughness = self._independent_noise(roughness(measurements, fit.residuals), free)
+        self.errors, self.misfit = None, self._misfit(self._roughness, free)
         correlated = self._with_sensor_errors(fit)
         if correlated is not None:
             fit, self.errors = correlated, correlated.errors
-            self._roughness = roughness(measurements, self.whitened(fit))
-            self.misfit = self._misfit(self._roughness)
+            self._roughness = self._independent_noise(roughness(measurements, self.whitened(fit)), free)
+            self.misfit = self._misfit(self._roughness, free)
         self.tried.clear()
         self._encoded = None
         return self.measure(fit)
+
+    def _independent_noise(self, deviations: FloatArray, free: FloatArray) -> FloatArray:
+        """Return the standard deviations (O,) of independent errors, by the roughness of residuals.
+
+        So many `free` rows count and not all, since numbers were fitted to them, and the smoother's noise as one row
+        more: residuals of a system with as many numbers as rows say nothing.
+        """
+        squares, smoother = self.counts * deviations**2, self.estimator.measurements.noise**2
+        return np.asarray(np.sqrt((squares * (free > 0.0) + smoother) / (np.maximum(free, 0.0) + 1.0)))
 
     def _with_errors(self, fit: TrajectoryFit, errors: ErrorModel | None) -> TrajectoryFit | None:
         """Return a fit begun anew with these errors, independent ones unless given."""
@@ -550,9 +573,10 @@ class ModelComparison:
         """Return the mean squares (O,) of `whitened`."""
         return fit.squares if self.errors is None else self.estimator.squares(self.whitened(fit))
 
-    def _misfit(self, noise: FloatArray) -> TrajectoryMisfit:
-        """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,)."""
-        spread = _spread(self.counts)
+    def _misfit(self, noise: FloatArray, rows: FloatArray) -> TrajectoryMisfit:
+        """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,), by so many
+        independent `rows` (O,)."""
+        spread = _spread(rows)
         smallest = (
             SETTINGS.selection.least_noise * self.estimator.measurements.scales[self.estimator.measurements.observed]
         )
@@ -594,6 +618,7 @@ class ModelComparison:
         independent errors. Where those of a noisy state are larger, there is no limit.
         """
         measurements, squares = self.estimator.measurements, self.squares(model.fit)
+        misfit = self._misfit_of(model.fit.system)
         scales = measurements.scales[measurements.observed]
         is_clean = self.misfit.low == self.misfit.high
         if not np.all(is_clean | self._is_like_noise(model)):
@@ -602,7 +627,7 @@ class ModelComparison:
         least = np.minimum(np.maximum(noise, SETTINGS.inference.exact * scales) ** 2, squares)
         shares, expected = slow_shares(measurements, self.whitened(model.fit), self.pieces)
         left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
-        return self.misfit.total(squares) - self.misfit.total(np.where(is_clean, least, left * squares))
+        return misfit.total(squares) - misfit.total(np.where(is_clean, least, left * squares))
 
     def _noise(self, errors: ErrorModel | None) -> FloatArray:
         """Return the standard deviations (O,) of errors: the smoother's noise, which is that of independent ones, or

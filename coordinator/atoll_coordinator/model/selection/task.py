@@ -67,6 +67,11 @@ class ModellingTask:
         return self.deadline is not None and self.deadline.is_over
 
     @property
+    def has_been_stopped(self) -> bool:
+        """Whether anything has been left out for want of time."""
+        return self.deadline is not None and self.deadline.has_cut_short
+
+    @property
     def is_nearly_clean(self) -> bool:
         """Whether the independent errors of all states are too small to hide a term of a law."""
         return all(smoothing.relative_noise < SETTINGS.selection.least_noise for smoothing in self.recording.smoothing)

@@ -127,7 +127,9 @@ class Goal:
 
     def to_bytes(self) -> bytes:
         """Return what tells this goal from others."""
-        return self.misfit.low.tobytes() + self.misfit.high.tobytes() + np.float64(self.most).tobytes()
+        misfit = self.misfit
+        parts = (misfit.low, misfit.high, misfit.pieces, misfit.below, np.float64(self.most))
+        return b"".join(part.tobytes() for part in parts)
 
     def is_beyond(self, squares: FloatArray, promise: float, steps: int) -> bool:
         """Tell whether errors of these mean squares (O,) are too large for `steps` that gain as much as the next.

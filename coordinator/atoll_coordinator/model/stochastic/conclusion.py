@@ -15,12 +15,14 @@ import numpy.typing as npt
 
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
 from atoll_coordinator.data.increments.steps import take_steps
-from atoll_coordinator.model.inference.residuals import check
+from atoll_coordinator.model.inference.checks import failures
+from atoll_coordinator.model.inference.residuals import residual_statistics
+from atoll_coordinator.model.inference.verdict import Verdict, sentence
 from atoll_coordinator.model.refinement import (
     Alternative,
+    Check,
     Constant,
     Covariance,
-    Grade,
     Origin,
     ProcessFindings,
     Refined,
@@ -54,6 +56,7 @@ _NO_NOISE: Final = (
     "No noise is seen in any state, so that these are no equations of a process: leave out --stochastic to have those "
     "of the motion itself judged."
 )
+_STOPPED: Final = "the limit of time stopped the choice of the equations: give more time with --max-time"
 _SAME: Final = 1e-9
 """Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""
 
@@ -81,7 +84,7 @@ def summarize_process(
             continue
         candidate_set = candidates.get(name, CandidateSet())
         error, mse = errors_on(dataset.problem(name), equation.program, config.evolution.loss)
-        grade, reason = verdicts[number]
+        verdict = verdicts[number]
         refined[name] = Refined(
             None,
             equation.program,
@@ -90,8 +93,9 @@ def summarize_process(
             equation.known.written,
             equation.known.unit_coefficients,
             _alternatives(chosen, number, equation.program, candidate_set),
-            grade,
-            reason,
+            verdict.grade,
+            verdict.reason,
+            verdict.checks,
             _origin(equation.program, candidate_set),
         )
     findings = _findings(chosen, fitted, shown, config.seed)
@@ -227,10 +231,10 @@ def _origin(program: Program, candidates: CandidateSet) -> Origin:
 # ------------------------------------------------------------------------------------------------- verdicts
 
 
-def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equation]) -> list[tuple[Grade, str]]:
-    """Return grade and reason of each equation."""
+def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equation]) -> list[Verdict]:
+    """Return the verdict on each equation."""
     if not _has_noise(chosen, model):
-        return [("doubtful", _NO_NOISE)] * len(equations)
+        return [Verdict("doubtful", _NO_NOISE, (Check("noise", "failed", _NO_NOISE),))] * len(equations)
     residuals = chosen.likelihood.whitened(model).residuals
     steps = chosen.likelihood.steps
     bins = split_into_bins(steps.points, SETTINGS.effort.kept)
@@ -241,28 +245,32 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
         for state in range(states)
     ]
 
-    def objections(state: int) -> list[str]:
+    def of_steps(state: int) -> list[Check]:
         if is_certain[state]:
             return []
-        clauses = _drift_objections(residuals[state], bins, steps.follows)
-        return clauses + joint_objections(residuals, state, chosen.process.states, has_noise=state not in driven)
+        checks = _drift_checks(residuals[state], bins, steps.follows)
+        return checks + joint_checks(residuals, state, chosen.process.states, has_noise=state not in driven)
 
-    verdicts: list[tuple[Grade, str]] = []
+    verdicts = []
     for number, equation in enumerate(equations):
         good = "The steps it leaves are independent and without a pattern over the states"
         if number < states and is_certain[number]:
-            clauses, good = [], _CERTAIN
+            checks, good = [], _CERTAIN
         elif number < states:
-            clauses, good = objections(number) + _doubts(chosen, number, equation), f"{good}."
+            checks, good = of_steps(number) + _model_checks(chosen, number, equation), f"{good}."
         elif is_zero(equation.program):
             i, j = model.pairs[number - states]
-            clauses, good = ([], _NO_COVARIANCE) if i != j else (objections(i), _NO_VARIANCE)
+            checks, good = ([], _NO_COVARIANCE) if i != j else (of_steps(i), _NO_VARIANCE)
         else:
             i, j = model.pairs[number - states]
-            clauses = _diffusion_objections(residuals[i], residuals[j], bins, is_variance=i == j)
-            clauses, good = clauses + _doubts(chosen, number, equation), f"{good}, and their sizes are normal."
-        text = ", and ".join(clauses[:2])
-        verdicts.append(("doubtful", f"{text[0].upper()}{text[1:]}.") if clauses else ("good", good))
+            checks = _diffusion_checks(residuals[i], residuals[j], bins, is_variance=i == j)
+            checks, good = checks + _model_checks(chosen, number, equation), f"{good}, and their sizes are normal."
+        if chosen.is_stopped:
+            checks.append(Check("time", "not made", _STOPPED))
+        against = list(failures(checks))
+        verdicts.append(
+            Verdict("doubtful", sentence(against), tuple(checks)) if against else Verdict("good", good, tuple(checks))
+        )
     return verdicts
 
 
@@ -283,35 +291,59 @@ def _without_noise(model: ProcessModel) -> list[int]:
     return [i for (i, j), program in zip(model.pairs, model.diffusion, strict=True) if i == j and is_zero(program)]
 
 
-def _drift_objections(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDArray[np.bool_]) -> list[str]:
-    """Return what speaks against the drift of one state, from the whitened steps (N,)."""
-    clauses = []
+def _check(name: str, chance: float, limit: float, fault: str, merit: str) -> Check:
+    """Return a check by a probability, which fails below the limit."""
+    return Check(name, "failed" if chance < limit else "passed", fault if chance < limit else merit, chance, limit)
+
+
+def _drift_checks(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDArray[np.bool_]) -> list[Check]:
+    """Return the checks of the drift of one state, from the whitened steps (N,)."""
+    limit = SETTINGS.inference.improbable
     pattern = _pattern([residuals[rows] for rows in bins])
-    if pattern < SETTINGS.inference.improbable:
-        clauses.append(f"the steps it leaves follow a pattern over the states (p = {pattern:.1g})")
     pieces = np.split(residuals, np.flatnonzero(~follows)[1:])
-    serial = check(pieces, 1.0).patterned
-    if min(serial, 1.0 - serial) < SETTINGS.inference.improbable / 2.0:
-        clauses.append(f"steps go together with those before them (p = {2.0 * min(serial, 1.0 - serial):.1g})")
-    return clauses
+    serial = residual_statistics(pieces, 1.0).patterned
+    serial = 2.0 * min(serial, 1.0 - serial)
+    return [
+        _check(
+            "pattern of steps", pattern, limit,
+            f"the steps it leaves follow a pattern over the states (p = {pattern:.1g})",
+            "the steps show no pattern over the states",
+        ),
+        _check(
+            "serial correlation", serial, limit, f"steps go together with those before them (p = {serial:.1g})",
+            "steps are independent of those before them",
+        ),
+    ]  # fmt: skip
 
 
-def joint_objections(residuals: FloatArray, state: int, names: Sequence[str], *, has_noise: bool) -> list[str]:
-    """Return what speaks against one state beside the others, from the whitened steps of all (S, N).
+def joint_checks(residuals: FloatArray, state: int, names: Sequence[str], *, has_noise: bool) -> list[Check]:
+    """Return the checks of one state beside the others, from the whitened steps of all (S, N).
 
     They are independent of each other, and of variance one also where no diffusion of the state's own was fitted to it.
     """
-    clauses = []
-    if not has_noise and (chance := _chance(residuals[state] ** 2 - 1.0)) < SETTINGS.inference.improbable:
-        size = float(np.sqrt(np.mean(residuals[state] ** 2)))
-        clauses.append(f"its steps are {size:.3g} times what noise of other states makes of them (p = {chance:.1g})")
+    limit, checks = SETTINGS.inference.improbable, []
+    if not has_noise:
+        chance, size = _chance(residuals[state] ** 2 - 1.0), float(np.sqrt(np.mean(residuals[state] ** 2)))
+        checks.append(
+            _check(
+                "size of steps", chance, limit,
+                f"its steps are {size:.3g} times what noise of other states makes of them (p = {chance:.1g})",
+                "its steps are as large as the noise of other states makes them",
+            )
+        )  # fmt: skip
     chances = {
         partner: _chance(residuals[state] * residuals[partner]) for partner in range(len(names)) if partner != state
     }
     least = min(chances, key=lambda partner: chances[partner], default=None)
-    if least is not None and chances[least] < SETTINGS.inference.improbable / len(chances):
-        clauses.append(f"the steps it leaves go together with those of {names[least]} (p = {chances[least]:.1g})")
-    return clauses
+    if least is not None:
+        checks.append(
+            _check(
+                "correlation of states", chances[least], limit / len(chances),
+                f"the steps it leaves go together with those of {names[least]} (p = {chances[least]:.1g})",
+                "its steps are independent of those of other states",
+            )
+        )  # fmt: skip
+    return checks
 
 
 def _chance(values: FloatArray) -> float:
@@ -322,22 +354,31 @@ def _chance(values: FloatArray) -> float:
     return 2.0 * float(special.ndtr(-abs(float(values.mean())) / error)) if error > 0.0 else 1.0
 
 
-def _diffusion_objections(
-    first: FloatArray, second: FloatArray, bins: Sequence[Rows], *, is_variance: bool
-) -> list[str]:
-    """Return what speaks against a component of the diffusion, from the whitened steps (N,) of its two states."""
+def _diffusion_checks(first: FloatArray, second: FloatArray, bins: Sequence[Rows], *, is_variance: bool) -> list[Check]:
+    """Return the checks of a component of the diffusion, from the whitened steps (N,) of its two states."""
     from scipy import special
 
+    limit = SETTINGS.inference.improbable
     products = first * second - (1.0 if is_variance else 0.0)
-    clauses = []
     pattern = _pattern([products[rows] for rows in bins])
-    if pattern < SETTINGS.inference.improbable:
-        clauses.append(f"the squares of the steps it leaves follow a pattern over the states (p = {pattern:.1g})")
-    kurtosis = float(np.mean(first**4)) - 3.0
-    chance = float(special.ndtr(-kurtosis / math.sqrt(24.0 / len(first))))
-    if is_variance and chance < SETTINGS.inference.improbable:
-        clauses.append(f"steps are larger now and then than normal ones (excess kurtosis {kurtosis:.2g})")
-    return clauses
+    checks = [
+        _check(
+            "pattern of squared steps", pattern, limit,
+            f"the squares of the steps it leaves follow a pattern over the states (p = {pattern:.1g})",
+            "the squares of the steps show no pattern over the states",
+        )
+    ]  # fmt: skip
+    if is_variance:
+        kurtosis = float(np.mean(first**4)) - 3.0
+        chance = float(special.ndtr(-kurtosis / math.sqrt(24.0 / len(first))))
+        checks.append(
+            _check(
+                "normal steps", chance, limit,
+                f"steps are larger now and then than normal ones (excess kurtosis {kurtosis:.2g})",
+                "the sizes of the steps are normal",
+            )
+        )  # fmt: skip
+    return checks
 
 
 def _pattern(parts: Sequence[FloatArray]) -> float:
@@ -351,20 +392,24 @@ def _pattern(parts: Sequence[FloatArray]) -> float:
     return float(special.chdtrc(len(squares), math.fsum(squares)))
 
 
-def _doubts(chosen: ChosenProcess, number: int, equation: _Equation) -> list[str]:
-    """Return what makes an equation doubtful beside its residuals: constants, and rivals that say something else."""
-    clauses = []
-    if any(not constant.identifiable for constant in equation.known.written) and len(equation.known.written) > 1:
-        clauses.append("a constant is not determined: its interval holds zero")
-    rivals = chosen.rivals[number]
-    for rival in rivals[1:]:
-        apart = rival.nats - rivals[0].nats
-        if not apart < SETTINGS.inference.distinct_nats:
-            break
-        if not _contains(rival.program, equation.program, chosen.likelihood.steps.points):
-            clauses.append(f"another equation describes the data about as well ({apart:.1f} nats apart)")
-            break
-    return clauses
+def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> list[Check]:
+    """Return the checks of an equation beside its residuals: constants, and rivals that say something else."""
+    checks, written = [], equation.known.written
+    if len(written) > 1:
+        is_loose = any(not constant.identifiable for constant in written)
+        reason = "a constant is not determined: its interval holds zero" if is_loose else "all constants are determined"
+        checks.append(Check("constants", "failed" if is_loose else "passed", reason))
+    rivals, limit = chosen.rivals[number], SETTINGS.inference.distinct_nats
+    points = chosen.likelihood.steps.points
+    near = (rival for rival in rivals[1:] if rival.nats - rivals[0].nats < limit)
+    rival = next((rival for rival in near if not _contains(rival.program, equation.program, points)), None)
+    if rival is None:
+        checks.append(Check("alternative equations", "passed", "no other equation describes the data about as well"))
+        return checks
+    apart = rival.nats - rivals[0].nats
+    reason = f"another equation describes the data about as well ({apart:.1f} nats apart)"
+    checks.append(Check("alternative equations", "failed", reason, apart, limit))
+    return checks
 
 
 def _contains(program: Program, rival: Program, points: FloatArray) -> bool:

@@ -52,7 +52,8 @@ class ChosenProcess:
 
     `variables` are the names of the equations in their order, `sought` the numbers of those that were sought, `free` of
     those that have constants to fit: a covariance of noises may be zero. Each has its `rivals` and keeps to its
-    `restrictions`. With the other discretisation the description is longer by `discretisation_nats`.
+    `restrictions`. With the other discretisation the description is longer by `discretisation_nats`. It
+    `is_stopped` where a limit of time ended the choice.
     """
 
     process: ProcessRecording
@@ -64,6 +65,7 @@ class ChosenProcess:
     rivals: tuple[Sequence[Rival], ...]
     restrictions: Sequence[Restrictions]
     discretisation_nats: float
+    is_stopped: bool = False
 
 
 class ProcessChoice:
@@ -101,6 +103,7 @@ class ProcessChoice:
             rivals,
             self._restrictions,
             apart,
+            self._deadline.has_cut_short,
         )
 
     def _discretised(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:

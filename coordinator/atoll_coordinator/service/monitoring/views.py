@@ -205,7 +205,8 @@ def _stored_settings(spec: str) -> tuple[int, str, float | None]:
 
 
 def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState) -> VariableView:
-    target = prepared.dataset.problem(outcome.variable).target
+    problem = prepared.dataset.problem(outcome.variable)
+    target = problem.target
     target_error = prepared.config.budget.target_error
     view = VariableView(
         variable=outcome.variable,
@@ -217,8 +218,9 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
     )
     shown = equation_of(outcome, prepared.dataset, prepared.config)
     has_trajectories = prepared.preparation.recording is not None
-    grade, _ = verdict(shown, target, state, has_trajectories=has_trajectories, is_known=outcome.why == KNOWN)
-    view = view.model_copy(update={"verdict": grade})
+    weights = prepared.preparation.weights
+    judged = verdict(shown, problem, state, has_trajectories=has_trajectories, why=outcome.why, weights=weights)
+    view = view.model_copy(update={"verdict": None if judged is None else judged.grade})
     if shown is None:
         return view
     normalized = finite(shown.error / target.standard_deviation) if target.standard_deviation else None

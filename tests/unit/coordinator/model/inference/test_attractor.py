@@ -8,8 +8,9 @@ import pytest
 
 from atoll_coordinator.model.inference import attractor
 from atoll_coordinator.model.inference.attractor import _block_means, _welch, along, look_for_chaos
-from atoll_coordinator.model.inference.verdict import Evidence, judge
-from atoll_coordinator.model.refinement import Chaos
+from atoll_coordinator.model.inference.checks import Evidence
+from atoll_coordinator.model.inference.verdict import judge
+from atoll_coordinator.model.refinement import Chaos, Prediction
 from atoll_coordinator.model.result.trust import chaos
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -158,18 +159,21 @@ def test_a_simulation_that_runs_away_is_not_kept(measured):
 
 def test_the_verdict_says_in_which_time_errors_grow_and_refuses_what_is_not_kept():
     residuals = [0.1 * np.random.default_rng(1).normal(size=400)]
-    evidence = Evidence(residuals=residuals, noise=0.1, standard_deviation=1.0, chaos=Chaos(1.13, True, 0.4))
-    grade, reason = judge(evidence)
-    assert grade == "good"
-    assert "errors grow e-fold in 1.1" in reason
-    grade, reason = judge(replace(evidence, chaos=Chaos(1.13, False, 1e-5)))
-    assert grade == "doubtful"
-    assert "eans or variances" in reason
-    assert "runs away" in judge(replace(evidence, chaos=Chaos(1.13, False, None)))[1]
-    grade, reason = judge(replace(evidence, chaos=Chaos(1.13, False, None, is_unfinished=True)))
-    assert grade == "doubtful"
-    assert "more steps than are allowed" in reason
-    assert "runs away" not in reason
+    evidence = Evidence(
+        residuals=residuals, noise=0.1, standard_deviation=1.0, chaos=Chaos(1.13, True, 0.4),
+        prediction=Prediction(12, 12, 1.0, 0.1),
+    )  # fmt: skip
+    verdict = judge(evidence)
+    assert verdict.grade == "good"
+    assert "errors grow e-fold in 1.1" in verdict.reason
+    verdict = judge(replace(evidence, chaos=Chaos(1.13, False, 1e-5)))
+    assert verdict.grade == "doubtful"
+    assert "eans or variances" in verdict.reason
+    assert "runs away" in judge(replace(evidence, chaos=Chaos(1.13, False, None))).reason
+    verdict = judge(replace(evidence, chaos=Chaos(1.13, False, None, is_unfinished=True)))
+    assert verdict.grade == "doubtful"
+    assert "more steps than are allowed" in verdict.reason
+    assert "runs away" not in verdict.reason
 
 
 def test_what_is_reported():

@@ -157,7 +157,7 @@ def test_the_threads_of_a_refinement_have_ended_with_it(monkeypatch):
 def test_their_verdict_is_good(noisy):
     for equation in noisy.equations.values():
         assert equation.grade == "good"
-        assert "like the noise" in equation.reason
+        assert "agree with the noise" in equation.reason
 
 
 def test_the_deviation_is_that_of_what_was_measured_and_counts():

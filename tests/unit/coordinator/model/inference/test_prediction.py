@@ -222,9 +222,27 @@ def test_each_part_of_each_dimension_has_one_point():
     assert (_latin_hypercube(12, 3) == points).all()
 
 
-def test_inputs_are_not_known_elsewhere():
+def test_with_inputs_other_initial_states_take_those_of_a_measured_trajectory():
+    """A rival with another answer to the input is found, and a model that runs away with it as well."""
     driven = measurements(DRIVEN, [[1.0]], TIMES)
-    assert foretell(driven, system_of([DRIVEN.parsed("-0.8*x + 1.5*u")], DRIVEN.names, DRIVEN.names), [], 1e-6) is None
+    law, other = (system_of([DRIVEN.parsed(text)], DRIVEN.names, DRIVEN.names) for text in ("-0.8*x + 1.5*u", "-0.8*x"))
+    (prediction,) = foretell(driven, law, [Rival(other, 0, 1.0)], 1e-6)
+    assert prediction.followed == prediction.starts
+    assert prediction.probability < 0.6
+    (alone,) = foretell(driven, law, [], 1e-6)
+    assert alone.probability == 1.0
+    runaway = system_of([DRIVEN.parsed("9*x + 1.5*u")], DRIVEN.names, DRIVEN.names)
+    assert foretell(driven, runaway, [], 1e-6)[0].followed < 12
+
+
+def test_with_groups_other_initial_states_take_the_constants_of_a_group_in_turn():
+    """One group decays and the other grows: with the constants of one of them, half of the courses run away."""
+    grouped = replace(measurements(DECAY, [[2.0], [2.0]], TIMES), groups=np.array([0, 1]))
+    whole = system(DECAY, "-0.5*x")
+    sharing = whole.sharing_numbers(np.array([whole.constants, whole.constants]), (), 0)
+    assert foretell(grouped, sharing, [], 1e-6)[0].followed == 12
+    growing = sharing.with_values(np.array([-0.5, 5.0]))
+    assert foretell(grouped, growing, [], 1e-6)[0].followed == 6
 
 
 def test_draws_spread_as_the_covariance_says():
@@ -265,22 +283,14 @@ def test_constants_are_drawn_until_the_claim_is_decided(lotka, truth, wrong, tak
     assert (len(asked), x.probability) == (taken, pytest.approx(probability))
 
 
-def test_of_few_rows_nothing_is_foretold(truth):
-    few, enough = (
-        measurements(LOTKA, STARTS[:1], 0.1 * np.arange(float(rows))) for rows in (COUNT // 4 - 1, COUNT // 4)
-    )
-    assert foretell(few, truth, [], 1e-6) is None
-    assert foretell(enough, truth, [], 1e-6) is not None
-
-
 def test_courses_last_as_long_as_the_longest_trajectory_and_are_allowed_its_rows(truth):
     three = measurements(LOTKA, STARTS, TIMES)
-    bounds = np.array([[0, 20], [20, 100], [100, 120]])
+    bounds, owners = np.array([[0, 20], [20, 60], [60, 100], [100, 120]]), np.array([0, 1, 1, 2])
     times = np.concatenate([TIMES[:20], 7.0 + 0.1 * np.arange(80.0), TIMES[:20]])
-    region = _Elsewhere(replace(three, bounds=bounds, times=times), 1e-6, is_near=False)
-    along = region._estimator.measurements.times
+    region = _Elsewhere(replace(three, bounds=bounds, owners=owners, times=times), 1e-6, is_near=False)
+    along = region._estimator(0).measurements.times
     assert (len(along), along[0], along[-1]) == (COUNT, 0.0, pytest.approx(7.9))
-    assert region._estimator._rows_in_row == max(1.0, 80.0 / COUNT)
+    assert region._estimator(0)._rows_in_row == max(1.0, 80.0 / COUNT)
     assert {course.shape for course in region.courses(truth, range(12))} == {(2, COUNT)}
 
 
@@ -360,7 +370,7 @@ def test_chaos_is_looked_for_a_thousandth_of_the_deviation_away_in_any_unit(monk
     elsewhere = _Elsewhere(small, 1e-6, is_near=False)
     own = [np.tile(np.sin(np.arange(float(COUNT))), (2, 1))] * 12
     asked, answers = [], iter([*own[:6], *["ran away"] * 6])
-    monkeypatch.setattr(elsewhere, "_course", lambda _, start: asked.append(start) or next(answers))
+    monkeypatch.setattr(elsewhere, "_course", lambda _, _place, start: asked.append(start) or next(answers))
     assert elsewhere.horizon(truth, own) == COUNT
     away = (np.array(asked) - elsewhere.starts) / small.scales
     assert np.abs(away) == pytest.approx(np.full((12, 2), SETTINGS.common.negligible))

@@ -9,7 +9,7 @@ from scipy import special, stats
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
 from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, smooth
 from atoll_coordinator.model.inference.quadratic_forms import _loess_matrix, positive_tail, variance_ratio_tail
-from atoll_coordinator.model.inference.residuals import ReferenceSmoother, check
+from atoll_coordinator.model.inference.residuals import ReferenceSmoother, residual_statistics
 
 DRAWS = 300
 
@@ -68,7 +68,7 @@ def p_values(rows: int, trajectories: int, missed: float) -> tuple[float, ...]:
         estimate = estimate_derivatives(signals, Differentiation())
         assert estimate.smoother is not None
         reference = ReferenceSmoother(estimate.narrower_span, estimate.smoother.degree, estimate.narrower_noise)
-        tails.append(check(residuals, estimate.noise, 2.0 * trajectories, reference).too_large)
+        tails.append(residual_statistics(residuals, estimate.noise, 2.0 * trajectories, reference).too_large)
     return tuple(tails)
 
 
@@ -90,6 +90,6 @@ def test_p_is_small_if_the_model_misses_something():
 def test_residuals_of_another_size_than_the_reference_are_judged():
     draw = np.random.default_rng(3)
     errors = [draw.normal(size=50)]
-    assert check(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 0.5)).too_large < 1e-6
-    assert check(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 0.0)).too_large == 0.0
-    assert check(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 2.0)).too_large > 0.99
+    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 0.5)).too_large < 1e-6
+    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 0.0)).too_large == 0.0
+    assert residual_statistics(errors, 1.0, 2.0, ReferenceSmoother(15, 3, 2.0)).too_large > 0.99

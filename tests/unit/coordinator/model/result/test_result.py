@@ -43,7 +43,9 @@ def entry(text: str, error: float, epoch: int = 0, generation: int = 5, island: 
 def dataset(floor: float = 0.0) -> Dataset:
     values = np.linspace(-2.0, 2.0, 50)
     targets = (Target("x", "dx/dt", values, floor, 1.25, 0.0), Target("v", "dv/dt", values, floor, 1.25, 0.0))
-    return Dataset(NAMES, np.ones((3, 50)), targets, SYMBOLS, ("two rows were dropped",))
+    x = np.linspace(1.0, 2.0, 50)
+    inputs = np.array([x, 0.5 * (3.0 - x - values / x), np.ones(50)])  # the truth is the target
+    return Dataset(NAMES, inputs, targets, SYMBOLS, ("two rows were dropped",))
 
 
 PREPARATION = Preparation(dataset())
@@ -90,7 +92,8 @@ def test_measured_and_fitted_values_of_a_regression_are_listed():
     written = build_result("job-1", JobConfig(), given, outcomes()[:1], Account("done", 1.0, 1.0)).as_dict()[
         "regression"
     ]
-    assert (written["rows"], written["listed"], set(written["fitted"])) == (50, 50, {0.0})
+    assert (written["rows"], written["listed"]) == (50, 50)
+    assert written["fitted"] == pytest.approx(written["measured"], abs=1e-6)
     assert written["measured"][:2] == pytest.approx([-2.0, -1.918367])
     assert set(written["variables"]) == {"x", "S", "v [m/s]"}
     assert result()["regression"] is None
@@ -159,6 +162,8 @@ def test_a_result_says_how_far_its_model_can_be_trusted():
     assert (built["noise"], built["correlations"], built["simulation"]) == ({}, [], None)
     contents, empty = built["equations"]
     assert (contents["verdict"], empty["verdict"]) == ("exact", "no model")
+    assert {check["outcome"] for check in contents["checks"]} == {"passed"}
+    assert {"time", "degrees of freedom", "no equation", "precision"} <= {check["name"] for check in contents["checks"]}
     assert contents["candidates"] == []
     assert result(state="running")["equations"][0]["verdict"] is None
 

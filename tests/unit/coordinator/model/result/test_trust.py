@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Source
+from atoll_coordinator.model.inference.verdict import Verdict
 from atoll_coordinator.model.refinement import Alternative, Correlation, Covariance, Refined, Simulated, Simulation
 from atoll_coordinator.model.result import trust
-from atoll_coordinator.model.result.trust import MOST_POINTS, verdict
+from atoll_coordinator.model.result.trust import MOST_POINTS
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.result.plain import plainly
@@ -118,16 +119,31 @@ def test_correlations_name_constants() -> None:
     assert correlated["value"] == -0.98
 
 
+def verdict_on(shown: Refined | None, state: str = "done", why: str = "target", *, has_trajectories: bool = False):
+    problem = DATASET.problem("x")
+    return trust.verdict(shown, problem, state, has_trajectories=has_trajectories, why=why)
+
+
 def test_a_verdict_is_given_when_the_job_has_ended() -> None:
-    shown = Refined(0, from_infix("2.0*x", ("x",)), 1e-12, 1e-24)
-    assert verdict(shown, TARGET, "running", has_trajectories=False) == (None, None)
-    assert verdict(shown, TARGET, "done", has_trajectories=False)[0] == "exact"
-    worse = replace(shown, error=0.4, mse=0.3)
-    assert verdict(worse, TARGET, "cancelled", has_trajectories=False)[0] == "doubtful"
-    missing = ("no model", "The search has found no equation.")
-    assert verdict(None, TARGET, "done", has_trajectories=False) == missing
-    grade, reason = verdict(shown, TARGET, "done", has_trajectories=True)
-    assert grade == "doubtful"
-    assert "not simulated" in str(reason)
+    shown = Refined(0, from_infix("x", ("x",)), 1e-12, 1e-24)
+    assert verdict_on(shown, "running") is None
+    assert verdict_on(shown).grade == "exact"
+    worse = replace(shown, program=from_infix("2.0*x", ("x",)), error=0.4, mse=0.3)
+    assert verdict_on(worse, "cancelled").grade == "doubtful"
+    assert verdict_on(None) == Verdict("no model", "The search has found no equation.", ())
+    unsimulated = verdict_on(shown, has_trajectories=True)
+    assert unsimulated.grade == "doubtful"
+    assert "not simulated" in unsimulated.reason
     judged = replace(shown, grade="good", reason="Because.")
-    assert verdict(judged, TARGET, "done", has_trajectories=True) == ("good", "Because.")
+    assert verdict_on(judged, has_trajectories=True) == Verdict("good", "Because.", ())
+
+
+@pytest.mark.parametrize(("why", "said"), [("max-time", "limit of time"), ("cancelled", "was cancelled")])
+def test_a_search_that_was_stopped_leaves_no_good_equation(why: str, said: str) -> None:
+    judged = Refined(0, from_infix("x", ("x",)), 1e-3, 1e-6, grade="good", reason="Because.")
+    verdict = verdict_on(judged, why=why, has_trajectories=True)
+    assert verdict.grade == "doubtful"
+    assert said in verdict.reason
+    assert verdict.checks[-1].outcome == "not made"
+    exact = verdict_on(replace(judged, grade="exact"), why=why, has_trajectories=True)
+    assert exact.grade == "exact"

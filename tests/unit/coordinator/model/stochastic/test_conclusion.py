@@ -8,7 +8,7 @@ from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Grade
 from atoll_coordinator.model.regression.covariance import Known
-from atoll_coordinator.model.stochastic.conclusion import _Equation, _judge, _pattern, joint_objections
+from atoll_coordinator.model.stochastic.conclusion import _Equation, _judge, _pattern, joint_checks
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.process_choice import ChosenProcess
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
@@ -23,21 +23,25 @@ NAMES = ("x", "v", "w")
 
 def test_independent_steps_of_variance_one_are_not_objected_to() -> None:
     residuals = np.random.default_rng(2).standard_normal((3, 4000))
-    assert [joint_objections(residuals, state, NAMES, has_noise=state == 1) for state in range(3)] == [[], [], []]
+    for state in range(3):
+        checks = joint_checks(residuals, state, NAMES, has_noise=state == 1)
+        assert {check.outcome for check in checks} == {"passed"}
 
 
 def test_steps_that_go_together_with_those_of_another_state_are_objected_to() -> None:
     residuals = np.random.default_rng(2).standard_normal((3, 4000))
     residuals[2] = np.sqrt(0.99) * residuals[2] - 0.1 * residuals[1]
-    (said,) = joint_objections(residuals, 1, NAMES, has_noise=True)
-    assert said.startswith("the steps it leaves go together with those of w")
+    (check,) = joint_checks(residuals, 1, NAMES, has_noise=True)
+    assert check.outcome == "failed"
+    assert check.reason.startswith("the steps it leaves go together with those of w")
 
 
 def test_steps_that_are_too_small_for_the_noise_of_others_are_objected_to() -> None:
     residuals = 0.5 * np.random.default_rng(2).standard_normal((3, 4000))
-    (said,) = joint_objections(residuals, 2, NAMES, has_noise=False)
-    assert said.startswith("its steps are 0.508 times what noise of other states makes of them")
-    assert joint_objections(residuals, 2, NAMES, has_noise=True) == []
+    size, correlation = joint_checks(residuals, 2, NAMES, has_noise=False)
+    assert (size.outcome, correlation.outcome) == ("failed", "passed")
+    assert size.reason.startswith("its steps are 0.508 times what noise of other states makes of them")
+    assert {check.outcome for check in joint_checks(residuals, 2, NAMES, has_noise=True)} == {"passed"}
 
 
 @pytest.mark.slow
@@ -101,7 +105,8 @@ def judged(rows_a_period: int, model: ProcessModel) -> list[Grade]:
         ((),) * count, (), 0.0,
     )  # fmt: skip
     return [
-        grade for grade, _ in _judge(chosen, model, [_Equation(program, Known((), ())) for program in model.programs])
+        verdict.grade
+        for verdict in _judge(chosen, model, [_Equation(program, Known((), ())) for program in model.programs])
     ]
 
 

@@ -1,0 +1,69 @@
+"""Is an equation a better description than having no equation? Evidence against a constant and a random walk. Pure.
+
+A search that tries thousands of structures on few rows finds one that passes through all of them. What the rows say for
+it is the marginal likelihood, with the variance of the errors and the constants integrated out: n rows less the
+numbers fitted to them count, so that a model with as many numbers as rows gains nothing. By the inequality of Markov a
+description that is shorter than without an equation by t nats comes about by chance with a probability of at most
+exp(-t), however many structures were tried, as these are part of its length.
+
+Letters: n rows, k fitted constants beside the location.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from atoll_core.data.dataset import FloatArray
+
+_POINTS: Final = 4_001
+_TAIL: Final = 60.0
+"""Nats beyond its knee to which the integrand is followed: it falls as exp(-t/2) there at least."""
+_LEAST_LEFT: Final = 1e-30
+"""Guard: smallest share of a variance that is told from zero."""
+
+
+def log_bayes_factor(rows: float, constants: float, left: float) -> float:
+    """Return the nats for a regression with k constants against the mean alone, n rows; 0 where k >= n - 1.
+
+    A model without constants has errors of a size of its own, and nothing else is fitted.
+
+    The hyper-g prior with a = 3 (Liang et al. 2008, J. Am. Stat. Assoc. 103:410, equation 17), with the variance of the
+    errors unknown:
+
+        1/2 int_0^inf (1 + g)^((n - 1 - k - 3)/2) (1 + g (1 - R2))^(-(n - 1)/2) dg
+
+    Args:
+        rows: n.
+        constants: k.
+        left: 1 - R2, the share of the variance that the regression leaves.
+    """
+    if rows - 1.0 <= constants:
+        return 0.0
+    left = max(left, _LEAST_LEFT)
+    if constants <= 0.0:
+        return -0.5 * (rows - 1.0) * math.log(left)
+    left = min(left, 1.0)
+    places = np.linspace(0.0, -math.log(left) + _TAIL, _POINTS)  # t = ln(1 + g)
+    exponents = 0.5 * (rows - 2.0 - constants) * places - 0.5 * (rows - 1.0) * np.log1p(np.expm1(places) * left)
+    top = float(exponents.max())
+    values = np.exp(exponents - top)
+    step = float(places[1] - places[0])
+    return top + math.log(0.5 * step * (float(values.sum()) - 0.5 * float(values[0] + values[-1])))
+
+
+def random_walk_nats(series: Sequence[FloatArray]) -> float:
+    """Return by how many nats a random walk describes series (R,) better than a constant for each; at least 0.
+
+    The variance of the steps, or of the deviations from the mean, is integrated out, the first value and the mean with
+    a flat prior: (n - T)/2 ln(sum of squared deviations/sum of squared steps) + 1/2 sum ln R for T series.
+    """
+    parts = [values for values in series if len(values) > 1]
+    deviations = sum(float(((values - values.mean()) ** 2).sum()) for values in parts)
+    steps = sum(float((np.diff(values) ** 2).sum()) for values in parts)
+    free = sum(len(values) - 1 for values in parts)
+    if not (deviations > 0.0 and steps > 0.0):
+        return 0.0
+    nats = 0.5 * free * math.log(deviations / steps) + 0.5 * sum(math.log(len(values)) for values in parts)
+    return max(nats, 0.0)

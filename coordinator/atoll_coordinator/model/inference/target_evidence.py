@@ -1,0 +1,162 @@
+"""What is known of an equation by the rows of its target alone, where there are no trajectories to simulate. Pure.
+
+Letters: R rows, K constants.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.inference.checks import Evidence
+from atoll_coordinator.model.inference.null_models import log_bayes_factor
+from atoll_coordinator.model.refinement import JobKind, Refined
+from atoll_coordinator.model.thinning import thinned_places
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import EXACT_ERROR, FloatArray, Problem
+from atoll_core.expression.evaluation import values_and_gradient
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program, constant_places
+
+
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    """A program on rows, linearised about its constants.
+
+    `errors` (R,) are target minus program, weighted; `leverages` (R,) are those of the fit of so many `constants`.
+    `has_location` tells that the constants can move all values alike.
+    """
+
+    errors: FloatArray
+    leverages: FloatArray
+    has_location: bool
+    constants: int
+
+
+def target_evidence(
+    shown: Refined, problem: Problem, weights: FloatArray | None, *, kind: JobKind = "target", is_known: bool = False,
+    stopped: str = "",
+) -> Evidence:  # fmt: skip
+    """Return what the rows of a problem say of the equation that is shown.
+
+    Args:
+        shown: the equation, its error and its constants.
+        problem: the rows, of which at most about `RowSettings.most` are looked at.
+        weights: (R,) of the rows, 1 on average; None: all alike.
+        kind: "target", or that of a job whose trajectories the equation was not simulated along.
+        is_known: whether the equation was given.
+        stopped: what a limit of time has stopped.
+    """
+    target = problem.target
+    scale = target.standard_deviation
+    variance = scale * scale
+    evidence = Evidence(
+        kind=kind,
+        error=shown.error / scale if scale else math.inf,
+        target_uncertainty=target.uncertainty,
+        target_r2=1.0 - shown.mse / variance if variance and math.isfinite(shown.mse) else None,
+        constants=shown.constants,
+        unit_coefficients=[coefficient.constant for coefficient in shown.unit_coefficients],
+        is_known=is_known,
+        is_unsimulated=kind != "target",
+        convergence_threshold=target.convergence_threshold(),
+        stopped=stopped,
+    )
+    return evidence if kind != "target" else _with_rows(evidence, shown.program, problem, weights, is_known=is_known)
+
+
+def _with_rows(
+    evidence: Evidence, program: Program, problem: Problem, weights: FloatArray | None, *, is_known: bool
+) -> Evidence:
+    """Return the evidence with what residuals, and rows left out, say."""
+    places = thinned_places(len(problem.target.values), SETTINGS.rows.most)
+    inputs, values = np.ascontiguousarray(problem.inputs[:, places]), problem.target.values[places]
+    roots = np.ones(len(values)) if weights is None else np.sqrt(weights[places] / weights[places].mean())
+    regression = _linearised(program, inputs, values, roots, is_known=is_known)
+    total = _squares_about_mean(values, roots)
+    if regression is None or not total > 0.0:
+        return evidence
+    used = sorted({int(program.left[node]) for node in np.flatnonzero(program.operators == VARIABLE)})
+    distinct = _distinct_rows(inputs[used]) if used else _distinct_rows(inputs)
+    square = float(regression.errors @ regression.errors)
+    predicted = regression.errors / np.maximum(1.0 - regression.leverages, EXACT_ERROR)
+    is_exact = evidence.error <= evidence.convergence_threshold
+    free = max(len(values) - regression.constants, 1)
+    price = 0.0 if is_known else structure_length(program) - SETTINGS.criterion.common
+    return replace(
+        evidence,
+        residuals=_in_order(regression.errors, inputs[used], _fitted(values, roots, regression)),
+        parameters=float(regression.constants),
+        noise=0.0 if is_exact else math.sqrt(square / free),
+        standard_deviation=math.sqrt(total / len(values)),
+        predicted_r2=1.0 - float(predicted @ predicted) / total,
+        distinct_rows=distinct,
+        null_nats=_null_nats(regression, values * roots, total, distinct, price),
+    )
+
+
+def _linearised(
+    program: Program, inputs: FloatArray, values: FloatArray, roots: FloatArray, *, is_known: bool
+) -> _Regression | None:
+    """Return errors and leverages of a program on rows, None where it has no finite value on one of them."""
+    places = [] if is_known else constant_places(program)
+    fitted, slopes = values_and_gradient(program, inputs, places)
+    errors = (values - fitted) * roots
+    if not (np.isfinite(errors).all() and np.isfinite(slopes).all()):
+        return None
+    columns = (slopes * roots).T
+    sizes = np.sqrt((columns**2).sum(axis=0))
+    columns = columns[:, sizes > 0.0] / sizes[sizes > 0.0]
+    basis, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis[:, singular > EXACT_ERROR * singular.max(initial=0.0)]
+    location = roots / math.sqrt(float(roots @ roots))
+    missed = location - basis @ (basis.T @ location)
+    return _Regression(errors, (basis**2).sum(axis=1), bool(missed @ missed < SETTINGS.inference.exact), len(places))
+
+
+def _fitted(values: FloatArray, roots: FloatArray, regression: _Regression) -> FloatArray:
+    return np.asarray(values - regression.errors / np.maximum(roots, 1e-300))
+
+
+def _in_order(errors: FloatArray, columns: FloatArray, fitted: FloatArray) -> Sequence[FloatArray]:
+    """Return the errors in that order, by a column or by the fitted values, in which neighbours are most alike.
+
+    What an equation misses varies with its columns, so that it errs alike on neighbouring rows.
+    """
+    orders = [np.argsort(key, kind="stable") for key in (*columns, fitted)]
+    return [max((errors[order] for order in orders), key=lambda ordered: float(ordered[:-1] @ ordered[1:]))]
+
+
+def _squares_about_mean(values: FloatArray, roots: FloatArray) -> float:
+    weights = roots * roots
+    mean = float((weights * values).sum() / weights.sum())
+    return float((weights * (values - mean) ** 2).sum())
+
+
+def _distinct_rows(columns: FloatArray) -> int:
+    """Return how many rows of some columns differ by more than rounding."""
+    scales = columns.std(axis=1)
+    varying = columns[scales > 0.0] / (EXACT_ERROR * scales[scales > 0.0, None])
+    return len(np.unique(np.round(varying) + 0.0, axis=1).T) if len(varying) else 1
+
+
+def _null_nats(regression: _Regression, values: FloatArray, total: float, distinct: int, price: float) -> float:
+    """Return by how many nats the program describes the rows better than a constant does.
+
+    Rows of the same inputs count as one. Where the constants cannot move all values alike, both are compared with 0.
+
+    Args:
+        regression: the program.
+        values: of the target (R,), weighted.
+        total: their squares about their mean.
+        distinct: how many rows have inputs of their own.
+        price: nats of the structure, beyond those of a constant.
+    """
+    square = float(regression.errors @ regression.errors)
+    if regression.has_location:
+        return log_bayes_factor(distinct, max(regression.constants - 1, 0), square / total) - price
+    whole = max(float(values @ values), 1e-300)
+    constant = log_bayes_factor(distinct + 1, 1, total / whole)
+    return log_bayes_factor(distinct + 1, regression.constants, square / whole) - constant - price
