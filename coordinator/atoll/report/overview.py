@@ -7,12 +7,13 @@ from atoll.model.groups import remark_on_groups
 from atoll.model.parameters import r2_text
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, facts, number, paragraph, parse_mathml, scrolling, section
+from atoll.text.tables import checks_text
 from atoll_coordinator.result.equations import Equation
 
 MEANINGS: Final = {
     "exact": "the data single this equation out, to all of their digits",
-    "good": "what this equation foretells can be relied on within what was measured",
-    "doubtful": "another equation may be the right one; the reason says why",
+    "good": "within the measured range, predictions of this equation can be trusted",
+    "doubtful": "another equation may be the right one, or that was not tested; the reason says why",
     "no model": "nothing was found that describes the data",
 }
 
@@ -41,6 +42,9 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     if verdict is not None:
         badge = element("strong", verdict, class_=f"verdict {verdict.replace(' ', '-')}")
         parts.append(paragraph(badge, f" {equation.reason or ''}"))
+    if equation.checks:
+        rows = [element("li", f"{check.name}: {check.outcome}. {check.reason}") for check in equation.checks]
+        parts.append(element("details", element("summary", checks_text(equation.checks)), element("ul", *rows)))
     return element("div", *parts, class_="equation")
 
 

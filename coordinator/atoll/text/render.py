@@ -120,7 +120,7 @@ def _picked(equation: Equation, number: int, is_of_group: bool) -> Equation:
             "front": tuple(candidate.model_copy(update={"selected": candidate is member}) for candidate in front),
             "is_of_all_groups": is_of_group or bool(equation.groups) or equation.is_of_all_groups,
             **dict.fromkeys(("program", "simple_together", "units", "verdict", "reason", "prediction", "nats")),
-            **dict.fromkeys(("groups", "implied", "bounds", "candidates"), ()),
+            **dict.fromkeys(("groups", "implied", "bounds", "candidates", "checks"), ()),
         }
     )
 
@@ -158,6 +158,7 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
     lines += tables.groups_table(equation, texts, called)
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
+        lines += tables.checks_lines(equation.checks, is_listed=with_tables)
     lines.append(f"    {_standing(equation)}")
     most = None if with_tables else tables.NEAREST
     if with_tables:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from atoll.model.parameters import constant_names, interval_text, r2_text, unit_text
-from atoll_coordinator.result.equations import Candidate, Constant, Equation, SimpleTogether, Units
+from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, SimpleTogether, Units
 from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
@@ -52,6 +52,27 @@ def percent(share: float | None) -> str:
 def number_text(value: float | None, digits: int = 3) -> str:
     """Return a number with so many significant digits; ``?`` for None."""
     return "?" if value is None else f"{value:.{digits}g}"
+
+
+# ---------------------------------------------------------------------------------------------------- checks
+
+
+def checks_text(checks: Sequence[Check]) -> str:
+    """Return how many checks have passed, and which have not."""
+    passed = sum(check.outcome == "passed" for check in checks)
+    parts = [f"{passed} of {len(checks)} passed"]
+    for outcome in ("failed", "not made"):
+        names = [check.name for check in checks if check.outcome == outcome]
+        parts += [f"{outcome}: {', '.join(names)}"] if names else []
+    return f"checks: {'; '.join(parts)}"
+
+
+def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
+    """Return a line for all checks of an equation, and where they are to be listed one for each."""
+    if not checks:
+        return []
+    listed = [f"        {check.name}: {check.outcome}: {check.reason}" for check in checks] if is_listed else []
+    return [f"    {checks_text(checks)}", *listed]
 
 
 # ------------------------------------------------------------------------------------------------- constants

@@ -38,6 +38,7 @@ def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str
         "mathml": _mathml(equation, equation.expression, names),
         "verdict": equation.verdict,
         "reason": equation.reason,
+        "checks": [check.model_dump(include={"name", "outcome", "reason"}) for check in equation.checks],
         "front": [_member(member, equation, names) for member in equation.front],
         "convergence": curves,
         "plateau": _plateau(equation.convergence),

@@ -23,6 +23,7 @@ export class EquationCard {
     this.verdict = h("span", { class: "verdict", hidden: true });
     this.now = h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `Equation of ${this.variable}` }, "No equation yet.");
     this.facts = h("p", { class: "faint numbers" });
+    this.checks = h("details", { class: "reason", hidden: true });
     this.front = new FrontChart(`Front of ${this.variable}`, (index) => this.#choose(index));
     this.curves = new ConvergenceChart(`Errors of the islands of ${this.variable} over generations`);
     this.picked = h("p", { class: "faint numbers" });
@@ -33,7 +34,7 @@ export class EquationCard {
       count: () => this.#points.length, at: () => this.#index, choose: (index) => this.#choose(index), say: () => sayPoint(this.#points[this.#index]),
     });
     this.box = h("article", { class: "equation", "aria-label": `Equation of ${this.variable}` },
-      h("div", { class: "head" }, this.title, this.verdict), this.now, this.facts,
+      h("div", { class: "head" }, this.title, this.verdict), this.now, this.facts, this.checks,
       (this.pictures = h("div", { class: "pair", hidden: true },
         h("figure", {}, h("figcaption", {}, "Front: the least error for each complexity. Click a point, or use arrow keys."), this.front.box, this.picked, this.pickedFormula),
         h("figure", {}, h("figcaption", {}, "Convergence: the error of each island over generations."), this.curves.box, this.islands))),
@@ -76,7 +77,10 @@ export class EquationCard {
   #tell() { if (this.#chosen !== null) this.pick(this.#index); } // its number is another one when the front has grown
 
   #draw() {
-    const { lhs, expression, mathml, convergence, plateau } = this.#equation;
+    const { lhs, expression, mathml, convergence, plateau, reason, checks } = this.#equation;
+    show(this.checks, Boolean(reason));
+    redraw(this.checks, JSON.stringify([reason, checks]), () => [h("summary", {}, reason ?? ""),
+      h("ul", {}, (checks ?? []).map((check) => h("li", {}, `${check.name}: ${check.outcome}. ${check.reason}`)))]);
     redraw(this.now, `${mathml} ${expression}`, () => formula(mathml, `${lhs} = ${expression ?? "…"}`));
     for (const part of [this.pictures, this.table]) show(part, this.#points.length > 0);
     this.front.set([this.#points], this.#index);

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.loess_matrix import loess_matrix
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -108,25 +109,6 @@ def _eigenvalues(rows: int, span: int, degree: int) -> tuple[FloatArray, FloatAr
     thinning = max(1, min(span, rows) // SETTINGS.smoothing.least_bins_in_span)
     bins = rows // thinning
     taken = min(bins, max(_MOST_BINS, 2 * (span // thinning)))
-    rest = np.eye(taken) - _loess_matrix(taken, max(span // thinning, degree + 2), degree)
+    rest = np.eye(taken) - loess_matrix(taken, max(span // thinning, degree + 2), degree)
     values = np.maximum(np.linalg.eigvalsh(rest.T @ rest), 0.0)
     return np.append(values, 1.0), np.append(np.full(taken, bins / taken), float(rows - bins))
-
-
-def _loess_matrix(rows: int, span: int, degree: int) -> FloatArray:
-    """Return S (n, n) for evenly spaced rows: tricube weights over the nearest rows (Cleveland 1979)."""
-    window = min(span, rows)
-    places = np.arange(rows)
-    starts = np.clip(places - window // 2, 0, rows - window)
-    columns = starts[:, None] + np.arange(window)
-    offsets = (columns - places[:, None]).astype(np.float64)
-    reach = np.abs(offsets).max(axis=1, keepdims=True) * (1.0 + 1.0 / window) * max(1.0, span / window)
-    offsets /= reach
-    roots = np.sqrt((1.0 - np.abs(offsets) ** 3) ** 3)
-    orthogonal, triangle = np.linalg.qr(roots[:, :, None] * offsets[:, :, None] ** np.arange(degree + 1))
-    first = np.zeros((rows, degree + 1, 1))
-    first[:, 0] = 1.0
-    at_zero = np.linalg.solve(np.swapaxes(triangle, 1, 2), first)
-    matrix = np.zeros((rows, rows))
-    np.put_along_axis(matrix, columns, roots * (orthogonal @ at_zero)[:, :, 0], axis=1)
-    return matrix

@@ -10,7 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.model.loess_matrix import residual_shares
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
@@ -38,32 +40,42 @@ class VarianceModel:
 def estimate_variance(recording: Recording, state: int) -> VarianceModel:
     """Return the variances of the errors of a state (index), by the residuals of its smoothing.
 
-    A trajectory along which the state is 0 throughout says nothing. A proportional part is described by one number,
-    which takes 1/2 ln n nats (Schwarz 1978). There is none where the state was interpolated, where outliers have lost
-    their weight, or where rows have weights.
+    A trajectory along which the state is 0 throughout says nothing. Loess follows the errors of rows at the ends, so
+    that each row counts by the share of its error that is in its residual. Errors are proportional where that is the
+    better description, all shares alike beforehand, by odds of 20 (`InferenceSettings.distinct_nats`): as rarely as one
+    time in twenty by chance, by the inequality of Markov. They are not where the state was interpolated, where outliers
+    have lost their weight, or where rows have weights.
     """
     searched = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     parts = [trajectory for trajectory in searched if np.nan_to_num(trajectory.measured[state]).any()] or searched
-    is_given = any(part.weights is not None for part in parts)
-    if is_given or recording.smoothing[state].method != "loess":
+    is_given, smoothing = any(part.weights is not None for part in parts), recording.smoothing[state]
+    if is_given or smoothing.method != "loess":
         return VarianceModel()
     residuals = np.concatenate([part.measured[state] - part.smoothed[state] for part in parts])
     values = np.concatenate([part.smoothed[state] for part in parts])
+    shares = np.concatenate([_residual_shares(smoothing, len(part.times)) for part in parts])
     known = np.isfinite(residuals)
-    residuals, values = residuals[known], values[known]
-    rms, square = float(np.sqrt(np.mean(values**2))), float(np.mean(residuals**2))
-    if not (rms > 0.0 and square > 0.0):
+    residuals, values, shares = residuals[known], values[known], shares[known]
+    rms, square = float(np.sqrt(np.mean(values**2))), float(np.sum(residuals**2))
+    count = float(shares.sum())
+    if not (rms > 0.0 and square > 0.0 and count > 0.0):
         return VarianceModel()
-    count = len(residuals)
-    best, shortest = VarianceModel(), 0.5 * count * math.log(square) - 0.5 * math.log(count)
+    gains, models = [], []
     for share in _SHARES:
         inverse = _inverse(values / rms, share)
-        weighted = float(np.mean(inverse * residuals**2))
-        length = 0.5 * count * math.log(weighted) - 0.5 * float(np.log(inverse).sum())
-        if length < shortest:
-            mean = float(inverse.mean())
-            best, shortest = VarianceModel(share, rms, mean, math.sqrt(weighted / mean / square)), length
-    return best
+        weighted, mean = float(np.sum(inverse * residuals**2)), float(inverse.mean())
+        gains.append(0.5 * count * math.log(square / weighted) + 0.5 * float(shares @ np.log(inverse)))
+        models.append(VarianceModel(share, rms, mean, math.sqrt(weighted / mean / square)))
+    best = max(range(len(gains)), key=lambda place: gains[place])
+    evidence = gains[best] + math.log(sum(math.exp(gain - gains[best]) for gain in gains) / len(gains))
+    return models[best] if evidence >= SETTINGS.inference.distinct_nats else VarianceModel()
+
+
+def _residual_shares(smoothing: Smoothing, rows: int) -> FloatArray:
+    """Return by what share (R,) of the variance of its error the residual of each row varies."""
+    if smoothing.span is None or smoothing.degree is None:
+        return np.ones(rows)
+    return residual_shares(rows, smoothing.span, smoothing.degree)
 
 
 def _inverse(relative: FloatArray, share: float) -> FloatArray:
