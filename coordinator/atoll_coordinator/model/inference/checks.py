@@ -14,7 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from atoll_coordinator.model.inference.residuals import ReferenceSmoother, ResidualStatistics, residual_statistics
+from atoll_coordinator.model.inference.residuals import (
+    ReferenceSmoother,
+    ResidualStatistics,
+    clip_outliers,
+    residual_statistics,
+)
 from atoll_coordinator.model.refinement import Chaos, Check, CheckOutcome, Constant, JobKind, Prediction
 from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE
 from atoll_coordinator.settings import SETTINGS
@@ -38,7 +43,8 @@ class Evidence:
     numbers were fitted to them: constants and initial values, each shared by as many states as it was fitted to.
     `noise` is the smoother's estimate of the measurement errors (0 for a state that was interpolated, of which
     `noise_estimate` is what its second differences say), or the size of correlated errors of a sensor, and
-    `innovations` are the whitened residuals then; `standard_deviation` is that of the measured values, in the state's
+    `innovations` are the whitened residuals then; `covariance` (R, R) is that of residuals of independent errors of
+    variance one, None where it is not known; `standard_deviation` is that of the measured values, in the state's
     unit as the noise; `reference` judges the variance of the residuals, None where the noise is known;
     `are_errors_summed` tells that errors add up along trajectories, as those of a solver do, and that constants were
     fitted to short pieces therefore; `has_outliers` makes the tests robust. `held_out_r2` is the R2 of the simulations
@@ -90,6 +96,7 @@ class Evidence:
     is_known: bool = False
     is_unsimulated: bool = False
     innovations: Sequence[FloatArray] | None = None
+    covariance: FloatArray | None = None
     solver: str | None = None
     convergence_threshold: float = EXACT_ERROR
     stopped: str = ""
@@ -97,10 +104,11 @@ class Evidence:
     @cached_property
     def statistics(self) -> ResidualStatistics:
         """The tests of the residuals."""
-        return residual_statistics(
-            self.residuals, self.noise, self.parameters, self.reference, self.innovations,
-            is_robust=self.has_outliers,
-        )  # fmt: skip
+        residuals, innovations = self.residuals, self.innovations
+        if self.has_outliers:  # which must not decide
+            residuals = clip_outliers(residuals)
+            innovations = None if innovations is None else clip_outliers(innovations)
+        return residual_statistics(residuals, self.noise, self.parameters, self.reference, innovations, self.covariance)
 
     @property
     def rows(self) -> int:

@@ -12,6 +12,7 @@ from atoll_coordinator.model.inference.attractor import look_for_chaos
 from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, random_walk_nats
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
+from atoll_coordinator.model.inference.residual_covariance import residual_covariance
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.standard_errors import (
@@ -602,6 +603,7 @@ def refined_equation(
         target_r2=1.0 - mse / variance if variance else None,
         residuals=_pieces_of(final.seen_fit.residuals, measurements, index),
         innovations=innovations,
+        covariance=_residual_covariance(final, index) if innovations is None else None,
         solver=final.task.solver,
         parameters=(final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed),
         noise=0.0 if is_interpolated else noise,
@@ -707,6 +709,15 @@ def _standard_deviation(measurements: Measurements, index: int) -> float:
         weights = measurements.inverse_variances[index][counts]
     mean = float((weights * values).sum() / weights.sum())
     return max(math.sqrt(float(np.mean(weights * (values - mean) ** 2))), 1e-300)
+
+
+def _residual_covariance(final: Final, index: int) -> FloatArray | None:
+    """Return the covariance of the residuals of a state; None where other rows are simulated than constants are
+    fitted to."""
+    measurements = final.comparison.estimator.measurements
+    if measurements.rows != final.seen.estimator.measurements.rows or final.piece != final.task.piece:
+        return None
+    return residual_covariance(measurements, final.free.fit, index)
 
 
 def _fits(long_run: LongRun, noise: float, index: int) -> bool | None:

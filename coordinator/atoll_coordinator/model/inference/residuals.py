@@ -9,7 +9,6 @@ parameters.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -49,14 +48,9 @@ class ResidualStatistics:
     seen_correlation: float = math.inf
 
 
-_EXACT_ROWS: Final = 250
-"""Rows up to which the distribution of correlations is exact: eigenvalues take the cube of them. The normal one is as
-good beyond that."""
-
-
 def residual_statistics(
     residuals: Sequence[FloatArray], noise: float, parameters: float = 0.0, reference: ReferenceSmoother | None = None,
-    innovations: Sequence[FloatArray] | None = None, *, is_robust: bool = False,
+    innovations: Sequence[FloatArray] | None = None, covariance: FloatArray | None = None,
 ) -> ResidualStatistics:  # fmt: skip
     """Return the tests of one state's residuals.
 
@@ -68,11 +62,12 @@ def residual_statistics(
         innovations: the whitened residuals where errors of measurement are correlated, for both probabilities; None:
             errors are independent.
         reference: the smoother that estimates the noise from the same errors, for `too_large`; None: `noise` is known.
-        is_robust: whether there are outliers, which must not decide.
+        covariance: (n, n) of the residuals of noise of variance one, all rows one after another, which makes the
+            distribution of correlations exact; None: they are about normal, what was fitted being smooth.
     """
     rows = sum(len(series) for series in residuals)
     free = max(rows - parameters, 1.0)
-    errors = _clip_outliers(residuals) if is_robust else residuals
+    errors = residuals
     square = float(sum(series @ series for series in errors))
     standard_deviation = math.sqrt(square / free)
     ratio = standard_deviation / noise if noise > 0.0 else math.inf
@@ -81,12 +76,12 @@ def residual_statistics(
     if innovations is None:
         correlations, weights = _correlations(errors, square, rows / free * parameters)
     else:
-        errors = _clip_outliers(innovations) if is_robust else innovations
+        errors = innovations
         square = float(sum(series @ series for series in errors))
         correlations, weights = _correlations(errors, square, parameters)
     patterned = _patterned(errors, correlations, weights)
-    if innovations is None and rows <= _EXACT_ROWS and rows - parameters >= 1.0 and correlations:
-        correlations[0], patterned = _exact_pattern(errors, square, parameters)
+    if covariance is not None and len(covariance) == rows and rows - parameters >= 1.0 and correlations:
+        correlations[0], patterned = _exact_pattern(errors, square, covariance)
     is_testable = rows - parameters >= 1.0
     return ResidualStatistics(
         standard_deviation,
@@ -106,34 +101,25 @@ def _patterned(errors: Sequence[FloatArray], correlations: Sequence[float], vari
     return float(special.ndtr(-sum(correlations) / math.sqrt(sum(variances)))) if sum(variances) else 0.5
 
 
-def _exact_pattern(errors: Sequence[FloatArray], square: float, parameters: float) -> tuple[float, float]:
+def _exact_pattern(errors: Sequence[FloatArray], square: float, covariance: FloatArray) -> tuple[float, float]:
     """Return the correlation of neighbours beyond that of residuals of noise, and the probability of all lags' sum.
 
-    What p parameters can do is smooth, so that residuals of noise are noise without the p slowest cosines along the
-    rows. The sum of correlations exceeds r where the quadratic form e'(A - r I)e of such residuals e is positive, with
-    1/2 in the off-diagonals of A as far as the lags reach.
+    Residuals e of noise have the covariance I - H, with the projection H on what the fitted numbers can do. The sum of
+    correlations exceeds r where the quadratic form e'(A - r I)e is positive, with 1/2 in the off-diagonals of A as far
+    as the lags reach within a trajectory.
     """
-    rows = sum(map(len, errors))
-    observed = first = expected = free = 0.0
-    blocks = []
-    for series in errors:
-        count = len(series)
-        slow = min(max(round(parameters * count / rows), 1), count - 1)
-        places = (np.arange(count) + 0.5) * (math.pi / count)
-        basis = np.cos(places[:, None] * np.arange(count))
-        basis /= np.sqrt((basis**2).sum(axis=0))
-        kept = basis[:, slow:]
-        lags = [np.eye(count, k=lag) for lag in range(1, min(SETTINGS.inference.lags, count - 1) + 1)]
-        near = sum((0.5 * (lag + lag.T) for lag in lags), np.zeros((count, count)))
-        blocks.append(kept.T @ near @ kept)
-        observed += float(series @ near @ series)
-        if count > 1:
-            first += float(series[:-1] @ series[1:])
-            expected += float((kept[:-1] * kept[1:]).sum())
-        free += count - slow
-    ratio = observed / square
-    weights = np.concatenate([np.linalg.eigvalsh(block - ratio * np.eye(len(block))) for block in blocks])
-    return first / square - expected / free, positive_tail(weights, np.ones(len(weights)))
+    owners = np.repeat(np.arange(len(errors)), list(map(len, errors)))
+    places = np.concatenate([np.arange(len(series)) for series in errors])
+    lags = np.abs(places[:, None] - places) * (owners[:, None] == owners)
+    near = np.where((lags > 0) & (lags <= SETTINGS.inference.lags), 0.5, 0.0)
+    together = np.concatenate(list(errors))
+    ratio = float(together @ near @ together) / square
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    weights = np.linalg.eigvalsh(root.T @ (near - ratio * np.eye(len(near))) @ root)
+    first = float(sum(series[:-1] @ series[1:] for series in errors)) / square
+    expected = float((covariance * (lags == 1)).sum()) / 2.0 / max(float(np.trace(covariance)), 1.0)
+    return first - expected, positive_tail(weights, np.ones(len(weights)))
 
 
 def _seen_ratio(
@@ -208,7 +194,7 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
     return correlations, variances
 
 
-def _clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
+def clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """Return the residuals with those far out, by the median of their size, brought in."""
     limit = SETTINGS.robustness.reach * float(np.median(np.abs(np.concatenate(list(residuals)))))
     return [np.clip(series, -limit, limit) for series in residuals]

@@ -4,33 +4,37 @@ Letters: R rows, K constants.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.null_models import log_bayes_factor
+from atoll_coordinator.model.inference.residual_covariance import projected_away
 from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.data.dataset import EXACT_ERROR, FloatArray, Problem
+from atoll_core.data.dataset import EXACT_ERROR, FloatArray, IntArray, Problem
 from atoll_core.expression.evaluation import values_and_gradient
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program, constant_places
+
+_MOST_ROWS: Final = 250
+"""Rows up to which the covariance of residuals is made; of more the distribution of correlations is about normal."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Regression:
     """A program on rows, linearised about its constants.
 
-    `errors` (R,) are target minus program, weighted; `leverages` (R,) are those of the fit of so many `constants`.
+    `errors` (R,) are target minus program, weighted; `basis` (R, K) is what the fit of so many `constants` can do.
     `has_location` tells that the constants can move all values alike.
     """
 
     errors: FloatArray
-    leverages: FloatArray
+    basis: FloatArray
     has_location: bool
     constants: int
 
@@ -81,13 +85,15 @@ def _with_rows(
     used = sorted({int(program.left[node]) for node in np.flatnonzero(program.operators == VARIABLE)})
     distinct = _distinct_rows(inputs[used]) if used else _distinct_rows(inputs)
     square = float(regression.errors @ regression.errors)
-    predicted = regression.errors / np.maximum(1.0 - regression.leverages, EXACT_ERROR)
+    predicted = regression.errors / np.maximum(1.0 - (regression.basis**2).sum(axis=1), EXACT_ERROR)
+    order = _order(regression.errors, inputs[used], _fitted(values, roots, regression))
     is_exact = evidence.error <= evidence.convergence_threshold
     free = max(len(values) - regression.constants, 1)
     price = 0.0 if is_known else structure_length(program) - SETTINGS.criterion.common
     return replace(
         evidence,
-        residuals=_in_order(regression.errors, inputs[used], _fitted(values, roots, regression)),
+        residuals=[regression.errors[order]],
+        covariance=projected_away(regression.basis[order], slice(None)) if len(values) <= _MOST_ROWS else None,
         parameters=float(regression.constants),
         noise=0.0 if is_exact else math.sqrt(square / free),
         standard_deviation=math.sqrt(total / len(values)),
@@ -113,20 +119,20 @@ def _linearised(
     basis = basis[:, singular > EXACT_ERROR * singular.max(initial=0.0)]
     location = roots / math.sqrt(float(roots @ roots))
     missed = location - basis @ (basis.T @ location)
-    return _Regression(errors, (basis**2).sum(axis=1), bool(missed @ missed < SETTINGS.inference.exact), len(places))
+    return _Regression(errors, basis, bool(missed @ missed < SETTINGS.inference.exact), len(places))
 
 
 def _fitted(values: FloatArray, roots: FloatArray, regression: _Regression) -> FloatArray:
     return np.asarray(values - regression.errors / np.maximum(roots, 1e-300))
 
 
-def _in_order(errors: FloatArray, columns: FloatArray, fitted: FloatArray) -> Sequence[FloatArray]:
-    """Return the errors in that order, by a column or by the fitted values, in which neighbours are most alike.
+def _order(errors: FloatArray, columns: FloatArray, fitted: FloatArray) -> IntArray:
+    """Return that order of the rows, by a column or by the fitted values, in which neighbouring errors are most alike.
 
     What an equation misses varies with its columns, so that it errs alike on neighbouring rows.
     """
     orders = [np.argsort(key, kind="stable") for key in (*columns, fitted)]
-    return [max((errors[order] for order in orders), key=lambda ordered: float(ordered[:-1] @ ordered[1:]))]
+    return max(orders, key=lambda order: float(errors[order][:-1] @ errors[order][1:]))
 
 
 def _squares_about_mean(values: FloatArray, roots: FloatArray) -> float:

@@ -12,11 +12,14 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Recording, Smoothing
 from atoll_coordinator.model.loess_matrix import residual_shares
-from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
 """Proportional shares that are tried; at the last, errors at zero are a tenth of those at the root mean square."""
+_EVIDENCE: Final = 1.0
+"""Nats by which errors that grow with the value must be the better description. Measured on equal errors, decays and
+waves of 8 to 200 rows, 80 tables each: that much comes about by chance in 0 to 5 %; of errors in proportion to the
+value it is there in 72 % of tables of 21 rows."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +45,8 @@ def estimate_variance(recording: Recording, state: int) -> VarianceModel:
 
     A trajectory along which the state is 0 throughout says nothing. Loess follows the errors of rows at the ends, so
     that each row counts by the share of its error that is in its residual. Errors are proportional where that is the
-    better description, all shares alike beforehand, by odds of 20 (`InferenceSettings.distinct_nats`): as rarely as one
-    time in twenty by chance, by the inequality of Markov. They are not where the state was interpolated, where outliers
-    have lost their weight, or where rows have weights.
+    better description by `_EVIDENCE`, all shares being as likely beforehand. They are not where the state was
+    interpolated, where outliers have lost their weight, or where rows have weights.
     """
     searched = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     parts = [trajectory for trajectory in searched if np.nan_to_num(trajectory.measured[state]).any()] or searched
@@ -68,7 +70,7 @@ def estimate_variance(recording: Recording, state: int) -> VarianceModel:
         models.append(VarianceModel(share, rms, mean, math.sqrt(weighted / mean / square)))
     best = max(range(len(gains)), key=lambda place: gains[place])
     evidence = gains[best] + math.log(sum(math.exp(gain - gains[best]) for gain in gains) / len(gains))
-    return models[best] if evidence >= SETTINGS.inference.distinct_nats else VarianceModel()
+    return models[best] if evidence >= _EVIDENCE else VarianceModel()
 
 
 def _residual_shares(smoothing: Smoothing, rows: int) -> FloatArray:

@@ -8,8 +8,9 @@ from scipy import special, stats
 
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
 from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, smooth
-from atoll_coordinator.model.inference.quadratic_forms import _loess_matrix, positive_tail, variance_ratio_tail
+from atoll_coordinator.model.inference.quadratic_forms import positive_tail, variance_ratio_tail
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother, residual_statistics
+from atoll_coordinator.model.loess_matrix import loess_matrix
 
 DRAWS = 300
 
@@ -38,7 +39,7 @@ def test_sums_of_one_sign_have_no_tail():
 def test_the_matrix_of_loess_is_that_of_the_smoother(rows, span, degree):
     values = np.random.default_rng(1).normal(size=rows)
     smoothed = smooth(Signal(np.arange(float(rows)), values), Smoother(span, degree, 0.0))
-    assert _loess_matrix(rows, span, degree) @ values == pytest.approx(smoothed.fits[0], abs=1e-12)
+    assert loess_matrix(rows, span, degree) @ values == pytest.approx(smoothed.fits[0], abs=1e-12)
 
 
 def test_bins_and_stretches_represent_long_trajectories():
