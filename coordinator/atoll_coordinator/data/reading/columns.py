@@ -8,7 +8,7 @@ from typing import Final, cast
 import numpy as np
 
 from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, shortened, visible
-from atoll_coordinator.data.reading.date_columns import compact_dates, read_date_columns
+from atoll_coordinator.data.reading.date_columns import STAMPS, compact_dates, read_date_columns, time_stamps
 from atoll_coordinator.data.reading.dates import Dates, is_date, split_origin
 from atoll_coordinator.data.reading.numerals import place, read_numbers
 from atoll_coordinator.data.reading.raw_table import RawTable
@@ -27,7 +27,7 @@ TIME: Final = "time"
 class Columns:
     """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read.
 
-    `labels` are the texts that the numbers of a column of groups stand for, from 1.
+    `labels` are the texts that the numbers of a column of trajectories or groups stand for, from 1.
     """
 
     file: str
@@ -56,11 +56,15 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     config = strip_units(config, names)
     needed, trajectory = named_columns(config), find_trajectory_column(names, config)
     texts = {name: column for name, column in cells.items() if is_text(column)}
-    labels = {name: _labels(texts[name]) for name in [config.group] if name in texts}
-    runs = {name: _numbered(texts.pop(name)) for name in {trajectory, *labels} if name in texts}
+    labels = {name: _labels(texts[name]) for name in (trajectory, config.group) if name in texts}
+    runs = {name: _numbered(texts.pop(name)) for name in labels}
     unlabelled = {name: column for name, column in cells.items() if name not in (trajectory, *labels)}
-    texts |= compact_dates(unlabelled, config)
+    stamps = time_stamps(unlabelled, units, config)
+    texts |= compact_dates(unlabelled, config) | stamps
     dates = read_date_columns(file, texts, names, raw.starts, config, lambda row: place(raw.lines, row))
+    read_dates = {
+        name: replace(column, form=STAMPS) if name in stamps else column for name, column in dates.values.items()
+    }
     plain = {
         name: column
         for name, column in cells.items()
@@ -73,7 +77,7 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
             file, {name: column for name, column in texts.items() if name not in dates.values}, raw.lines
         )
     numbers, remarks = read_numbers(file, plain, raw.lines, raw.separator)
-    read = cast(dict[str, FloatArray | Dates], {**runs, **dates.values, **numbers})
+    read = cast(dict[str, FloatArray | Dates], {**runs, **read_dates, **numbers})
     skipped = (*_unnamed(raw), *(name for name in texts if name not in read and name != dates.absorbed))
     renamed = (f"column '{old}' is the {new}" for old, new in dates.renamed.items())
     left_out = (f"text left out: {', '.join(skipped)}",) if skipped else ()

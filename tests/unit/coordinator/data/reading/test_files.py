@@ -89,10 +89,10 @@ def test_each_file_is_a_trajectory_of_its_own(read):
 
 
 def test_missing_cells_are_nan_and_infinity_is_kept(read):
-    table = read("t,x,y\n0,,NaN\n1,inf,N/A\n2,-inf,null\n")
-    assert np.isnan(table.column("y")).all()
+    table = read("t,x,y\n0,,NaN\n1,inf,N/A\n2,-inf,null\n3,0,1\n")
+    assert np.isnan(table.column("y")[:3]).all()
     assert np.isnan(table.column("x")[0])
-    assert table.column("x")[1:].tolist() == [np.inf, -np.inf]
+    assert table.column("x")[1:].tolist() == [np.inf, -np.inf, 0.0]
 
 
 def test_columns_of_text_are_set_aside(read):

@@ -54,7 +54,7 @@ def test_trajectories_are_chosen_by_number_or_by_value(holdout, expected):
             "--holdout 9 would keep everything from the search: there are 3 trajectories; leave at least one",
         ),
         ("run=5", DataError, "--holdout run=5: no trajectory has this value; there are 4, 7, 2.5"),
-        ("run=a", UsageError, "--holdout must be a whole number or COLUMN=NUMBER, but 'run=a' was given"),
+        ("run=a", DataError, "--holdout run=a: no trajectory has this value; there are 4, 7, 2.5"),
         (
             "x=1",
             UsageError,
