@@ -47,7 +47,7 @@ def table_of(data: object, config: DataConfig) -> Table:
     if isinstance(data, Table):
         return data
     given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
-    files = [Path(part) for part in given if isinstance(part, (str, Path))]
+    files = files_of(data)
     if files and len(files) == len(given):
         return read_table(files, config)
     parts = [part for part in given if _has_columns(part)]
@@ -59,6 +59,12 @@ def table_of(data: object, config: DataConfig) -> Table:
     labels: dict[str, dict[str, float]] = {}
     table = _joined([_columns_of(part, config, labels) for part in parts])
     return without_empty(replace(table, labels={name: tuple(texts) for name, texts in labels.items()}), config)
+
+
+def files_of(data: object) -> list[Path]:
+    """Return the files among what was given."""
+    given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
+    return [Path(part) for part in given if isinstance(part, (str, Path))]
 
 
 def _has_columns(part: object) -> TypeGuard[_Columns]:

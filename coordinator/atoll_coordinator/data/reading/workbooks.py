@@ -16,7 +16,7 @@ from atoll_coordinator.data.reading.dates import is_date
 from atoll_coordinator.data.reading.header import Record, take_header
 from atoll_coordinator.data.reading.raw_table import RawTable, table_of_records
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.errors import DataError
+from atoll_core.errors import DataError, Field, UsageError
 from atoll_core.hints import did_you_mean
 
 ENDINGS: Final = frozenset({".xlsx", ".xlsm"})
@@ -38,6 +38,13 @@ def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
     others = [other for other, records in sheets.items() if other != title and records]
     remarks = (f"Excel, sheet '{title}'", *([f"other sheets left out: {', '.join(others)}"] if others else []))
     return replace(tables[title], remarks=(*remarks, *tables[title].remarks))
+
+
+def check_sheet(files: Sequence[Path], sheet: str | None) -> None:
+    """Raise UsageError where a sheet is named, but no file is a workbook."""
+    if sheet is not None and not any(file.suffix.lower() in ENDINGS for file in files):
+        what = files[0].name if files else "what was given"
+        raise UsageError("%s names a sheet of an Excel workbook, but %s is none; leave it out", Field("sheet"), what)
 
 
 def _sheets(path: Path) -> dict[str, list[Record]]:
