@@ -135,8 +135,9 @@ def _with_value(holdout: str, trajectory: str | None, values: Sequence[str]) -> 
         raise UsageError(f"--holdout names column '{name}', but trajectories are told apart by {by}; {advice}")
     held_out = [value == _plain(text) for value in values]
     if not any(held_out):
-        known = ", ".join(values[:MANY])
-        more = ", …" if len(values) > MANY else ""
+        distinct = [*dict.fromkeys(values)]
+        known = ", ".join(distinct[:MANY])
+        more = ", …" if len(distinct) > MANY else ""
         raise DataError(f"--holdout {holdout}: no trajectory has this value; there are {known}{more}")
     return held_out
 
