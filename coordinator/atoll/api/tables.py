@@ -9,11 +9,12 @@ from typing import Protocol, SupportsFloat, TypeGuard, cast
 
 import numpy as np
 
-from atoll_coordinator.data.reading.arrays import fields_of
-from atoll_coordinator.data.reading.columns import TIME
+from atoll_coordinator.data.reading.arrays import fields_of, table_of_arrays
+from atoll_coordinator.data.reading.columns import TIME, columns_of
 from atoll_coordinator.data.reading.dates import Dates, dates_of_array, times_of
 from atoll_coordinator.data.reading.empty_columns import without_empty
 from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.data.reading.long_tables import may_be_long, widened
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
@@ -83,6 +84,9 @@ def _columns_of(
     name them. Dates are the time, and so is an index of a pandas frame that has a name or holds dates.
     """
     named = _named_arrays(part)
+    wide = _wide_columns(named, config, labels) if may_be_long(named) else None
+    if wide is not None:
+        return wide
     plain = [split_unit(name)[0] for name in named]
     trajectory, needed = find_trajectory_column(plain, config), named_columns(config)
     columns: dict[str, FloatArray | Dates] = {}
@@ -105,6 +109,28 @@ def _columns_of(
     if len(lengths) != 1 or lengths == {0}:
         raise DataError(f"columns have {sorted(lengths)} rows; one number of rows, above 0, is expected")
     return columns
+
+
+def _wide_columns(
+    named: Mapping[str, AnyArray], config: DataConfig, labels: dict[str, dict[str, float]]
+) -> dict[str, FloatArray | Dates] | None:
+    """Return the columns of a long table, with one for each observable, as of a file; None where it is none."""
+    if any(values.ndim != 1 for values in named.values()) or len({*map(len, named.values())}) != 1:
+        return None
+    raw = table_of_arrays(NAME, named, config, ())
+    if widened(NAME, raw, config) is raw:
+        return None
+    columns = columns_of(NAME, raw, config)
+    found = dict(columns.values)
+    for name, texts in columns.labels.items():
+        numbers = found[name]
+        assert not isinstance(numbers, Dates)
+        kinds = labels.setdefault(name, {})
+        found[name] = _numbered(np.array([texts[int(number) - 1] for number in numbers.tolist()]), kinds)
+    return {
+        f"{name} [{columns.units[name]}]" if columns.units[name] and not isinstance(values, Dates) else name: values
+        for name, values in found.items()
+    }
 
 
 def _named_arrays(part: _Columns) -> dict[str, AnyArray]:

@@ -6,7 +6,7 @@ that are repeated or go back: else it is read as it stands.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final, NamedTuple
@@ -50,12 +50,20 @@ class _Roles(NamedTuple):
     unit: str | None
 
 
+def may_be_long(names: Iterable[str]) -> bool:
+    """Tell whether columns are called as those of long tables are."""
+    plain = [split_unit(on_one_line(name))[0] for name in names]
+    return all(any(_is_called(name, known) for name in plain) for known in (_OBSERVABLES, _VALUES))
+
+
 def widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     """Return a long table with a column for each observable, any other table as it is.
 
     The rows of a trajectory are in the order of their times. Conditions and replicates tell trajectories apart; further
     columns are left out unless options name them. Raises DataError where an observable has two values at one time.
     """
+    if not may_be_long(raw.headers):
+        return raw
     headers = [split_unit(on_one_line(header))[0] for header in raw.headers]
     cells = {name: [*map(str.strip, column)] for name, column in zip(headers, raw.columns, strict=True) if name}
     if len(cells) < sum(map(bool, headers)):
@@ -72,7 +80,7 @@ def widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     keys = sorted(rows_by_key)
     first = [min(rows_by_key[key].values()) for key in keys]
     wide = {roles.time: [cells[roles.time][row] for row in first]}
-    if len(set(runs)) > 1:
+    if roles.runs:
         wide[config.trajectory or TRAJECTORY_NAME] = ["/".join(filter(None, runs[row])) for row in first]
     groups = [rows_by_key[key].values() for key in keys]
     wide |= {name: _carried(file, name, cells[name], groups) for name in roles.carried}
@@ -91,7 +99,7 @@ def widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
         lines=[raw.lines[row] for row in first],
         starts=[0, *breaks],
         units=_units(raw, headers, cells, roles, [*wide]),
-        remarks=(*raw.remarks, *_remarks(cells, roles, observables, has_runs=len(set(runs)) > 1)),
+        remarks=(*raw.remarks, *_remarks(cells, roles, observables)),
     )
 
 
@@ -105,7 +113,7 @@ def _roles(cells: Cells, config: DataConfig) -> _Roles | None:
     if time is None or time not in cells or len(observables) != 1 or len(values) != 1:
         return None
     (observable,), (value,) = observables, values
-    runs = tuple(name for name in cells if _is_called(name, _RUNS) and len(set(cells[name])) > 1)
+    runs = tuple(name for name in cells if _is_called(name, _RUNS) and not all(map(is_missing, cells[name])))
     if config.trajectory is not None:
         runs = (config.trajectory,) if config.trajectory in cells else ()
     carried = tuple(name for name in cells if name in named and name not in (time, config.trajectory))
@@ -209,11 +217,11 @@ def _units(raw: RawTable, headers: Sequence[str], cells: Cells, roles: _Roles, n
     return tuple((told.get(name) or stated[roles.value]) if name in others else stated.get(name, "") for name in names)
 
 
-def _remarks(cells: Cells, roles: _Roles, observables: Sequence[str], *, has_runs: bool) -> list[str]:
+def _remarks(cells: Cells, roles: _Roles, observables: Sequence[str]) -> list[str]:
     """Say what was taken for what."""
-    used = {roles.time, roles.observable, roles.value, roles.unit, *roles.carried, *(roles.runs if has_runs else ())}
+    used = {roles.time, roles.observable, roles.value, roles.unit, *roles.carried, *roles.runs}
     others = [name for name in cells if name not in used]
     remarks = [f"a long table, with a column for each '{roles.observable}': {', '.join(observables)}"]
-    if has_runs:
+    if roles.runs:
         remarks.append(f"trajectories by {', '.join(roles.runs)}")
     return remarks + ([f"left out: {', '.join(others)}"] if others else [])

@@ -153,3 +153,19 @@ def test_names_of_trajectories_are_kept() -> None:
 def test_columns_without_a_value_are_left_out() -> None:
     table = table_of({"t": [0, 1], "x": [1, 2], "y": [np.nan, np.nan]}, DataConfig())
     assert (table.names, table.read_as) == (("t", "x"), "empty columns left out: y")
+
+
+def test_a_long_frame_is_read_as_a_long_file_is(tmp_path: Path) -> None:
+    rows = [
+        (name, run, time, 10.0 * time + len(run)) for name in ("A", "B") for run in ("a", "bc") for time in range(3)
+    ]
+    frame = polars.DataFrame(rows, schema=["species", "run", "t [h]", "value"], orient="row")
+    frame.write_csv(tmp_path / "a.csv")
+    table, of_file = table_of(frame, DataConfig()), table_of(tmp_path / "a.csv", DataConfig())
+    assert (table.names, table.units) == (("t", "trajectory", "A", "B"), ("h", "", "", ""))
+    assert (table.names, table.units, table.labels) == (of_file.names, of_file.units, of_file.labels)
+    assert table.columns.tolist() == of_file.columns.tolist()
+    both = table_of([frame, frame.filter(polars.col("run") == "bc")], DataConfig())
+    assert both.column("trajectory").tolist() == [1, 1, 1, 2, 2, 2, 2, 2, 2]
+    plain = table_of({"species": ["A", "B"], "t": [0, 1], "value": [1, 2]}, DataConfig())
+    assert plain.names == ("t", "value")
