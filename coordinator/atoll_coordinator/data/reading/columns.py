@@ -74,9 +74,7 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     kept = {*runs, *dates.values, *plain}
     called = {name: dates.renamed.get(name, name) for name in names if name in kept}
     if texts and not assigned([*called.values()], config, trajectory).equations:
-        raise _nothing_left(
-            file, {name: column for name, column in texts.items() if name not in dates.values}, raw.lines
-        )
+        raise _nothing_left(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
     numbers, remarks = read_numbers(file, plain, raw.lines, raw.separator)
     read = cast(dict[str, FloatArray | Dates], {**runs, **read_dates, **numbers})
     skipped = (*_unnamed(raw), *(name for name in texts if name not in read and name != dates.absorbed))

@@ -53,9 +53,9 @@ class Header:
 
 
 def take_header(records: Iterable[Record]) -> tuple[Header, Iterator[Record]]:
-    """Return the header and the rows below it; there is one row at least that is not empty."""
+    """Return the header and the rows below it; where all rows are empty, a header without a name."""
     rows = iter(records)
-    line, top = next((line, cells) for line, cells in rows if any(map(str.strip, cells)))
+    line, top = next(((line, cells) for line, cells in rows if any(map(str.strip, cells))), (0, [""]))
     following = [*islice(rows, 3)]
     if not following or not _are_groups(top, following[0][1], [cells for _, cells in following[1:]]):
         return Header(line, top), chain(following, rows)

@@ -19,6 +19,12 @@ def rows(form: str) -> str:
 BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "empty": ("a.csv", "", "a.csv is empty; a header line"),
     "comments": ("a.csv", "# a\n# b\n", "a.csv holds comments only; a header line"),
+    "no cells": ("a.csv", ",,\n,,\n", "a.csv has a header but no rows; rows of numbers"),
+    "stamps beside a time": (
+        "a.csv",
+        "t,at\n" + rows("{i},17000000000000000{j:02}"),
+        "left in a.csv: 'at' holds '1700000000000000001' in line 2",
+    ),
     "no rows": ("a.csv", "# made\nt,x\n", "a.csv has a header but no rows; rows of numbers"),
     "no header": ("a.txt", rows("{i} {j}"), "the first line of a.txt holds numbers only; a header"),
     "a comment that is no header": ("a.txt", "# my data\n" + rows("{i} {j} 3"), "holds numbers only; a header"),
