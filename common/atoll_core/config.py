@@ -109,6 +109,9 @@ class DataConfig(Frozen):
     per_trajectory: bool = Field(default=False, description="each trajectory has constants of its own")
     units: dict[str, str] = Field(default_factory=dict, description="units of columns, by name; over those of headers")
     missing: Literal["refuse", "drop"] = Field(default="refuse", description="what to do with NaN and infinity")
+    sheet: str | None = Field(
+        default=None, description="sheet of an Excel workbook; the first with a table unless named"
+    )
 
 
 class SpaceConfig(Frozen):

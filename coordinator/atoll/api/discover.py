@@ -8,7 +8,7 @@ from typing import Final, Self
 
 from atoll.api.notebook_progress import NotebookDisplay, is_notebook
 from atoll.api.session import check_service, local_address
-from atoll.api.tables import NAME, table_of
+from atoll.api.tables import NAME, files_of, table_of
 from atoll.api.wording import in_python, python_words
 from atoll.client.client import connected
 from atoll.client.configure import configure
@@ -17,6 +17,7 @@ from atoll.client.options import OPTIONS
 from atoll.client.over_http import Whereabouts, coordinator_at
 from atoll.model.model import Model
 from atoll.terminal.progress import is_screen, open_display
+from atoll_coordinator.data.reading.workbooks import check_sheet
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
 from atoll_core.hints import did_you_mean
@@ -139,6 +140,7 @@ def submit(
         raise UsageError(f"priority must be a whole number from -10 to 10, but {shown(priority)} was given")
     config = config_of(options)
     with python_words():
+        check_sheet(files_of(data), config.data.sheet)
         table = table_of(data, config.data)
         address = _address(connect, tls, workers)
     job = Job(f"py-{uuid.uuid4().hex[:12]}", address)

@@ -9,6 +9,7 @@ import numpy as np
 
 from atoll.api.discover import discover
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.masked import plain_array
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -63,7 +64,9 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
 
     def fit(self, X: object, y: object) -> Self:
         """Find the expression of `y` (N,) from the features `X` (N, K)."""
-        rows, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2)
+        rows, target = validate_data(
+            self, _unmasked(X), _unmasked(y), dtype=np.float64, y_numeric=True, ensure_min_samples=2
+        )
         if float(np.ptp(target)) == 0.0:
             raise UsageError("y is the same number in all rows; there is nothing to be found")
         names = getattr(self, "feature_names_in_", None)
@@ -84,5 +87,10 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
     def predict(self, X: object) -> FloatArray:
         """Return f(X) (N,) of the features (N, K)."""
         check_is_fitted(self, "model_")
-        rows = validate_data(self, X, dtype=np.float64, reset=False)
+        rows = validate_data(self, _unmasked(X), dtype=np.float64, reset=False)
         return self.model_.predict(rows)
+
+
+def _unmasked(given: object) -> object:
+    """Return masked arrays with NaN for what is masked, which is refused as NaN is; anything else as it is."""
+    return plain_array(given) if isinstance(given, np.ma.MaskedArray) else given

@@ -9,14 +9,18 @@ from typing import Protocol, SupportsFloat, TypeGuard, cast
 
 import numpy as np
 
-from atoll_coordinator.data.reading.columns import TIME
+from atoll_coordinator.data.reading.arrays import fields_of, table_of_arrays
+from atoll_coordinator.data.reading.columns import TIME, columns_of
 from atoll_coordinator.data.reading.dates import Dates, dates_of_array, times_of
+from atoll_coordinator.data.reading.empty_columns import without_empty
 from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.data.reading.long_tables import may_be_long, widened
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray, FloatArray
+from atoll_core.data.masked import plain_array
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
@@ -44,21 +48,29 @@ def table_of(data: object, config: DataConfig) -> Table:
     if isinstance(data, Table):
         return data
     given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
-    files = [Path(part) for part in given if isinstance(part, (str, Path))]
+    files = files_of(data)
     if files and len(files) == len(given):
         return read_table(files, config)
     parts = [part for part in given if _has_columns(part)]
     if not given or len(parts) < len(given):
         raise DataError(
-            "data must be a file, a frame of pandas or polars, a data set of xarray, arrays by column name, or a list; "
-            f"found {type(data).__name__}"
+            "data must be a file, a frame of pandas or polars, a data set of xarray, arrays by column name, an array "
+            f"with named fields, or a list; found {type(data).__name__}"
         )
     labels: dict[str, dict[str, float]] = {}
     table = _joined([_columns_of(part, config, labels) for part in parts])
-    return replace(table, labels={name: tuple(texts) for name, texts in labels.items()})
+    return without_empty(replace(table, labels={name: tuple(texts) for name, texts in labels.items()}), config)
+
+
+def files_of(data: object) -> list[Path]:
+    """Return the files among what was given."""
+    given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
+    return [Path(part) for part in given if isinstance(part, (str, Path))]
 
 
 def _has_columns(part: object) -> TypeGuard[_Columns]:
+    if isinstance(part, np.ndarray):
+        return part.dtype.names is not None
     return isinstance(part, Mapping) or (hasattr(part, "columns") and hasattr(part, "__getitem__"))
 
 
@@ -68,10 +80,13 @@ def _columns_of(
     """Return the columns of numbers (N,) by name.
 
     As in files, the columns of trajectories and of groups alone may hold text, which is numbered by first appearance
-    (that of groups over all parts, its texts being kept in `labels`); other columns that hold nothing else are left out
-    unless options name them. Dates are the time, and so is an index of a pandas frame that has a name or holds dates.
+    over all parts, its texts being kept in `labels`; other columns that hold nothing else are left out unless options
+    name them. Dates are the time, and so is an index of a pandas frame that has a name or holds dates.
     """
     named = _named_arrays(part)
+    wide = _wide_columns(named, config, labels) if may_be_long(named) else None
+    if wide is not None:
+        return wide
     plain = [split_unit(name)[0] for name in named]
     trajectory, needed = find_trajectory_column(plain, config), named_columns(config)
     columns: dict[str, FloatArray | Dates] = {}
@@ -84,9 +99,7 @@ def _columns_of(
             columns[_time_name(plain_name, plain, config)] = dates
         elif numbers is not None:
             columns[f"{name} [s]" if values.dtype.kind == "m" and plain_name == name else name] = numbers
-        elif plain_name == trajectory:
-            columns[name] = _numbered(values, {})
-        elif plain_name == config.group:
+        elif plain_name in (trajectory, config.group):
             columns[name] = _numbered(values, labels.setdefault(plain_name, {}))
         elif plain_name in needed:
             raise DataError(f"column '{name}' holds text; numbers are expected")
@@ -98,12 +111,36 @@ def _columns_of(
     return columns
 
 
+def _wide_columns(
+    named: Mapping[str, AnyArray], config: DataConfig, labels: dict[str, dict[str, float]]
+) -> dict[str, FloatArray | Dates] | None:
+    """Return the columns of a long table, with one for each observable, as of a file; None where it is none."""
+    if any(values.ndim != 1 for values in named.values()) or len({*map(len, named.values())}) != 1:
+        return None
+    raw = table_of_arrays(NAME, named, config, ())
+    if widened(NAME, raw, config) is raw:
+        return None
+    columns = columns_of(NAME, raw, config)
+    found = dict(columns.values)
+    for name, texts in columns.labels.items():
+        numbers = found[name]
+        assert not isinstance(numbers, Dates)
+        kinds = labels.setdefault(name, {})
+        found[name] = _numbered(np.array([texts[int(number) - 1] for number in numbers.tolist()]), kinds)
+    return {
+        f"{name} [{columns.units[name]}]" if columns.units[name] and not isinstance(values, Dates) else name: values
+        for name, values in found.items()
+    }
+
+
 def _named_arrays(part: _Columns) -> dict[str, AnyArray]:
     """Return the columns of a mapping, a frame or an xarray data set, and the index of a pandas frame if it says more
     than which row it is."""
     kinds = [getattr(part, kind, None) for kind in ("coords", "data_vars")]
     variables = [kind for kind in kinds if isinstance(kind, Mapping)]
-    if len(variables) == len(kinds):  # xarray
+    if isinstance(part, np.ndarray):
+        sources: Mapping[object, object] = dict(fields_of("", part).items())
+    elif len(variables) == len(kinds):  # xarray
         sources = {name: values for named in variables for name, values in named.items()}
     else:
         sources = {name: part[name] for name in ([*part] if isinstance(part, Mapping) else part.columns)}
@@ -120,7 +157,7 @@ def _named_arrays(part: _Columns) -> dict[str, AnyArray]:
 
 def _array(values: object, name: str) -> AnyArray:
     try:
-        return np.asarray(values)
+        return plain_array(values)
     except ValueError:
         raise DataError(f"column '{name}' holds rows of different lengths; one number for each is expected") from None
 
@@ -130,13 +167,15 @@ def _dates_of(values: AnyArray) -> Dates | None:
     if values.dtype.kind == "M":
         return dates_of_array(values)
     cells = values.tolist() if values.dtype.kind == "O" else []
-    if not cells or not all(isinstance(cell, datetime.datetime) for cell in cells):
+    if not all(cell is None or isinstance(cell, datetime.datetime) for cell in cells) or not any(cells):
         return None
     return Dates(tuple(_nanoseconds(cell) for cell in cells), "dates", has_date=True)
 
 
-def _nanoseconds(cell: datetime.datetime) -> int:
-    """Return the nanoseconds since 1970, which are ``value`` of pandas' own time stamps."""
+def _nanoseconds(cell: datetime.datetime | None) -> int | None:
+    """Return the nanoseconds since 1970, which are ``value`` of pandas' own time stamps; None for no date."""
+    if cell is None or cell != cell:  # NaT of pandas
+        return None
     value = getattr(cell, "value", None)
     if isinstance(value, int):
         return value
@@ -162,11 +201,11 @@ def _length(values: FloatArray | Dates) -> int:
 
 
 def numbers_of(given: object, name: str) -> FloatArray | None:
-    """Return an array as numbers, durations in seconds; None where it holds text alone. `name` is for messages.
+    """Return an array as numbers, durations in seconds, NaN where it is masked or None; None where it holds text alone.
 
-    Raises DataError where it holds dates, complex numbers, or text among numbers.
+    `name` is for messages. Raises DataError where it holds dates, complex numbers, or text among numbers.
     """
-    values = np.asarray(given)
+    values = plain_array(given)
     if values.dtype.kind == "m":
         return np.asarray(values / np.timedelta64(1, "s"), dtype=np.float64)
     if values.dtype.kind == "M":
@@ -177,8 +216,8 @@ def numbers_of(given: object, name: str) -> FloatArray | None:
         return np.ascontiguousarray(values, dtype=np.float64).reshape(values.shape)
     except (TypeError, ValueError):
         cells = values.ravel().tolist()
-    text = [not _is_number(cell) for cell in cells]
-    if all(text) and all(isinstance(cell, str) for cell in cells):
+    text = [cell is not None and not _is_number(cell) for cell in cells]
+    if not any(_is_number(cell) for cell in cells) and all(cell is None or isinstance(cell, str) for cell in cells):
         return None
     row = text.index(True) if True in text else 0
     raise DataError(f"{name} holds {str(cells[row])!r} in row {row + 1}, which is no number; correct it")

@@ -234,6 +234,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option("only", "data.only", names, "x", "search these equations only; the other states stay usable"),
         Option("offsets", "data.offsets", names, "x", "states measured up to an offset, fitted for each trajectory"),
+        Option("sheet", "data.sheet", text, "NAME", "sheet of an Excel workbook (default: the first with a table)"),
         Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
         Option("robust", "data.robust", switch, None, "smooth so that outliers lose their weight"),
         Option(

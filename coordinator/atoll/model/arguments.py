@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.masked import plain_array
 from atoll_core.errors import UsageError
 from atoll_core.quoting import shown
 
@@ -23,7 +24,7 @@ Columns = Mapping[str, npt.ArrayLike]
 def numbers(given: object, what: str, expected: str = "numbers") -> FloatArray:
     """Return an array of real numbers of any shape; raises UsageError, which says `what` it was to be."""
     try:
-        plain = np.asarray(given)
+        plain = plain_array(given)
         if given is not None and plain.dtype.kind in "biufO":
             return np.asarray(plain, dtype=np.float64)
     except (TypeError, ValueError):  # rows of different lengths, or objects that are no numbers

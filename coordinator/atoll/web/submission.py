@@ -15,6 +15,7 @@ from atoll.web.reading import TABLE
 from atoll_coordinator.data.outline import outline
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
+from atoll_coordinator.data.reading.workbooks import check_sheet
 from atoll_coordinator.data.recording import Preparation, Recording, Trajectory
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.table_summary import describe
@@ -52,6 +53,7 @@ class Submission:
         """
         given, config = configured(options)
         if media_type != TABLE:
+            check_sheet(paths, config.data.sheet)
             return cls(tuple(path.name for path in paths), read_table(paths, config.data), config, given)
         table = Table.from_bytes(paths[0].read_bytes())
         return cls(table.files, table, config, given)

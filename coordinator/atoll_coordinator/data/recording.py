@@ -202,8 +202,9 @@ class Preparation:
     `dataset` is what the search sees; `recording` is None where the left-hand sides were given, and where noise is part
     of the law, of which `process` has the trajectories (None elsewhere); `held_out` has the same
     targets over rows of held-out trajectories, with uncertainty, standard deviation and noise of `dataset`, None where
-    there are none. `weights` say how much each row of `dataset` counts where the left-hand sides were given; None: all
-    are 1. `source` says what it was made of; None: that is not known.
+    there are none. Where the left-hand sides were given, `counted` has the rows that fits use, those too that weigh too
+    little for the search, which counts its rows alike; None: the rows of `dataset`. `weights` say how much each of them
+    counts; None: all are 1. `source` says what it was made of; None: that is not known.
     """
 
     dataset: Dataset
@@ -212,6 +213,7 @@ class Preparation:
     weights: FloatArray | None = None
     process: ProcessRecording | None = None
     source: Source | None = None
+    counted: Dataset | None = None
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:

@@ -25,7 +25,7 @@ from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.inference.target_evidence import target_evidence
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement, Simulation
-from atoll_coordinator.model.regression.equation import fit_equation
+from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.model_selection import operator_remarks, select_model
 from atoll_coordinator.model.selection.task import ModellingTask
@@ -174,9 +174,15 @@ def _by_regression(
     """
     is_given = preparation.recording is None
     weights = preparation.weights if is_given else None
+    counted = preparation.counted or preparation.dataset
     equations = {
         name: fit_equation(
-            preparation.dataset.problem(name), config, candidate_set.front, weights, deadline, has_intervals=is_given
+            preparation.dataset.problem(name),
+            config,
+            candidate_set.front,
+            WeighedRows(counted.problem(name), weights),
+            deadline,
+            has_intervals=is_given,
         )
         for name, candidate_set in candidates.items()
         if candidate_set.known is None

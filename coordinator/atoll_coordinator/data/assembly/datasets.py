@@ -35,14 +35,16 @@ def assemble_given(
 ) -> Preparation:
     """Return the problems of a table that holds the left-hand sides: labels or derivatives, taken as exact.
 
-    Problems are made of the `equations`, over the rows `selected`; `weights` (R,) are 1 on average, None: all are 1;
-    `symbols` has by column name the name in expressions.
+    Problems are made of the `equations`, over the rows `selected`; fits use every row that is not held out. `weights`
+    (R,) are 1 on average, None: all are 1; `symbols` has by column name the name in expressions.
     """
     roles, warnings = measurements.roles, measurements.warnings
-    searched = len(measurements.searched_rows)
-    if len(selected) < searched:
-        count = f"{searched - len(selected)} of {searched} rows"
-        warnings = (*warnings, f"{count} have little weight and are left out of the search.")
+    searched = measurements.searched_rows
+    if len(selected) < len(searched):
+        count = f"{len(searched) - len(selected)} of {len(searched)} rows"
+        warnings = (
+            *warnings, f"{count} have little weight and are left out of the search; fits count them by their weight."
+        )  # fmt: skip
     targets = []
     for name, column in zip(roles.equations, roles.derivatives or roles.equations, strict=True):
         values = measurements.columns[column]
@@ -52,7 +54,12 @@ def assemble_given(
     sought = tuple(target for target in targets if target.variable in equations)
     whole = Dataset(tuple(symbols.values()), inputs, sought, dict(symbols), warnings)
     held_out = _take_rows(whole, measurements.held_out_rows) if any(measurements.held_out) else None
-    return Preparation(_take_rows(whole, selected), None, held_out, None if weights is None else weights[selected])
+    return Preparation(
+        _take_rows(whole, selected),
+        held_out=held_out,
+        weights=None if weights is None else weights[searched],
+        counted=_take_rows(whole, searched) if len(selected) < len(searched) else None,
+    )
 
 
 def assemble_differentiated(

@@ -1,4 +1,4 @@
-"""Named arrays, as NPZ, MATLAB and HDF5 files hold them -> `RawTable`. Pure, apart from reading an NPZ file.
+"""Named arrays, as NPZ, NPY, MATLAB and HDF5 files hold them -> `RawTable`. Pure, apart from reading NumPy's files.
 
 Letters: N rows, K columns of one array.
 """
@@ -22,12 +22,41 @@ def read_npz(path: Path, config: DataConfig) -> RawTable:
     try:
         zipfile.ZipFile(path).close()  # whatever is none is found out here: np.load would leave it open
         with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: np.asarray(archive[name]) for name in archive.files}
+            arrays: dict[str, AnyArray] = {}
+            for key in archive.files:
+                for field, part in fields_of("", np.asarray(archive[key])).items():
+                    arrays[(field if field not in arrays else f"{key}.{field}") or key] = part
     except OSError:
         raise
     except Exception as error:  # of many kinds, for whatever is broken in there
         raise DataError(f"{path.name} is not an NPZ file of plain arrays; write one with numpy.savez") from error
     return table_of_arrays(path.name, arrays, config, ("NPZ",))
+
+
+def read_npy(path: Path, config: DataConfig) -> RawTable:
+    """Read an array of NumPy whose columns have names, a structured one; raises DataError."""
+    try:
+        array = np.load(path, allow_pickle=False)
+    except OSError:
+        raise
+    except Exception as error:  # of many kinds, for whatever is broken in there
+        raise DataError(f"{path.name} is not a NumPy array of numbers that can be read; write it anew") from error
+    if not isinstance(array, np.ndarray):  # an archive with another ending
+        raise DataError(f"{path.name} holds several arrays; give it the ending .npz")
+    if array.dtype.names is None:
+        advice = "save them by name with numpy.savez, or as CSV"
+        raise DataError(f"{path.name} is a NumPy array without names of columns; {advice}")
+    return table_of_arrays(path.name, fields_of("", array), config, ("NumPy array",))
+
+
+def fields_of(name: str, array: AnyArray) -> dict[str, AnyArray]:
+    """Return the fields of a structured array, ``field.part`` of a structured field; another array by its `name`."""
+    if array.dtype.names is None:
+        return {name: array}
+    named: dict[str, AnyArray] = {}
+    for field in array.dtype.names:
+        named |= fields_of(f"{name}.{field}" if name else field, array[field])
+    return named
 
 
 def table_of_arrays(

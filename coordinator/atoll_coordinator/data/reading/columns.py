@@ -8,8 +8,9 @@ from typing import Final, cast
 import numpy as np
 
 from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, shortened, visible
-from atoll_coordinator.data.reading.date_columns import compact_dates, read_date_columns
+from atoll_coordinator.data.reading.date_columns import STAMPS, compact_dates, read_date_columns, time_stamps
 from atoll_coordinator.data.reading.dates import Dates, is_date, split_origin
+from atoll_coordinator.data.reading.long_tables import widened
 from atoll_coordinator.data.reading.numerals import place, read_numbers
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit, strip_units
@@ -27,7 +28,7 @@ TIME: Final = "time"
 class Columns:
     """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read.
 
-    `labels` are the texts that the numbers of a column of groups stand for, from 1.
+    `labels` are the texts that the numbers of a column of trajectories or groups stand for, from 1.
     """
 
     file: str
@@ -47,7 +48,7 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     hold names, which are numbered. Dates are read as `read_date_columns` says. A column without a name (such as a
     table's row numbers) is set aside, by its place.
     """
-    raw = _with_index(raw)
+    raw = widened(file, _with_index(raw), config)
     written, cells = _headed(file, raw)
     counted = {name: split_origin(unit) for name, unit in written.items()}
     units = {name: unit for name, (unit, _) in counted.items()}
@@ -56,11 +57,15 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     config = strip_units(config, names)
     needed, trajectory = named_columns(config), find_trajectory_column(names, config)
     texts = {name: column for name, column in cells.items() if is_text(column)}
-    labels = {name: _labels(texts[name]) for name in [config.group] if name in texts}
-    runs = {name: _numbered(texts.pop(name)) for name in {trajectory, *labels} if name in texts}
+    labels = {name: _labels(texts[name]) for name in (trajectory, config.group) if name in texts}
+    runs = {name: _numbered(texts.pop(name)) for name in labels}
     unlabelled = {name: column for name, column in cells.items() if name not in (trajectory, *labels)}
-    texts |= compact_dates(unlabelled, config)
+    stamps = time_stamps(unlabelled, units, config)
+    texts |= compact_dates(unlabelled, config) | stamps
     dates = read_date_columns(file, texts, names, raw.starts, config, lambda row: place(raw.lines, row))
+    read_dates = {
+        name: replace(column, form=STAMPS) if name in stamps else column for name, column in dates.values.items()
+    }
     plain = {
         name: column
         for name, column in cells.items()
@@ -69,11 +74,9 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     kept = {*runs, *dates.values, *plain}
     called = {name: dates.renamed.get(name, name) for name in names if name in kept}
     if texts and not assigned([*called.values()], config, trajectory).equations:
-        raise _nothing_left(
-            file, {name: column for name, column in texts.items() if name not in dates.values}, raw.lines
-        )
+        raise _nothing_left(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
     numbers, remarks = read_numbers(file, plain, raw.lines, raw.separator)
-    read = cast(dict[str, FloatArray | Dates], {**runs, **dates.values, **numbers})
+    read = cast(dict[str, FloatArray | Dates], {**runs, **read_dates, **numbers})
     skipped = (*_unnamed(raw), *(name for name in texts if name not in read and name != dates.absorbed))
     renamed = (f"column '{old}' is the {new}" for old, new in dates.renamed.items())
     left_out = (f"text left out: {', '.join(skipped)}",) if skipped else ()

@@ -1,17 +1,21 @@
 """Which columns of text are read as dates and clock times: those that are named, and what can be the time. Pure."""
 
+import datetime
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 from atoll_coordinator.data.reading.cells import is_missing
-from atoll_coordinator.data.reading.dates import Dates, is_clock, is_date, read_dates, with_clock
+from atoll_coordinator.data.reading.dates import NANOSECONDS, Dates, is_clock, is_date, read_dates, with_clock
 from atoll_coordinator.data.roles.column_options import named_columns
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 
 _NEW_NAMES: Final = ("time", "t")
 _COMPACT: Final = re.compile(r"(1[89]\d\d|2[01]\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
+_STAMP: Final = re.compile(r"[1-8]\d{18}")
+"""Nanoseconds since 1970, from 2001 to 2255: no other times are whole numbers of 19 digits, which no float holds."""
+STAMPS: Final = "nanoseconds since 1970"
 _Kind = Literal["clock", "date", "both"]
 
 
@@ -69,6 +73,30 @@ def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> d
         and not all(map(is_missing, cells))
         and all(is_missing(cell) or _COMPACT.fullmatch(cell.strip()) for cell in cells)
     }
+
+
+def time_stamps(
+    columns: Mapping[str, Sequence[str]], units: Mapping[str, str], config: DataConfig
+) -> dict[str, list[str]]:
+    """Return whole nanoseconds since 1970, as robots and data bases write them, as dates.
+
+    Those of columns with `units`, or that options name for anything else than the time, stay numbers.
+    """
+    named = named_columns(config) - {config.time}
+    return {
+        name: [_date_of_stamp(cell.strip()) for cell in cells]
+        for name, cells in columns.items()
+        if name not in named and not units.get(name) and name not in config.units
+        if not all(map(is_missing, cells))
+        if all(is_missing(cell) or _STAMP.fullmatch(cell.strip()) for cell in cells)
+    }
+
+
+def _date_of_stamp(cell: str) -> str:
+    if is_missing(cell):
+        return cell
+    seconds, nanoseconds = divmod(int(cell), NANOSECONDS["s"])
+    return f"{datetime.datetime.fromtimestamp(seconds, datetime.UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09}Z"
 
 
 def _kind(cells: Sequence[str]) -> _Kind | None:

@@ -12,23 +12,25 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.reading.arrays import read_npz
+from atoll_coordinator.data.reading.arrays import read_npy, read_npz
 from atoll_coordinator.data.reading.columns import Columns, columns_of
 from atoll_coordinator.data.reading.dates import Dates, origin_of, times_of
+from atoll_coordinator.data.reading.empty_columns import without_empty
 from atoll_coordinator.data.reading.hdf5 import read_hdf5
 from atoll_coordinator.data.reading.layout import read_text
 from atoll_coordinator.data.reading.matlab import read_matlab
 from atoll_coordinator.data.reading.parquet import read_parquet
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.reading.records import read_records
+from atoll_coordinator.data.reading.workbooks import ENDINGS as WORKBOOKS
 from atoll_coordinator.data.reading.workbooks import read_workbook
+from atoll_coordinator.data.roles.column_options import strip_units
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Origin, Table
 from atoll_core.errors import DataError
 
 _REFUSED: Final = {
-    ".npy": "a NumPy array without names of columns; save them by name with numpy.savez, or as CSV",
     ".xls": "an Excel workbook of the old format; save it as .xlsx or CSV",
     ".ods": "an OpenDocument spreadsheet; save it as .xlsx or CSV",
     ".pkl": "a pickle, which may hold programs; write CSV or Parquet",
@@ -42,7 +44,10 @@ def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[st
     """
     if not paths:
         raise DataError("no data file was given; name at least one, such as a CSV file")
-    return joined([_read_file(path, config) for path in paths], {**config.units, **(time_units or {})})
+    files = [_read_file(path, config) for path in paths]
+    group = strip_units(config, files[0].values).group
+    table = joined(files, {**config.units, **(time_units or {})}, group)
+    return without_empty(table, config)
 
 
 def _read_file(path: Path, config: DataConfig) -> Columns:
@@ -62,12 +67,14 @@ def _raw_table(path: Path, config: DataConfig) -> RawTable:
             return read_parquet(path)
         case ".npz":
             return read_npz(path, config)
+        case ".npy":
+            return read_npy(path, config)
         case ".mat":
             return read_matlab(path, config)
         case ".h5" | ".hdf5" | ".hdf" | ".nc":
             return read_hdf5(path, config)
-        case ".xlsx" | ".xlsm":
-            return read_workbook(path)
+        case suffix if suffix in WORKBOOKS:
+            return read_workbook(path, config.sheet)
         case ".json" | ".jsonl" | ".ndjson":
             return read_records(path)
         case suffix if suffix in _REFUSED:
@@ -76,12 +83,15 @@ def _raw_table(path: Path, config: DataConfig) -> RawTable:
             return read_text(path.name, path.read_bytes())
 
 
-def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
-    """Put the rows of several files below each other; raises DataError when their columns differ."""
+def joined(files: Sequence[Columns], time_units: Mapping[str, str], group: str | None = None) -> Table:
+    """Put the rows of several files below each other; raises DataError when their columns differ.
+
+    The column `group` has to hold texts in all files or in none.
+    """
     first = files[0]
     for other in files[1:]:
         _check_alike(first, other)
-    files, labels = _with_common_labels(files)
+    files, labels = _with_common_labels(files, group)
     first = files[0]
     counts = [len(file.lines) for file in files]
     before = [0, *accumulate(counts[:-1])]
@@ -114,11 +124,15 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str]) -> Table:
     )
 
 
-def _with_common_labels(files: Sequence[Columns]) -> tuple[Sequence[Columns], dict[str, tuple[str, ...]]]:
-    """Return files in which the numbers of a column of groups stand for the same texts, and these texts."""
+def _with_common_labels(
+    files: Sequence[Columns], group: str | None
+) -> tuple[Sequence[Columns], dict[str, tuple[str, ...]]]:
+    """Return files in which the numbers of a column of names stand for the same texts, and these texts."""
     labels: dict[str, tuple[str, ...]] = {}
     for name in sorted({name for file in files for name in file.labels}):
         missing = next((file.file for file in files if name not in file.labels), None)
+        if missing is not None and name != group:
+            continue  # trajectories end with their files, whatever they are called
         if missing is not None:
             raise DataError(f"column '{name}' holds numbers in {missing} and text in another file; write both alike")
         texts = tuple(dict.fromkeys(label for file in files for label in file.labels[name]))

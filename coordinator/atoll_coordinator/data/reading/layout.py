@@ -1,7 +1,8 @@
 """A text file -> `RawTable`: which character separates cells, which lines are comments, which is the header.
 
 Lines are kept apart because messages name them. The header is the first line that is no comment, or, where that holds
-numbers, the last comment before it that has as many cells, as `numpy.savetxt` writes it.
+numbers, the last comment before it that has as many cells, as `numpy.savetxt` writes it; `header` says when names of
+groups stand above it.
 """
 
 import csv
@@ -14,6 +15,7 @@ from typing import Final, NamedTuple
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line, shortened
 from atoll_coordinator.data.reading.dates import is_date
 from atoll_coordinator.data.reading.encodings import decode
+from atoll_coordinator.data.reading.header import take_header
 from atoll_coordinator.data.reading.raw_table import RawTable, is_units_row, plain_unit, table_of_records
 from atoll_core.errors import DataError
 
@@ -91,21 +93,20 @@ def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[st
                 yield place, line
 
     where: tuple[str, ...] = ()
-    comment_header = _header_of_comments(line, beginning)
+    following = (line for place, line in _lines(text) if place > number and line.strip())
+    below = next((line for line in following if not _COMMENT.match(line)), "")
+    comment_header = _header_of_comments(line, below, beginning)
     if comment_header is not None:
         separator, headers, units = comment_header
         raw = table_of_records(name, headers, _records(name, body(), separator))
         raw, where = replace(raw, units=units or raw.units), ("header in a comment",)
         count -= 1 + bool(units)
     else:
-        following = (line for place, line in _lines(text) if place > number and line.strip())
-        below = next((line for line in following if not _COMMENT.match(line)), "")
         separator = beginning.separator or _separator(line, below)
-        records = _records(name, body(), separator)
-        _, headers = next(records)
-        _check_header(name, headers)
+        header, records = take_header(_records(name, body(), separator))
+        _check_header(name, header.names)
         is_named_as_by_r = below.lstrip().startswith('"')
-        raw = table_of_records(name, headers, records, has_row_names=is_named_as_by_r)
+        raw = header.applied(table_of_records(name, header.names, records, has_row_names=is_named_as_by_r))
     left_out = (f"{count} comment {'line' if count == 1 else 'lines'} left out",) if count else ()
     how = f"text with {_NAMES.get(separator, repr(separator))}"
     return replace(raw, remarks=(how, *where, *raw.remarks, *left_out), separator=separator)
@@ -166,13 +167,19 @@ def _separator(header: str, below: str) -> str:
     return SPACES if number > 1 and len(cells_of(below, SPACES)) in (number, number + 1) else ","
 
 
-def _header_of_comments(line: str, beginning: _Beginning) -> tuple[str, Sequence[str], tuple[str, ...]] | None:
-    """Return separator, names and units where the first line holds data and comments before it name the columns."""
+def _header_of_comments(
+    line: str, below: str, beginning: _Beginning
+) -> tuple[str, Sequence[str], tuple[str, ...]] | None:
+    """Return separator, names and units where the first line holds data and comments before it name the columns.
+
+    Data may hold text, where the line `below` does so in the same cells.
+    """
     for separator in beginning.separator or "\t;, ":
         cells = cells_of(line, separator)
-        if not all(map(_is_datum, cells)) or all(map(is_missing, cells)):
+        has_text = not all(map(_is_datum, cells))
+        if all(map(is_missing, cells)) or (has_text and not _are_alike(cells, cells_of(below, separator))):
             continue
-        named = [_names(comment, separator, len(cells)) for comment in beginning.comments]
+        named = [_names(comment, separator, len(cells), is_strict=has_text) for comment in beginning.comments]
         fitting = [names for names in named if names]
         if len(fitting) > 1 and is_units_row(fitting[-1], fitting[-2]):
             return separator, fitting[-2], tuple(plain_unit(cell) for cell in fitting[-1])
@@ -185,15 +192,21 @@ def _is_datum(cell: str) -> bool:
     return is_missing(cell) or is_numeral(cell) or is_date(cell)
 
 
-def _names(comment: str, separator: str, count: int) -> list[str] | None:
-    """Return the cells of a comment if there are as many as `count`, however it separates them."""
+def _are_alike(cells: Sequence[str], below: Sequence[str]) -> bool:
+    """Tell whether two rows hold numbers in the same cells, and there is one that does."""
+    kinds, kinds_below = [*map(_is_datum, cells)], [*map(_is_datum, below)]
+    return kinds == kinds_below and any(map(is_numeral, cells))
+
+
+def _names(comment: str, separator: str, count: int, *, is_strict: bool = False) -> list[str] | None:
+    """Return the cells of a comment if there are as many as `count`, however it separates them unless `is_strict`."""
     text = comment.strip().lstrip(_MARKS)
-    for candidate in (separator, ",", ";", "\t", SPACES):
+    for candidate in (separator,) if is_strict else (separator, ",", ";", "\t", SPACES):
         cells = [on_one_line(cell) for cell in cells_of(text, candidate)]
         if len(cells) == count and not any(cell.endswith((",", ";")) or is_numeral(cell) for cell in cells):
             return cells
     cells = re.split(r"\s{2,}", text)
-    return cells if len(cells) == count and not any(map(is_numeral, cells)) else None
+    return cells if not is_strict and len(cells) == count and not any(map(is_numeral, cells)) else None
 
 
 def _preamble(name: str, text: str, first: int) -> DataError | None:

@@ -15,6 +15,7 @@ from atoll_coordinator.data.trajectories.checks import check_searched_rows, chec
 from atoll_coordinator.data.trajectories.trajectories import (
     Range,
     Trajectories,
+    called,
     find_ranges,
     name_groups,
     select_held_out,
@@ -103,7 +104,8 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
     marks = [numbers] if roles.group is None else [numbers, table.column(roles.group)]
     ranges = find_ranges(table.starts, rows, *marks)
     first_rows = [rows[first] for first, _ in ranges]
-    held_out = select_held_out(config.holdout, roles.trajectory, numbers[first_rows].tolist())
+    values = ["" if roles.trajectory is None else called(table, roles.trajectory, row) for row in first_rows]
+    held_out = select_held_out(config.holdout, roles.trajectory, values)
     searched = [row for (first, last), out in zip(ranges, held_out, strict=True) if not out for row in rows[first:last]]
     check_searched_rows(table, roles, searched)
     columns = {name: table.column(name)[rows] for name in roles.used}

@@ -80,8 +80,7 @@ def split_trajectories(
             check_no_turns(name, parts)
     names = tuple(str(number) for number, _ in enumerate(ranges, start=1))
     if roles.trajectory is not None:
-        numbers = table.column(roles.trajectory)
-        names = distinguish([format_number(float(numbers[rows[first]])) for first, _ in ranges])
+        names = distinguish([called(table, roles.trajectory, rows[first]) for first, _ in ranges])
     centre = 0.5 * (float(np.min(times)) + float(np.max(times)))
     centred = tuple(_center_times(times[first:last], centre) for first, last in ranges)
     return Trajectories(names, centred, centre, states)
@@ -99,8 +98,7 @@ def name_groups(
     option = f"--group {roles.group}" if roles.group is not None else "--per-trajectory"
     groups = tuple(names)
     if roles.group is not None:
-        values = [float(table.column(roles.group)[row]) for row in first_rows]
-        groups = tuple(table.label(roles.group, value) or format_number(value) for value in values)
+        groups = tuple(called(table, roles.group, row) for row in first_rows)
     if len(set(groups)) < 2:
         raise DataError(f"{option} needs constants of two groups at least, but there is one only; leave it out")
     searched = {group for group, is_out in zip(groups, held_out, strict=True) if not is_out}
@@ -110,12 +108,12 @@ def name_groups(
     return groups
 
 
-def select_held_out(holdout: int | str | None, trajectory: str | None, values: Sequence[float]) -> tuple[bool, ...]:
+def select_held_out(holdout: int | str | None, trajectory: str | None, values: Sequence[str]) -> tuple[bool, ...]:
     """Return for each trajectory whether it is held out: kept from every choice, so that equations can be judged by it.
 
     `holdout` is how many of the last trajectories, or ``COLUMN=VALUE``; `values` has that of the column `trajectory`
-    for each. Raises UsageError where they are not told apart by COLUMN, DataError where there are too few, or none with
-    that value.
+    for each, as `called` returns it. Raises UsageError where they are not told apart by COLUMN, DataError where there
+    are too few, or none with that value.
     """
     count = len(values)
     if isinstance(holdout, str):
@@ -128,22 +126,35 @@ def select_held_out(holdout: int | str | None, trajectory: str | None, values: S
     return tuple(held_out)
 
 
-def _with_value(holdout: str, trajectory: str | None, values: Sequence[float]) -> list[bool]:
+def _with_value(holdout: str, trajectory: str | None, values: Sequence[str]) -> list[bool]:
     """Return for each trajectory whether it has the value that ``COLUMN=VALUE`` names."""
     name, _, text = holdout.rpartition("=")
     if name != trajectory:
         by = "blank rows or files" if trajectory is None else f"column '{trajectory}'"
         advice = f"add --trajectory {name}, or give the number of trajectories to hold out"
         raise UsageError(f"--holdout names column '{name}', but trajectories are told apart by {by}; {advice}")
-    try:
-        held_out = [value == float(text) for value in values]
-    except ValueError:
-        raise UsageError(f"--holdout must be a whole number or COLUMN=NUMBER, but {holdout!r} was given") from None
+    held_out = [value == _plain(text) for value in values]
     if not any(held_out):
-        known = ", ".join(format_number(value) for value in values[:MANY])
-        more = ", …" if len(values) > MANY else ""
+        distinct = [*dict.fromkeys(values)]
+        known = ", ".join(distinct[:MANY])
+        more = ", …" if len(distinct) > MANY else ""
         raise DataError(f"--holdout {holdout}: no trajectory has this value; there are {known}{more}")
     return held_out
+
+
+def _plain(text: str) -> str:
+    """Return a number as `format_number` writes it, a name as it is."""
+    try:
+        return format_number(float(text) + 0.0)
+    except ValueError:
+        return text.strip()
+
+
+def called(table: Table, name: str, row: int) -> str:
+    """Return what a row has in a column of trajectories or groups: a name, or a number as a person would write it."""
+    value = float(table.column(name)[row]) + 0.0
+    label = table.label(name, value)
+    return format_number(value) if label is None else label
 
 
 def format_number(value: float) -> str:
@@ -152,16 +163,21 @@ def format_number(value: float) -> str:
 
 
 def distinguish(names: Sequence[str]) -> tuple[str, ...]:
-    """Return `names` with a letter behind each that came before: 2, 2b, 2c, …, 2z, 2aa."""
+    """Return `names`, those that came before with a letter, 2, 2b, 2c, …, 2z, 2aa, or a number: a, a 2, a 3."""
     distinct: list[str] = []
     taken: set[str] = set()
     for name in names:
         number = 0
-        while name + _letters(number) in taken:
+        while (distinct_name := name + _ending(name, number)) in taken:
             number += 1
-        distinct.append(name + _letters(number))
+        distinct.append(distinct_name)
         taken.add(distinct[-1])
     return tuple(distinct)
+
+
+def _ending(name: str, number: int) -> str:
+    """Return what follows a name that came `number` times before."""
+    return f" {number + 1}" if number and name[:1].isalpha() else _letters(number)
 
 
 def _letters(number: int) -> str:

@@ -6,7 +6,7 @@ tell the difference, its errors on all rows, and the standard errors of its cons
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,14 +29,23 @@ from atoll_core.expression.unit_coefficients import make_coefficients_explicit, 
 from atoll_core.expression.writing.shortest import shortest, shortest_over
 
 
+@dataclass(frozen=True, eq=False)
+class WeighedRows:
+    """The rows that decide constants, with their `weights` (R,), 1 on average; None: all count alike."""
+
+    problem: Problem
+    weights: FloatArray | None = None
+
+
 def fit_equation(
-    problem: Problem, config: JobConfig, front: Sequence[Member], weights: FloatArray | None = None,
+    problem: Problem, config: JobConfig, front: Sequence[Member], counted: WeighedRows | None = None,
     deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
     """Return the shortest model that can be made of `front`; None when that must stay as it is.
 
-    `weights` (R,) of the rows, 1 on average, decide the constants; errors are those of all rows alike. With
-    `has_intervals` the errors of the rows are independent, and constants have 95 % intervals.
+    The rows of `problem`, which the search saw, are counted alike for the errors. Those `counted` decide the constants,
+    by their weights; None: the same rows, all alike. With `has_intervals` the errors of the rows are independent, and
+    constants have 95 % intervals.
     That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
     nothing shorter does. Pure without a `deadline`, after which nothing new is tried. Takes about a second for a few
     hundred noisy rows, less for exact ones.
@@ -51,13 +60,14 @@ def fit_equation(
     operators = frozenset(BY_NAME[name].code for name in config.space.operators_for(variable))
     allowed = config.space.columns_for(variable, problem.names)
     restrictions = restrictions_of(config, variable, problem.names)
-    spread = _spread(problem, SETTINGS.rows.most)
-    least_squares = LeastSquares(spread, _spread_weights(weights, SETTINGS.rows.most), restrictions)
+    counted = WeighedRows(problem) if counted is None else counted
+    spread = _spread(counted.problem, SETTINGS.rows.most)
+    least_squares = LeastSquares(spread, _spread_weights(counted.weights, SETTINGS.rows.most), restrictions)
     shortening = Shortening(spread, operators, allowed, least_squares, deadline)
     candidates = shortening.candidates([front[index].program for index in kept], looks_around=not has_converged)
     for candidate in candidates:
         member = kept[candidate.member]
-        refined = _finished(problem, candidate, member, config, weights, has_intervals=has_intervals)
+        refined = _finished(problem, counted, candidate, member, config, has_intervals=has_intervals)
         is_member = structure(shortest(front[member].program)) == structure(shortest(candidate.fitted.program))
         refined = replace(refined, origin="front" if is_member else "descent")
         is_admitted = restrictions.are_kept(refined.program)
@@ -67,17 +77,17 @@ def fit_equation(
 
 
 def _finished(
-    problem: Problem, candidate: Candidate, member: int, config: JobConfig, weights: FloatArray | None,
+    problem: Problem, counted: WeighedRows, candidate: Candidate, member: int, config: JobConfig,
     *, has_intervals: bool,
 ) -> Refined:  # fmt: skip
     """Decide the constants on more rows where there are more; measure errors and standard errors."""
     program = candidate.model.program
     restrictions = restrictions_of(config, problem.target.variable, problem.names)
-    bounds, criterion = restrictions.bounds, RegressionCriterion.of(problem.target)
-    least_squares = LeastSquares(problem, weights, restrictions)
-    if len(problem.target.values) > SETTINGS.rows.most:
+    bounds, criterion = restrictions.bounds, RegressionCriterion.of(counted.problem.target)
+    least_squares = LeastSquares(counted.problem, counted.weights, restrictions)
+    if len(counted.problem.target.values) > SETTINGS.rows.most:
         program = round_constants(least_squares.fit(candidate.fitted.program), criterion, least_squares).program
-    short = shortest_over(program, problem.inputs) if bounds is None else bounds.written(program) or program
+    short = shortest_over(program, counted.problem.inputs) if bounds is None else bounds.written(program) or program
     if may_be_shown(short, config.space.max_size):
         program = short
     refuted = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).refuted_factors

@@ -16,7 +16,7 @@ def regression(given: Preparation, program: Program | None) -> Regression | None
     """Return some of the rows with the fitted values of `program`; None where no target was given, or no equation."""
     if given.source is None or given.source.target is None or program is None:
         return None
-    problem = given.dataset.problem(given.dataset.variables[0])
+    problem = (given.counted or given.dataset).problem(given.dataset.variables[0])
     rows = thinned(len(problem.target.values), MOST_ROWS)
     variables = zip(given.dataset.symbols, problem.inputs, strict=True)
     return Regression(

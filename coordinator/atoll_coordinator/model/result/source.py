@@ -63,14 +63,15 @@ def _by_name(names: tuple[str, ...], values: FloatArray, listed: list[int]) -> d
 
 
 def system(given: Preparation) -> System | None:
-    """Return what the columns are, their units, and the range of each variable in the rows that were searched.
+    """Return what the columns are, their units, and the range of each variable in the rows that count.
 
     All by column name; angles are in radians there. None where the source is not known.
     """
     source = given.source
     if source is None:
         return None
-    ranges = zip(given.dataset.symbols, given.dataset.inputs, strict=True)
+    dataset = given.counted or given.dataset
+    ranges = zip(dataset.symbols, dataset.inputs, strict=True)
     return System(
         kind=_kind(given, source),
         order=source.order,

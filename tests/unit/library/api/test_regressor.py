@@ -33,3 +33,11 @@ def test_features_are_columns_and_predictions_are_values(monkeypatch: pytest.Mon
     assert fitted.predict(np.array([[3.0]])).tolist() == [6.0]
     assert fitted.equation_ == "2*x0"
     assert fitted.score([[1.0], [2.0]], [2.0, 4.0]) == 1.0
+
+
+def test_masked_features_are_missing() -> None:
+    from atoll.api import regressor
+
+    masked = np.ma.array([[1.0], [-9999.0], [3.0]], mask=[[False], [True], [False]])
+    with pytest.raises(ValueError, match="contains NaN"):
+        regressor.Regressor().fit(masked, [2.0, 4.0, 6.0])

@@ -6,7 +6,7 @@ import numpy as np
 import polars
 import pytest
 
-from atoll.api.tables import table_of
+from atoll.api.tables import numbers_of, table_of
 from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
 
@@ -96,3 +96,76 @@ def test_files_are_read_as_the_command_line_reads_them(tmp_path: Path) -> None:
 def test_what_does_not_fit_is_refused(data: object) -> None:
     with pytest.raises(DataError):
         table_of(data, DataConfig())
+
+
+BELOW = np.array([True, False, False])
+"""The mask of the first entry, below which stands what is no measurement."""
+
+
+@pytest.mark.parametrize("kind", ["f8", "f4", "i4", "bool"])
+def test_what_is_masked_is_missing(kind: str) -> None:
+    values = np.ma.array([-9999, 0, 1], mask=BELOW).astype(kind)
+    (found,) = table_of({"x": values}, DataConfig()).columns
+    assert np.isnan(found).tolist() == BELOW.tolist()
+    assert found[1:].tolist() == [0.0, 1.0]
+    assert table_of({"x": np.ma.array([5, 6, 7])}, DataConfig()).columns.tolist() == [[5.0, 6.0, 7.0]]
+
+
+def test_masked_dates_and_structured_arrays_keep_their_masks() -> None:
+    days = np.ma.array(DAYS, mask=[False, True, False])
+    assert str(table_of({"t": days, "x": [1.0, 2.0, 3.0]}, DataConfig()).columns[0].tolist()) == "[0.0, nan, 3.0]"
+    table = np.ma.array([(0.0, 1), (1.0, -9999), (2.0, 3)], dtype=[("t", "f8"), ("x", "i8")])
+    table["x"][1] = np.ma.masked
+    found = table_of(table, DataConfig())
+    assert found.names == ("t", "x")
+    assert str(found.columns.tolist()) == "[[0.0, 1.0, 2.0], [1.0, nan, 3.0]]"
+
+
+def test_masked_arrays_of_a_discoverer_keep_their_masks() -> None:
+    values = numbers_of(np.ma.array([[1, -9999], [2, 3]], mask=[[False, True], [False, False]]), "an array")
+    assert values is not None
+    assert str(values.tolist()) == "[[1.0, nan], [2.0, 3.0]]"
+
+
+def test_missing_values_of_frames_are_missing() -> None:
+    frame = polars.DataFrame({"t": [0, 1, 2], "x": [1, None, 3], "remark": ["good", None, "bad"]})
+    table = table_of(frame, DataConfig())
+    assert table.names == ("t", "x")
+    assert str(table.column("x").tolist()) == "[1.0, nan, 3.0]"
+    named = table_of({"t": [0, 1, 2], "x": np.array([1, NAType(), 3], dtype=object)}, DataConfig())
+    assert str(named.column("x").tolist()) == "[1.0, nan, 3.0]"
+
+
+class NAType:
+    """What stands for a missing value in pandas: it is neither true nor false, and no number."""
+
+    def __bool__(self) -> bool:
+        raise TypeError("boolean value of NA is ambiguous")
+
+
+def test_names_of_trajectories_are_kept() -> None:
+    parts = [{"t": [0, 1], "x": [1, 2], "run": ["b", "a"]}, {"t": [0, 1], "x": [1, 2], "run": ["a", "c"]}]
+    table = table_of(parts, DataConfig(trajectory="run"))
+    assert table.column("run").tolist() == [1.0, 2.0, 2.0, 3.0]
+    assert table.labels == {"run": ("b", "a", "c")}
+
+
+def test_columns_without_a_value_are_left_out() -> None:
+    table = table_of({"t": [0, 1], "x": [1, 2], "y": [np.nan, np.nan]}, DataConfig())
+    assert (table.names, table.read_as) == (("t", "x"), "empty columns left out: y")
+
+
+def test_a_long_frame_is_read_as_a_long_file_is(tmp_path: Path) -> None:
+    rows = [
+        (name, run, time, 10.0 * time + len(run)) for name in ("A", "B") for run in ("a", "bc") for time in range(3)
+    ]
+    frame = polars.DataFrame(rows, schema=["species", "run", "t [h]", "value"], orient="row")
+    frame.write_csv(tmp_path / "a.csv")
+    table, of_file = table_of(frame, DataConfig()), table_of(tmp_path / "a.csv", DataConfig())
+    assert (table.names, table.units) == (("t", "trajectory", "A", "B"), ("h", "", "", ""))
+    assert (table.names, table.units, table.labels) == (of_file.names, of_file.units, of_file.labels)
+    assert table.columns.tolist() == of_file.columns.tolist()
+    both = table_of([frame, frame.filter(polars.col("run") == "bc")], DataConfig())
+    assert both.column("trajectory").tolist() == [1, 1, 1, 2, 2, 2, 2, 2, 2]
+    plain = table_of({"species": ["A", "B"], "t": [0, 1], "value": [1, 2]}, DataConfig())
+    assert plain.names == ("t", "value")

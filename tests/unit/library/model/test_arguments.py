@@ -49,3 +49,8 @@ def test_what_does_not_fit_is_one_sentence(call: Callable[[], Any], sentence: st
 
 def test_missing_numbers_in_an_array_are_not_a_number() -> None:
     assert np.isnan(numbers([1.0, None], "x")[1])
+
+
+def test_masked_numbers_are_missing() -> None:
+    found = numbers(np.ma.array([1, -9999], mask=[False, True]), "states")
+    assert str(found.tolist()) == "[1.0, nan]"

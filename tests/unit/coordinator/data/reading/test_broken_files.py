@@ -19,6 +19,12 @@ def rows(form: str) -> str:
 BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "empty": ("a.csv", "", "a.csv is empty; a header line"),
     "comments": ("a.csv", "# a\n# b\n", "a.csv holds comments only; a header line"),
+    "no cells": ("a.csv", ",,\n,,\n", "a.csv has a header but no rows; rows of numbers"),
+    "stamps beside a time": (
+        "a.csv",
+        "t,at\n" + rows("{i},17000000000000000{j:02}"),
+        "left in a.csv: 'at' holds '1700000000000000001' in line 2",
+    ),
     "no rows": ("a.csv", "# made\nt,x\n", "a.csv has a header but no rows; rows of numbers"),
     "no header": ("a.txt", rows("{i} {j}"), "the first line of a.txt holds numbers only; a header"),
     "a comment that is no header": ("a.txt", "# my data\n" + rows("{i} {j} 3"), "holds numbers only; a header"),
@@ -65,7 +71,7 @@ BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "minutes with fractions": ("a.csv", "time,x\n00:00.5,0\n00:01.5,1\n", "'00:00.5', which may be minutes and"),
     "a date with minutes and a fraction": ("a.csv", "time,x\n2020-01-01 00:00.5,0\n", "which is no date or time"),
     "clock that goes back": ("a.csv", "time,x\n23:00,1\n22:00,2\n" + rows("23:{j:02},1"), "from 23:00:00 to 22:00:00"),
-    "an array": ("a.npy", b"\x93NUMPY", "a.npy is a NumPy array without names of columns; save them by name with"),
+    "no array": ("a.npy", b"\x93NUMPY", "a.npy is not a NumPy array of numbers that can be read; write it anew"),
     "another word for time": ("a.csv", "x,Zeit\n" + rows("7,{i}"), "name it with --time (perhaps Zeit), or use"),
     "numbers in JSON": ("a.json", "[1, 2]", 'a.json holds no records; a list of records such as [{"t": 0, "x": 1}]'),
     "a line of JSON": ("a.jsonl", '{"t": 0}\n{"t": \n{"t": 2}\n', "line 2 of a.jsonl is not valid JSON"),
@@ -87,6 +93,12 @@ def test_a_broken_file_is_one_sentence_and_code_2(kind: str, tmp_path: Path) -> 
     assert words in str(raised.value)
     assert "\n" not in str(raised.value)
     assert raised.value.exit_code == 2
+
+
+def test_an_array_without_names_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((12, 3)))
+    with pytest.raises(DataError, match=r"a\.npy is a NumPy array without names of columns; save them by name with"):
+        read_table([tmp_path / "a.npy"], DataConfig())
 
 
 def test_arrays_of_several_lengths_without_a_time_are_refused(tmp_path: Path) -> None:

@@ -89,10 +89,10 @@ def test_each_file_is_a_trajectory_of_its_own(read):
 
 
 def test_missing_cells_are_nan_and_infinity_is_kept(read):
-    table = read("t,x,y\n0,,NaN\n1,inf,N/A\n2,-inf,null\n")
-    assert np.isnan(table.column("y")).all()
+    table = read("t,x,y\n0,,NaN\n1,inf,N/A\n2,-inf,null\n3,0,1\n")
+    assert np.isnan(table.column("y")[:3]).all()
     assert np.isnan(table.column("x")[0])
-    assert table.column("x")[1:].tolist() == [np.inf, -np.inf]
+    assert table.column("x")[1:].tolist() == [np.inf, -np.inf, 0.0]
 
 
 def test_columns_of_text_are_set_aside(read):
@@ -244,3 +244,26 @@ def test_origins_of_dates_survive_the_wire(read):
 def test_units_with_an_origin_are_units(read):
     table = read("t [hours since 2020-01-01 00:00],x [fish since]\n0,1\n")
     assert (table.units, table.read_as) == (("h", "fish since"), "text with commas; t: in h since 2020-01-01 00:00")
+
+
+def test_columns_without_a_value_are_left_out(read):
+    table = read("t,a,x,b\n0,,1,NA\n1,,2,nan\n")
+    assert table.names == ("t", "x")
+    assert table.columns.tolist() == [[0.0, 1.0], [1.0, 2.0]]
+    assert table.read_as == "text with commas; empty columns left out: a, b"
+
+
+def test_a_column_without_a_value_is_kept_where_it_is_wanted(read):
+    assert read("t,a,x\n0,,1\n1,,2\n", config=DataConfig(states=("a", "x"))).names == ("t", "a", "x")
+    assert read("t,a\n0,\n1,\n").names == ("t", "a")
+    assert read("time,x,y\n,1,2\n,2,3\n").names == ("time", "x", "y")
+    assert read("t,a,x\n0,,1\n1,,2\n", "t,a,x\n0,5,1\n1,6,2\n").names == ("t", "a", "x")
+
+
+def test_names_of_trajectories_are_the_same_in_all_files(read):
+    table = read("t,x,run\n0,1,a\n1,2,b\n", "t,x,run\n0,1,b\n1,2,c\n", config=DataConfig(trajectory="run"))
+    assert table.column("run").tolist() == [1.0, 2.0, 2.0, 3.0]
+    assert table.labels == {"run": ("a", "b", "c")}
+    mixed = read("t,x,run\n0,1,a\n1,2,b\n", "t,x,run\n0,1,7\n1,2,7\n", config=DataConfig(trajectory="run"))
+    assert mixed.column("run").tolist() == [1.0, 2.0, 7.0, 7.0]
+    assert mixed.labels == {}

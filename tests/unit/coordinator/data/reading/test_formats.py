@@ -52,6 +52,25 @@ def workbook(path: Path) -> None:
     book.save(path)
 
 
+def with_notes(path: Path) -> None:
+    """Write a cover sheet, sheets of notes and of few numbers, then one with notes above the table, and another run."""
+    book = openpyxl.Workbook()
+    cover = book.active
+    for cells in (["Parameter", "Value"], *([name, 1.5] for name in "abcdef")):
+        cover.append(cells)
+    book.create_sheet("empty")
+    few = book.create_sheet("few")
+    for cells in (["t", "k"], [0, 1], [1, 2]):
+        few.append(cells)
+    for title, factor in (("run 1", 1.0), ("run 2", 2.0)):
+        sheet = book.create_sheet(title)
+        for cells in (["Experiment of Monday"], [], ["made by A"], [None, "ball"], ["t", "x", "y"]):
+            sheet.append(cells)
+        for t, x, y in MATRIX.tolist():
+            sheet.append([t, factor * x, y])
+    book.save(path)
+
+
 def matlab_73(path: Path) -> None:
     """Lay an HDF5 file out as MATLAB 7.3 does: a block of text before it, columns as rows, classes as attributes."""
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -71,6 +90,16 @@ def hdf5(path: Path) -> None:
         for name, values, unit in (("t", T, "s"), ("x", X, "m"), ("y", Y, "m/s")):
             group[name] = values
             group[name].attrs["units"] = unit
+
+
+def structured(fields: list[tuple[str, str]]) -> np.ndarray:
+    return np.array([tuple(row) for row in MATRIX.tolist()], dtype=fields)
+
+
+def nested() -> np.ndarray:
+    array = np.zeros(len(T), dtype=[("t", "f8"), ("at", [("x", "f8"), ("y", "f8")])])
+    array["t"], array["at"]["x"], array["at"]["y"] = T, X, Y
+    return array
 
 
 def compound(path: Path) -> None:
@@ -139,6 +168,29 @@ WRITTEN: dict[str, tuple[str, Writer, dict[str, object]]] = {
         "a.xlsx",
         workbook,
         {"units": ("s", "m", "m/s"), "says": "Excel, sheet 'Sheet'; other sheets left out: notes; units in line 3"},
+    ),
+    "Excel with notes": (
+        "a.xlsx",
+        with_notes,
+        {
+            "says": "Excel, sheet 'run 1'; other sheets left out: Sheet, few, run 2; 2 rows of notes left out; "
+            "header in line 5 below names of groups: ball"
+        },
+    ),
+    "numpy.save of a structured array": (
+        "a.npy",
+        lambda path: np.save(path, structured([("t", "f8"), ("x", "f4"), ("y", "f8")])),
+        {"says": "NumPy array", "digits": 3},
+    ),
+    "numpy.save of nested fields": (
+        "a.npy",
+        lambda path: np.save(path, nested()),
+        {"names": "t at.x at.y"},
+    ),
+    "numpy.savez of a structured array": (
+        "a.npz",
+        lambda path: np.savez(path, run=structured([("t", "f8"), ("x", "f8"), ("y", "f8")]), k=np.array(3.0)),
+        {"says": "NPZ; left out: k"},
     ),
     "JSON lines": (
         "a.jsonl",
@@ -255,3 +307,37 @@ def test_groups_with_times_of_their_own_are_refused_unless_options_choose(tmp_pa
     with pytest.raises(DataError, match=r"a\.h5 holds 2 times, t, b\.t; write each group into a file of its own"):
         read_table([tmp_path / "a.h5"], DataConfig())
     assert read_table([tmp_path / "a.h5"], DataConfig(time="t", states=("x",))).rows == len(T)
+
+
+def test_a_sheet_may_be_named(tmp_path: Path) -> None:
+    with_notes(tmp_path / "a.xlsx")
+    table = read_table([tmp_path / "a.xlsx"], DataConfig(sheet="run 2"))
+    assert np.allclose(table.column("x"), 2.0 * X)
+    assert table.read_as.startswith("Excel, sheet 'run 2'; other sheets left out: Sheet, few, run 1; 2 rows")
+    assert read_table([tmp_path / "a.xlsx"], DataConfig(sheet="few")).rows == 2
+
+
+@pytest.mark.parametrize(
+    ("sheet", "sentence"),
+    [
+        (
+            "run1",
+            "there is no sheet 'run1' in a.xlsx, which has Sheet, empty, few, run 1, run 2; did you mean 'run 1'?",
+        ),
+        ("empty", "sheet 'empty' of a.xlsx is empty; a header line and rows of numbers are expected"),
+    ],
+)
+def test_a_sheet_without_a_table_is_refused(sheet: str, sentence: str, tmp_path: Path) -> None:
+    with_notes(tmp_path / "a.xlsx")
+    with pytest.raises(DataError) as raised:
+        read_table([tmp_path / "a.xlsx"], DataConfig(sheet=sheet))
+    assert str(raised.value) == sentence
+
+
+def test_a_workbook_without_any_table_is_read_from_its_first_sheet(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    for cells in (["t", "x"], [0, 1], [1, 2]):
+        book.active.append(cells)
+    book.create_sheet("notes").append(["of interest"])
+    book.save(tmp_path / "a.xlsx")
+    assert read_table([tmp_path / "a.xlsx"], DataConfig()).columns.tolist() == [[0.0, 1.0], [1.0, 2.0]]

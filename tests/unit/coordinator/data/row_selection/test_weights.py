@@ -6,9 +6,12 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.row_selection.selected_rows import normalize_weights, select_weighty_rows
 from atoll_coordinator.data.table_summary import describe
-from atoll_core.config import DataConfig, JobConfig
+from atoll_coordinator.model.pipeline import refine_all
+from atoll_coordinator.model.refinement import Pool
+from atoll_core.config import DataConfig, JobConfig, SpaceConfig
 from atoll_core.errors import DataError, UsageError
 from tests.unit.coordinator.data.tables import oscillator, table_of
+from tests.unit.coordinator.model.fitting import entry
 
 ROWS = 300
 BAD_NOISE = 0.5
@@ -105,12 +108,36 @@ def test_labels_of_little_weight_are_left_out_of_the_search():
     columns["w"][:5] = [0.03, 0.05, 0.03, 0.0, 1.0]
     preparation = prepared(columns, target="y")
     assert preparation.dataset.inputs.shape == (1, 47)
-    assert preparation.weights.shape == (47,)
+    assert preparation.counted.inputs.shape == (1, 49)
+    assert preparation.weights.shape == (49,)
     assert preparation.dataset.warnings == (
         "1 of 50 rows have no weight and are left out.",
-        "2 of 49 rows have little weight and are left out of the search.",
+        "2 of 49 rows have little weight and are left out of the search; fits count them by their weight.",
     )
     assert prepared(columns, None, target="y", states=("x",)).weights is None
+
+
+def test_fits_count_every_row_by_its_weight():
+    """The oracle: weighted least squares of all rows, of which the first two weigh too little for the search."""
+    rng = np.random.default_rng(5)
+    x = np.linspace(0.4, 6.0, 30)
+    weights = 10.0 * x**2
+    weights[:2] = 0.5, 1.0
+    y = 1.5 + 4.0 / x + rng.standard_normal(30) / np.sqrt(weights)
+    config = JobConfig(data=DataConfig(weights="w", target="y"), space=SpaceConfig(operators=("+", "-", "*", "/")))
+    preparation = prepare(table_of({"x": x, "y": y, "w": weights}), config)
+    assert preparation.dataset.inputs.shape == (1, 28)
+    sought = preparation.dataset.problem("y")
+    pools = {"y": Pool((entry("1.0 + 3.0/x", sought),))}
+    known = refine_all(preparation, config, pools).equations["y"].constants
+
+    design = np.stack([np.ones(30), 1.0 / x], axis=1)
+    normal = design.T @ (weights[:, None] * design)
+    expected = np.linalg.solve(normal, design.T @ (weights * y))
+    variance = float((weights * (y - design @ expected) ** 2).sum()) / 28
+    errors = np.sqrt(variance * np.diag(np.linalg.inv(normal)))
+    assert sorted(constant.fitted for constant in known) == pytest.approx(sorted(expected), rel=1e-6)
+    assert sorted(constant.std_error for constant in known) == pytest.approx(sorted(errors), rel=1e-6)
 
 
 def test_most_rows_are_kept_whatever_their_weight():

@@ -1,6 +1,7 @@
 """Held-out trajectories: chosen as told, seen by nobody, recorded all the same."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def test_trajectories_are_chosen_by_number_or_by_value(holdout, expected):
             "--holdout 9 would keep everything from the search: there are 3 trajectories; leave at least one",
         ),
         ("run=5", DataError, "--holdout run=5: no trajectory has this value; there are 4, 7, 2.5"),
-        ("run=a", UsageError, "--holdout must be a whole number or COLUMN=NUMBER, but 'run=a' was given"),
+        ("run=a", DataError, "--holdout run=a: no trajectory has this value; there are 4, 7, 2.5"),
         (
             "x=1",
             UsageError,
@@ -69,6 +70,29 @@ def test_what_cannot_be_held_out_is_refused(holdout, kind, message):
         prepared(three(), holdout=holdout)
     assert str(raised.value) == message
     assert raised.value.exit_code == 2
+
+
+def named(holdout):
+    columns = three(numbers=(1.0, 2.0, 1.0))
+    table = replace(table_of(columns), labels={"run": ("big one", "b2")})
+    return measurements_of(table, DataConfig(trajectory="run", holdout=holdout))
+
+
+@pytest.mark.parametrize(
+    ("holdout", "expected"),
+    [("run=b2", (False, True, False)), ("run = big one", (True, False, True)), (1, (False, False, True))],
+)
+def test_trajectories_with_names_are_chosen_by_them(holdout, expected):
+    measured = named(holdout)
+    assert measured.held_out == expected
+    assert measured.trajectories.names == ("big one", "b2", "big one 2")
+
+
+@pytest.mark.parametrize("holdout", ["run=c", "run=2"])
+def test_a_name_that_no_trajectory_has_is_refused(holdout):
+    with pytest.raises(DataError) as raised:
+        named(holdout)
+    assert str(raised.value) == f"--holdout {holdout}: no trajectory has this value; there are big one, b2"
 
 
 def test_one_trajectory_cannot_be_held_out():

@@ -1,0 +1,36 @@
+"""Arrays of what Python users hold, in which what is masked or missing is not a number. Pure."""
+
+from typing import Final
+
+import numpy as np
+
+from atoll_core.data.dataset import AnyArray
+
+_MISSING: Final[dict[str, object]] = {**dict.fromkeys("mM", "NaT"), **dict.fromkeys("biufc", np.nan)}
+"""What stands for a missing entry, by the kind of an array; None elsewhere."""
+
+
+def plain_array(values: object) -> AnyArray:
+    """Return `values` as an array without a mask: what is masked is NaN, of dates and durations NaT, else None.
+
+    What lies below a mask is no measurement, such as -9999. Missing values of pandas (``NA``) are None as well. Raises
+    ValueError where rows have different lengths.
+    """
+    array = np.asarray(values)
+    if isinstance(values, np.ma.MaskedArray) and array.dtype.names is None:
+        kind, mask = array.dtype.kind, np.ma.getmaskarray(values)
+        if not mask.any():
+            return array
+        array = array.astype(np.float64 if kind in "biu" else array.dtype if kind in _MISSING else object)
+        array[mask] = _MISSING.get(kind)
+    elif array.dtype.kind == "O":
+        mask = np.array([_is_na(cell) for cell in array.ravel().tolist()], dtype=bool).reshape(array.shape)
+        if mask.any():
+            array = array.copy()
+            array[mask] = None
+    return array
+
+
+def _is_na(cell: object) -> bool:
+    """Tell whether a cell is pandas' NA, which is neither true nor false, so that it cannot be compared."""
+    return type(cell).__name__ == "NAType"

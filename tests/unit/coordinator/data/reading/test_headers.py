@@ -1,0 +1,137 @@
+"""Headers that do not stand alone in the first line: below names of groups, in comments beside cells of text."""
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig
+from atoll_core.errors import DataError
+
+
+@pytest.fixture
+def read(tmp_path):
+    def write_and_read(text, name="a.csv", **options):
+        (tmp_path / name).write_text(text)
+        return read_table([tmp_path / name], DataConfig(**options))
+
+    return write_and_read
+
+
+def test_a_header_may_stand_below_names_of_groups(read):
+    table = read(",ball,,\nt,step,x,\n0,0,1.5,\n0.1,1,1.25,\n")
+    assert table.names == ("t", "step", "x")
+    assert table.columns.tolist() == [[0.0, 0.1], [0.0, 1.0], [1.5, 1.25]]
+    assert table.line_of_row.tolist() == [3, 4]
+    assert table.read_as == "text with commas; header in line 2 below names of groups: ball"
+
+
+def test_units_may_stand_below_both_lines_of_a_header(read):
+    table = read("# from a camera\n;left hand;\nt;x;y pos\ns;m;cm\n0;1;2\n1;3;4\n")
+    assert table.names == ("t", "x", "y pos")
+    assert table.units == ("s", "m", "cm")
+    assert "header in line 3 below names of groups: left hand" in table.read_as
+
+
+def test_names_that_several_groups_have_carry_that_of_their_group(read):
+    table = read("\n,ball 1,,ball 2,,\nt,x,y,t,x,y\n0,1,2,0,3,4\n1,5,6,1,7,8\n")
+    assert table.names == ("t", "ball 1 x", "ball 1 y", "ball 2 x", "ball 2 y")
+    assert table.column("ball 2 x").tolist() == [3.0, 7.0]
+
+
+def test_times_of_groups_that_differ_are_not_one(read):
+    table = read(",A,,B,\nclock,x,,clock,x\n0,1,,0.5,3\n1,5,,1.5,7\n", time="A clock")
+    assert table.names == ("clock", "A x", "B clock", "B x")
+
+
+def test_two_levels_of_columns_of_pandas_are_a_header(read):
+    table = read(",A,A,B\n,x,y,x\nt,,,\n0.0,1,2,3\n0.5,4,5,6\n")
+    assert table.names == ("t", "A x", "y", "B x")
+    assert table.columns.tolist() == [[0.0, 0.5], [1.0, 4.0], [2.0, 5.0], [3.0, 6.0]]
+
+
+def test_lines_without_a_cell_above_the_header_are_passed_over(read):
+    assert read(",,\n,,\nt,x,y\n0,1,2\n1,3,4\n").names == ("t", "x", "y")
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "units"),
+    [
+        (",t,x\nunit,s,m\n1,0,5\n2,1,6\n", ("t", "x"), ("s", "m")),
+        ("t,,x\ns,V,widgets\n0,1,5\n1,2,6\n", ("t", "x"), ("s", "widgets")),
+        ("year,,x\na,V,m\n0,1,5\n1,2,6\n", ("year", "x"), ("a", "m")),
+        (",t,x\n1,0,5\n2,1,6\n", ("t", "x"), ("", "")),
+        ("t,x,\ns,m,\n0,1,\n1,2,\n", ("t", "x"), ("s", "m")),
+    ],
+)
+def test_a_row_of_units_is_no_header(read, text, names, units):
+    table = read(text)
+    assert (table.names, table.units) == (names, units)
+
+
+def test_one_name_twice_stays_refused(read):
+    with pytest.raises(DataError, match=r"a\.csv has 2 columns named 'x'"):
+        read("t,x,x\ns,m,m\n0,1,2\n1,3,4\n")
+
+
+@pytest.mark.parametrize("mark", ["%", "#", "# "])
+def test_a_comment_is_the_header_of_rows_that_hold_text_too(read, mark):
+    table = read(f"{mark}time,frame id,x pos\n0.0,world,1\n0.1,world,2\n0.2,map,4\n")
+    assert table.names == ("time", "x pos")
+    assert table.columns.tolist() == [[0.0, 0.1, 0.2], [1.0, 2.0, 4.0]]
+    assert table.read_as == "text with commas; header in a comment; text left out: frame id"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# made by us, on monday, again\nt,run,x\n0,a,1\n1,a,2\n",
+        "# made by us today\nt,run,x\n0,a,1\n1,a,2\n",
+        "# time, run, 7\nt,run,x\n0,a,1\n1,a,2\n",
+    ],
+)
+def test_a_header_that_stands_below_a_comment_stays_the_header(read, text):
+    assert read(text).names == ("t", "x")
+
+
+def test_words_of_a_remark_are_no_header_of_rows_with_text(read):
+    """Of such rows the comment has to have the separator of the rows, not only as many words."""
+    table = read("# measured on monday\n0.0,world,1\n0.1,world,2\n0.2,world,4\n")
+    assert not {"measured", "monday"} & {*table.names, *table.skipped}
+
+
+STAMP = 1_700_000_000_123_456_789
+STEPS = (0, 20_000_001, 41_000_000, 60_500_000)
+
+
+def test_nanoseconds_since_1970_are_times_in_seconds(read):
+    rows = "".join(f"{STAMP + step},{STAMP},{step}\n" for step in STEPS)
+    table = read("time,header stamp,x\n" + rows)
+    assert (table.names, table.units) == (("time", "x"), ("s", ""))
+    assert table.column("time") == pytest.approx(np.array(STEPS) / 1e9, abs=1e-15)
+    assert "time: nanoseconds since 1970, in s since 2023-11-14 22:13:20.123456789 UTC" in table.read_as
+    assert table.skipped == ("header stamp",)
+
+
+def test_the_only_time_stamps_are_the_time(read):
+    table = read("stamp,x\n" + "".join(f"{STAMP + 3600 * 10**9 * row},{row}\n" for row in range(5)))
+    assert (table.names, table.units) == (("time", "x"), ("h", ""))
+    assert table.column("time").tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        (f"t,x\n{STAMP},1\n{STAMP + 10**7},2\n", {"units": {"t": "ns"}}),
+        (f"t [ns],x\n{STAMP},1\n{STAMP + 10**7},2\n", {}),
+        (f"t,x\n{STAMP / 1e9:.3f},1\n{STAMP / 1e9 + 1:.3f},2\n", {}),
+        (f"t,x\n{STAMP // 10**6},1\n{STAMP // 10**6 + 1},2\n", {}),
+    ],
+)
+def test_times_with_a_unit_and_shorter_numbers_stay_as_they_are(read, text, options):
+    times = read(text, **options).column("t")
+    assert times[0] > 1e9
+
+
+def test_time_stamps_that_options_name_stay_numbers(read):
+    table = read(f"t,stamp,x\n0,{STAMP},1\n1,{STAMP + 10**9},2\n", inputs=("stamp",))
+    assert table.column("stamp").tolist() == [float(STAMP), float(STAMP + 10**9)]
