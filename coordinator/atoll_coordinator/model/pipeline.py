@@ -80,7 +80,7 @@ def _judged_by_target(made: Refinement, preparation: Preparation, deadline: Dead
     stopped = "the choice of the equation" if deadline.has_cut_short else ""
     equations = {}
     for name, equation in made.equations.items():
-        problem = preparation.dataset.problem(name)
+        problem = (preparation.counted or preparation.dataset).problem(name)
         verdict = judge(target_evidence(equation, problem, preparation.weights, stopped=stopped))
         equations[name] = replace(equation, grade=verdict.grade, reason=verdict.reason, checks=verdict.checks)
     return replace(made, equations=equations)

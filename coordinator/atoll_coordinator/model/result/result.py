@@ -190,8 +190,8 @@ def _version(package: str) -> str:
 
 def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> parts.Equation:
     dataset = given.dataset
-    problem = dataset.problem(outcome.variable)
-    target = problem.target
+    target = dataset.problem(outcome.variable).target
+    problem = (given.counted or dataset).problem(outcome.variable)
     shown = equation_of(outcome, dataset, config)
     member = None if shown is None else shown.member
     has_trajectories = given.recording is not None

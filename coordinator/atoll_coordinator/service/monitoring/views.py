@@ -205,8 +205,7 @@ def _stored_settings(spec: str) -> tuple[int, str, float | None]:
 
 
 def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState) -> VariableView:
-    problem = prepared.dataset.problem(outcome.variable)
-    target = problem.target
+    target = prepared.dataset.problem(outcome.variable).target
     target_error = prepared.config.budget.target_error
     view = VariableView(
         variable=outcome.variable,
@@ -218,7 +217,8 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
     )
     shown = equation_of(outcome, prepared.dataset, prepared.config)
     has_trajectories = prepared.preparation.recording is not None
-    weights = prepared.preparation.weights
+    given = prepared.preparation
+    problem, weights = (given.counted or given.dataset).problem(outcome.variable), given.weights
     judged = verdict(shown, problem, state, has_trajectories=has_trajectories, why=outcome.why, weights=weights)
     view = view.model_copy(update={"verdict": None if judged is None else judged.grade})
     if shown is None:

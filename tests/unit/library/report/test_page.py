@@ -123,7 +123,7 @@ def read(sections: list[Element]) -> Reader:
 
 def test_a_verdict_is_explained_once_however_many_equations_have_it() -> None:
     page = read([overview(Findings(Result.of(dynamics()), None))])
-    assert sum("can be relied on within" in text for text in page.texts) == 1
+    assert sum("predictions of this equation can be trusted" in text for text in page.texts) == 1
 
 
 def test_a_page_says_what_the_equation_of_noise_is() -> None:

@@ -653,7 +653,7 @@ def narrow(errors):
     return replace(errors, covariance=1e-6 * errors.covariance)
 
 
-@pytest.mark.parametrize("seed", [5, 7, 10])
+@pytest.mark.parametrize("seed", [7, 11])
 def test_constants_keep_few_digits_beside_a_simple_number_that_costs_something(monkeypatch, seed):
     """It is singled out by the covariance, which is larger where errors go together."""
     known = Known(("x",), lambda _, z: [0.31472926535 - 0.5 * z[0]])

@@ -139,7 +139,8 @@ def test_the_front_is_measured_on_held_out_rows_as_well():
     given = Preparation(seen, held_out=unseen)
     built = build_result("j", JobConfig(), given, [VariableOutcome("x", front, 1)], Account("done", 1.0, 1.0)).as_dict()
     assert [member["holdout_error"] for member in built["equations"][0]["front"]] == [1.0, None]
-    heads, first, second = render_text(built, fronts=True).splitlines()[3:6]
+    lines = render_text(built, fronts=True).splitlines()
+    heads, first, second = lines[(start := next(n for n, line in enumerate(lines) if "pick" in line)) : start + 3]
     assert heads.split()[:5] == ["pick", "size", "error", "held", "out"]
     assert (first.split()[3], second.split()[4]) == ("0.8", "?")
 
@@ -236,8 +237,10 @@ def test_text_shows_rounded_equations_and_the_front_on_request():
 
 def test_text_of_clean_data_says_the_verdict_and_is_short():
     first = render_text(result()).split("dv/dt")[0].splitlines()
-    assert len(first) == 3
+    assert len(first) == 4
     assert first[1].strip().startswith("exact: ")
+    assert first[2].strip().startswith("checks: ")
+    assert " passed" in first[2]
     assert "exact" not in render_text(result(state="running"))
 
 
