@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from atoll_coordinator.data.recording import Smoothing
-from atoll_coordinator.model.inference.attractor import look_for_chaos
+from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.inference.shared_terms import fit_together
@@ -471,15 +471,17 @@ def _long_run(final: Final) -> LongRun:
     """Return what is known of a model along whole trajectories.
 
     It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
-    has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing.
+    has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing; one that
+    cannot be chaotic is tested along them however fast errors grow.
     """
     fit = final.free.fit
     rate = growth_rate(fit)
     growths = (rate, rate - speed_growth(fit))
-    fits = None if all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
+    may_be = may_be_chaotic(final.seen.estimator.measurements)
+    fits = None if may_be and all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
     if fits:
         return LongRun(fits, None)
-    if all(predictable_rows(fit, final.comparison, growth) < final.task.longest for growth in growths):
+    if may_be and all(predictable_rows(fit, final.comparison, growth) < final.task.longest for growth in growths):
         return LongRun(None, look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance))
     return LongRun(None if final.task.is_nearly_clean else fits, None)  # errors of a solver add up
 
