@@ -19,21 +19,46 @@ MOST_POINTS: Final = 500
 def points_between(points: FloatArray) -> FloatArray:
     """Return points (G, V) on the lines between two measured ones each, which are far out among all `points` (V, N).
 
-    What holds of all measured ones, such as a sum that does not change or a sign, holds between them as well, and
-    energies are not as large as in the corners of a box of many states.
+    What holds of all measured ones, such as a weighted sum that does not change or a sign, holds between them as well,
+    and energies are not as large as in the corners of a box of many states.
     """
     first, second, (share,) = _pairs(points, 1)
     return np.asarray(first + share[:, None] * (second - first))
 
 
-def points_beside(points: FloatArray, moved: int) -> FloatArray:
-    """Return points (G, V) in the boxes that two measured ones span: they lose what sums and the like keep on lines.
+def points_beside(points: FloatArray, moved: int, noise: FloatArray) -> FloatArray:
+    """Return points (G, V) in the boxes that two measured ones span, but for sums that the measured points keep.
 
-    The first so many numbers are `moved`; the others, such as inputs, stay as they are at the first of the two.
+    The first so many numbers are `moved`, whose `noise` (moved,) has these standard deviations; the others, such as
+    inputs, stay as they are at the first of the two.
     """
     first, second, shares = _pairs(points, moved)
-    first[:, :moved] += shares.T * (second - first)[:, :moved]
+    own = points[:moved]
+    moves = without_kept(shares.T * (second - first)[:, :moved], own, noise)
+    room = np.where(moves > 0.0, own.max(axis=1) - first[:, :moved], first[:, :moved] - own.min(axis=1))
+    is_moving = np.abs(moves) > 1e-12 * np.ptp(own, axis=1)
+    shares_inside = np.where(is_moving, room / np.where(is_moving, np.abs(moves), 1.0), 1.0)
+    first[:, :moved] += np.clip(shares_inside.min(axis=1, initial=1.0), 0.0, 1.0)[:, None] * moves
     return first
+
+
+def without_kept(moves: FloatArray, points: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return `moves` (G, V) without what would change a weighted sum that all measured `points` (V, N) keep.
+
+    These are directions (singular vectors, in widths of the range) along which points vary less than `noise` (V,)
+    would let be seen: of N independent rows the variance is known to a share of sqrt(2/N), and a signal is told from
+    noise (p = 0.05) where it adds more than 1.64 times that. Of no more rows than numbers nothing is known.
+    """
+    if points.shape[1] <= len(points):
+        return moves
+    widths = np.ptp(points, axis=1)
+    widths = np.where(widths > 0.0, widths, 1.0)
+    scaled = ((points - points.mean(axis=1, keepdims=True)) / widths[:, None]).T
+    _, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
+    rows = len(scaled)
+    least = math.sqrt(1.64 * math.sqrt(2.0 / rows)) * np.sqrt(((directions * noise / widths) ** 2).sum(axis=1))
+    kept = directions[sizes / math.sqrt(rows) <= np.maximum(least, SETTINGS.common.clean)]
+    return np.asarray(moves - (moves / widths) @ kept.T @ kept * widths)
 
 
 def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, FloatArray]:

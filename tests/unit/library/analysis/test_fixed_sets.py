@@ -1,4 +1,4 @@
-"""Curves and surfaces of fixed points, half-stable ones, and eigenvalues of very different size, against closed forms."""
+"""Curves and surfaces of fixed points, half-stable points, eigenvalues of very different size, against closed forms."""
 
 import numpy as np
 import pytest
