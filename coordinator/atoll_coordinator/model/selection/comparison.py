@@ -715,9 +715,7 @@ class ModelComparison:
         measurements = self.estimator.measurements
         points = np.concatenate([measurements.smoothed, measurements.inputs])
         moved = len(points if measurements.has_smoothed_inputs else measurements.smoothed)
-        noise = np.zeros(moved)
-        noise[measurements.observed] = measurements.noise
-        beside = points_beside(points, moved, noise).T if self.groups is None else points[:, :0]
+        beside = points_beside(points, moved).T if self.groups is None else points[:, :0]
         return np.ascontiguousarray(beside[[measurements.variables.index(name) for name in self.names]])
 
 
