@@ -120,7 +120,9 @@ def _eigenvalues(
     conditions = np.maximum(np.abs((left.conj() * right).sum(axis=0)), 1e-300)
     errors = [_rounding(flow, point, box, matrix), *_changes(flow, point, box, matrix, along)]
     by_errors = [np.einsum("ij,ik,kj->j", np.abs(left), error, np.abs(right)) for error in errors]
-    size, total = float(np.linalg.norm(matrix)), float(np.linalg.norm(np.sum(errors, axis=0)))
+    size = float(np.linalg.norm(matrix))
+    by_errors.append(np.full(len(values), _ROUNDING * size))  # the backward error of the algorithm
+    total = _ROUNDING * size + float(np.linalg.norm(np.sum(errors, axis=0)))
     most = size * (total / size) ** (1.0 / len(values)) if size > 0.0 else total
     uncertainties = np.minimum(np.sum(by_errors, axis=0) / conditions, most)
     values.real[np.abs(values.real) <= uncertainties] = 0.0
