@@ -27,19 +27,12 @@ def points_between(points: FloatArray) -> FloatArray:
 
 
 def points_beside(points: FloatArray, moved: int) -> FloatArray:
-    """Return points (G, V) in the boxes that two measured ones span, but for sums that the measured points keep.
+    """Return points (G, V) in the boxes that two measured ones span: they lose what sums and the like keep on lines.
 
-    The first so many numbers are `moved`; the others, such as inputs, stay as they are at the first of the two. Sums
-    that are constant but for noise are not kept: equations that differ there alone may be told apart by columns that
-    are nearly equal, and are not the same.
+    The first so many numbers are `moved`; the others, such as inputs, stay as they are at the first of the two.
     """
     first, second, shares = _pairs(points, moved)
-    own = points[:moved]
-    moves = without_kept(shares.T * (second - first)[:, :moved], own, np.zeros(moved))
-    room = np.where(moves > 0.0, own.max(axis=1) - first[:, :moved], first[:, :moved] - own.min(axis=1))
-    is_moving = np.abs(moves) > 1e-12 * np.ptp(own, axis=1)
-    shares_inside = np.where(is_moving, room / np.where(is_moving, np.abs(moves), 1.0), 1.0)
-    first[:, :moved] += np.clip(shares_inside.min(axis=1, initial=1.0), 0.0, 1.0)[:, None] * moves
+    first[:, :moved] += shares.T * (second - first)[:, :moved]
     return first
 
 
