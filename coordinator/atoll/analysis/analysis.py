@@ -77,7 +77,7 @@ class Analysis:
 
     @property
     def attractors(self) -> tuple[Attractor, ...]:
-        """The stable fixed points and limit cycles."""
+        """The fixed points, the curves and surfaces of them, and the limit cycles that attract from within the box."""
         return self.basins.attractors
 
 
@@ -103,8 +103,9 @@ def analyse(
     branches: tuple[Branch, ...] = ()
     cycle_branches: tuple[CycleBranch, ...] = ()
     fixed = fixed_points(flow, box)
-    cycles = limit_cycles(flow, box, fixed.points)
-    stable: list[Attractor] = [point for point in (*fixed.points, *cycles.resting) if point.is_stable]
+    cycles = limit_cycles(flow, box, fixed.points, fixed.sets)
+    stable: list[Attractor] = [point for point in (*fixed.points, *cycles.resting) if point.attracts_in_box]
+    stable += [fixed_set for fixed_set in fixed.sets if fixed_set.attracts_in_box]
     stable += [cycle for cycle in cycles.cycles if cycle.is_stable]
     reached = basins(flow, box, stable)
     is_open = flow.size > 2 and len(cycles.unsettled) > 0
@@ -139,7 +140,8 @@ def _continued(
     if not bounds[0] <= value <= bounds[1]:
         value = 0.5 * (bounds[0] + bounds[1])
         shifted = parameter.at(flow, value)
-        cycles = limit_cycles(shifted, box, fixed_points(shifted, box).points).cycles
+        shifted_points = fixed_points(shifted, box)
+        cycles = limit_cycles(shifted, box, shifted_points.points, shifted_points.sets).cycles
     known = [(value, cycle) for cycle in cycles]
     return branches, cycle_continuation(flow, box, parameter, bounds, branches=branches, known=known)
 

@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.box import Box
-from atoll.analysis.fixed_points import FixedPoint, time_scale
-from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch
+from atoll.analysis.fixed_sets import FixedSet
+from atoll.analysis.flow import LONGER, SETTLING, UNBOUNDED, Flow, IntegrationBatch, is_nearly_at_rest
 from atoll.analysis.limit_cycles import LimitCycle, distance
+from atoll.analysis.newton import time_scale
+from atoll.analysis.stability import NON_HYPERBOLIC, FixedPoint
 from atoll_core.data.dataset import FloatArray
 
 GRID: Final = 40
@@ -32,7 +34,7 @@ _PARTS: Final = 60
 _CAUGHT: Final = 1e-2
 """Widths of the box within which an attractor has caught a course; beside others a tenth of the way to the next one."""
 
-Attractor = FixedPoint | LimitCycle
+Attractor = FixedPoint | FixedSet | LimitCycle
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,37 +68,64 @@ def basins(flow: Flow, box: Box, attractors: Sequence[Attractor], *, grid: int =
     else:
         starts = box.lower + box.widths * np.random.default_rng(0).random((STARTS, flow.size))
     duration = SETTLING * time_scale(flow, box)
-    reached = destinations(flow, box, attractors, starts, duration)
+    reached, _ = destinations(flow, box, attractors, starts, duration)
     return Basins(tuple(attractors), starts, reached, duration, grid if flow.size == 2 else None)
 
 
 def destinations(
     flow: Flow, box: Box, attractors: Sequence[Attractor], starts: FloatArray, duration: float
-) -> npt.NDArray[np.int64]:
-    """Return what each of `starts` (N, D) reaches within `duration`, (N,), see `Basins`."""
-    reached = np.full(len(starts), UNDECIDED, dtype=np.int64)
+) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    """Return what each of `starts` (N, D) reaches within `duration`, (N,), see `Basins`, and where it is then, (N, D).
+
+    Those that have nearly come to rest by then are followed for longer.
+    """
+    reached, ends = np.full(len(starts), UNDECIDED, dtype=np.int64), np.array(starts)
     radii = _radii(attractors, box)
     batch = IntegrationBatch.of(starts, 1e-4 * duration)
-    rows = np.arange(len(starts))
-    for part in range(1, _PARTS + 1):
+    rows, before, is_last_look = np.arange(len(starts)), batch.states, False
+    for until in _looks(duration):
+        if is_last_look:
+            is_slow = is_nearly_at_rest(batch.states, before, box, SETTLING / _PARTS)
+            batch, rows = batch.of_rows(is_slow), rows[is_slow]
+        is_last_look = until == duration
+        before = batch.states.copy()
         batch.advance(
-            flow.rates, duration * part / _PARTS, 1e-3 * box.widths, rtol=1e-5, most_steps=MOST_STEPS // _PARTS
+            flow.rates,
+            until,
+            1e-3 * box.widths,
+            rtol=1e-5,
+            most_steps=MOST_STEPS // _PARTS,
+            jacobian=flow.jacobian,
         )
         destination = np.full(len(rows), UNDECIDED, dtype=np.int64)
         with np.errstate(invalid="ignore"):
             destination[box.excursions(batch.states) > UNBOUNDED] = RUNS_AWAY
         for index, (attractor, radius) in enumerate(zip(attractors, radii, strict=True)):
-            destination[(destination == UNDECIDED) & (_distances(attractor, batch.states, box) < radius)] = index
+            destination[(destination == UNDECIDED) & _is_caught(attractor, radius, flow, batch.states, box)] = index
         destination[(destination == UNDECIDED) & batch.is_lost] = NO_VALUE
-        reached[rows] = destination
-        rows = rows[destination == UNDECIDED]
+        reached[rows], ends[rows] = destination, batch.states
+        rows, before = rows[destination == UNDECIDED], before[destination == UNDECIDED]
         if not len(rows):
             break
         batch = batch.of_rows(destination == UNDECIDED)
-    return reached
+    return reached, ends
 
 
-def _distances(attractor: Attractor, states: FloatArray, box: Box) -> FloatArray:
+def _looks(duration: float) -> list[float]:
+    """Return the times at which it is looked where starts are."""
+    return [*(duration * part / _PARTS for part in range(1, _PARTS + 1)), *(duration * longer for longer in LONGER)]
+
+
+def _is_caught(attractor: Attractor, radius: float, flow: Flow, states: FloatArray, box: Box) -> np.ndarray:
+    """Tell which of `states` (N, D) are within `radius` of an attractor, or of an attracting part."""
+    if not isinstance(attractor, FixedSet):
+        return _distances(attractor, states, box) < radius
+    is_caught = attractor.distances(flow, states, box) < radius
+    is_caught[is_caught] = attractor.attracts_at(flow, states[is_caught], box)
+    return is_caught
+
+
+def _distances(attractor: FixedPoint | LimitCycle, states: FloatArray, box: Box) -> FloatArray:
     if isinstance(attractor, LimitCycle):
         return distance(attractor, states, box)
     return np.asarray(np.sqrt((((states - attractor.point) / box.widths) ** 2).sum(axis=1)))
@@ -104,14 +133,35 @@ def _distances(attractor: Attractor, states: FloatArray, box: Box) -> FloatArray
 
 def _radii(attractors: Sequence[Attractor], box: Box) -> list[float]:
     """Return how near to each attractor a course counts as caught: a tenth of the way to the next one at most."""
-    points = [
-        np.atleast_2d(attractor.points if isinstance(attractor, LimitCycle) else attractor.point)
-        for attractor in attractors
-    ]
+    points = [_points(attractor) for attractor in attractors]
     radii = []
     for index, attractor in enumerate(attractors):
         others = [points[place] for place in range(len(points)) if place != index]
-        nearest = min((float(_distances(attractor, other, box).min()) for other in others), default=np.inf)
-        slow = isinstance(attractor, FixedPoint) and attractor.kind == "non-hyperbolic"
-        radii.append(min(5.0 * _CAUGHT if slow else _CAUGHT, 0.1 * nearest))
+        ways = [
+            _squares(points[index], other, box).min() if isinstance(attractor, FixedSet)
+            else float(_distances(attractor, other, box).min()) ** 2
+            for other in others
+        ]  # fmt: skip
+        kinds = [point.kind for point in _fixed_points(attractor) if point.attracts_in_box]
+        slow = NON_HYPERBOLIC in kinds
+        radii.append(min(5.0 * _CAUGHT if slow else _CAUGHT, 0.1 * float(np.sqrt(min(ways, default=np.inf)))))
     return radii
+
+
+def _fixed_points(attractor: Attractor) -> Sequence[FixedPoint]:
+    """Return fixed points of an attractor; a limit cycle has none."""
+    if isinstance(attractor, FixedSet):
+        return attractor.points
+    return (attractor,) if isinstance(attractor, FixedPoint) else ()
+
+
+def _points(attractor: Attractor) -> FloatArray:
+    """Return points (n, D) of an attractor."""
+    if isinstance(attractor, FixedSet):
+        return attractor.course
+    return np.atleast_2d(attractor.points if isinstance(attractor, LimitCycle) else attractor.point)
+
+
+def _squares(first: FloatArray, second: FloatArray, box: Box) -> FloatArray:
+    """Return the squared distances (n, m) between two sets of points, in widths."""
+    return np.asarray((((first[:, None] - second) / box.widths) ** 2).sum(axis=2))

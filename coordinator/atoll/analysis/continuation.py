@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from atoll.analysis.box import Box
 from atoll.analysis.continuation_parameter import ContinuationParameter
-from atoll.analysis.fixed_points import fixed_points, rate_scale
+from atoll.analysis.fixed_points import fixed_points
 from atoll.analysis.flow import Flow
+from atoll.analysis.newton import rate_scale
 from atoll.analysis.path_following import BRANCH_POINT, FOLD, CurvePoint, continue_curve, joined
 from atoll_core.data.dataset import FloatArray
 

@@ -18,10 +18,10 @@ from atoll.analysis.collocation import INTERVALS, Orbit, levelled, sampled
 from atoll.analysis.continuation import HOPF, Branch, SpecialPoint
 from atoll.analysis.continuation_parameter import ContinuationParameter
 from atoll.analysis.cycle_curve import HOPF_END, LONGEST, PERIOD_DOUBLING, TORUS, CycleCurve, CycleOnCurve, CycleProblem
-from atoll.analysis.fixed_points import Complexes
 from atoll.analysis.flow import Flow, follow
 from atoll.analysis.limit_cycles import LimitCycle, distance, multipliers_of
 from atoll.analysis.path_following import Side, continue_curve, joined
+from atoll.analysis.stability import Complexes
 from atoll_core.data.dataset import FloatArray
 
 MOST_BRANCHES: Final = 10

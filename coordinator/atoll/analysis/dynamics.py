@@ -4,7 +4,7 @@ The model is simulated freely from where each measured trajectory begins, and as
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -64,7 +64,8 @@ class Motion:
 class Comparison:
     """The model beside one measured trajectory; `reaches` is the index of an attractor or a code of `basins`.
 
-    `orbit_period` is that of the closed orbit on which the model goes round, where such orbits are not isolated.
+    `orbit_period` is that of the closed orbit on which the model goes round, where such orbits are not isolated; `end`
+    (D,) is where the model is when it has reached something, or when it is followed no longer.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Comparison:
     simulated: Motion
     reaches: int
     orbit_period: float | None = None
+    end: FloatArray | None = None
 
     @property
     def has_same_period(self) -> bool | None:
@@ -173,18 +175,22 @@ def compared(
     if not trajectories:
         return ()
     starts = np.array([trajectory.states[0] for trajectory in trajectories])
-    reached = destinations(flow, box, attractors, starts, duration)
+    reached, ends = destinations(flow, box, attractors, starts, duration)
     comparisons = []
-    for trajectory, reaches in zip(trajectories, reached.tolist(), strict=True):
-        times = np.linspace(0.0, trajectory.times[-1], ROWS)
+    for trajectory, reaches, end in zip(trajectories, reached.tolist(), ends, strict=True):
+        even = np.linspace(0.0, trajectory.times[-1], ROWS)
+        times = np.unique(np.concatenate([even, trajectory.times]))
         course = _course(flow, trajectory, times, box)
         with np.errstate(invalid="ignore"):
             inside = box.excursions(course) < UNBOUNDED
         known = np.isfinite(course).all(axis=1)
         simulated = motion(times[known], course[known])
+        beside = known & np.isin(times, trajectory.times)
+        amplitudes = motion(times[beside], course[beside]).amplitudes
         orbit = _orbit_period(flow, trajectory, box) if has_family and reaches == UNDECIDED else None
         measured = motion(trajectory.times, trajectory.states)
-        comparisons.append(Comparison(trajectory.name, bool(inside.all()), measured, simulated, reaches, orbit))
+        simulated = replace(simulated, amplitudes=amplitudes)  # over the same times: they may be few, or uneven
+        comparisons.append(Comparison(trajectory.name, bool(inside.all()), measured, simulated, reaches, orbit, end))
     return tuple(comparisons)
 
 

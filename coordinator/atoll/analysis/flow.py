@@ -1,8 +1,10 @@
 """A vector field with its inputs and parameters held, followed in time. Letters: D states, N starts.
 
 One start is followed by LSODA, which copes with stiffness (Petzold 1983); many starts at once by the pair of Dormand
-and Prince (1980) of order 5, each start with steps of its own. Both are bounded in steps, and a run that leaves every
-bound or meets a point without a value ends there: that is a result, not an error.
+and Prince (1980) of order 5, each start with steps of its own. Starts whose steps are bounded by stability rather than
+by accuracy go on by a Rosenbrock method (RODAS3 of Sandu et al. 1997, Atmospheric Environment 31:3459: order 3, four
+stages, L-stable). All are bounded in steps, and a run that leaves every bound or meets a point without a value ends
+there: that is a result, not an error.
 """
 
 import warnings
@@ -12,10 +14,12 @@ from typing import Final
 
 import numpy as np
 
+from atoll.analysis.box import Box
 from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
 
 Rates = Callable[[FloatArray], FloatArray]
+Jacobians = Callable[[FloatArray], FloatArray]
 
 MOST_STEPS: Final = 20_000
 """Steps of one start."""
@@ -23,6 +27,13 @@ MOST_STEPS: Final = 20_000
 SETTLING: Final = 60.0
 """Length of simulations, in times that a state takes through the box: what decays ten times as slowly as that is by
 then down to exp(-6), a quarter of a percent."""
+
+LONGER: Final = (1e2, 1e4, 1e6)
+"""How much longer starts are followed that have nearly come to rest: they are on their way along a slow direction."""
+
+_RESTING: Final = 0.02
+"""Widths of the box that a start moves, at most, in the time that a state takes through the box to count as nearly at
+rest."""
 
 UNBOUNDED: Final = 1e3
 """Widths of the box from its middle beyond which a state counts as gone."""
@@ -36,6 +47,14 @@ _NODES: Final = (
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
 _ERROR: Final = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+
+_UNSTABLE: Final = 3.25
+"""Step times largest eigenvalue on the boundary of stability of that pair (Hairer and Wanner 1996, section IV.2)."""
+
+_STIFF_STEPS: Final = 15
+"""Steps at that boundary after which a start counts as stiff, unless six others come first (ibid.)."""
+
+_CALM_STEPS: Final = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,57 +159,122 @@ def follow(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray
     return states
 
 
+def is_nearly_at_rest(states: FloatArray, before: FloatArray, box: Box, span: float) -> np.ndarray:
+    """Tell which of `states` (N, D) have hardly moved from `before` (N, D), a `span` of times through the box ago."""
+    return np.asarray(np.abs((states - before) / box.widths).max(axis=1) < _RESTING * span)
+
+
 @dataclass(eq=False)
 class IntegrationBatch:
     """N starts that are integrated together: `states` (N, D), each at its time (N,) with its next step (N,).
 
-    `is_lost` (N,): it met a point without rates.
+    `is_lost` (N,): it met a point without rates. `bounded` and `calm` (N,) count steps at the boundary of stability,
+    and others since the last of these; `is_stiff` (N,) starts go on by implicit steps.
     """
 
     states: FloatArray
     times: FloatArray
     sizes: FloatArray
     is_lost: np.ndarray
+    bounded: np.ndarray
+    calm: np.ndarray
 
     @classmethod
     def of(cls, states: FloatArray, step: float) -> "IntegrationBatch":
         """Return starts at time 0, with a first step to try."""
         count = len(states)
-        return cls(np.array(states), np.zeros(count), np.full(count, step), np.zeros(count, dtype=bool))
+        counters = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        return cls(np.array(states), np.zeros(count), np.full(count, step), np.zeros(count, dtype=bool), *counters)
 
     def of_rows(self, rows: np.ndarray) -> "IntegrationBatch":
         """Return some of the starts."""
-        return IntegrationBatch(self.states[rows], self.times[rows], self.sizes[rows], self.is_lost[rows])
+        parts = (self.states, self.times, self.sizes, self.is_lost, self.bounded, self.calm)
+        return IntegrationBatch(*(part[rows] for part in parts))
 
-    def advance(self, rates: Rates, until: float, scale: FloatArray, *, rtol: float, most_steps: int = 1000) -> None:
+    @property
+    def is_stiff(self) -> np.ndarray:
+        """Which starts have shown that stability bounds their steps."""
+        return np.asarray(self.bounded >= _STIFF_STEPS)
+
+    def advance(
+        self,
+        rates: Rates,
+        until: float,
+        scale: FloatArray,
+        *,
+        rtol: float,
+        most_steps: int = 1000,
+        jacobian: Jacobians | None = None,
+    ) -> None:
         """Follow every start that is not lost until that time, with errors of `rtol` of `scale` (D,) and its values.
 
-        Starts that take more than `most_steps` for it stay behind.
+        Starts that take more than `most_steps` for it stay behind. Without a `jacobian` all steps are explicit.
         """
         tiny = 1e-12 * until
         for _ in range(most_steps):
-            rows = np.flatnonzero(~self.is_lost & (self.times < until - tiny))
-            if not len(rows):
+            is_waiting = ~self.is_lost & (self.times < until - tiny)
+            if not is_waiting.any():
                 return
-            self._step(rates, rows, until, rtol, scale)
+            is_implicit = self.is_stiff if jacobian is not None else np.zeros(len(is_waiting), dtype=bool)
+            explicit, implicit = np.flatnonzero(is_waiting & ~is_implicit), np.flatnonzero(is_waiting & is_implicit)
+            if len(explicit):
+                self._step(rates, explicit, until, rtol, scale)
+            if len(implicit) and jacobian is not None:
+                self._implicit_step(rates, jacobian, implicit, until, rtol, scale)
 
     def _step(self, rates: Rates, rows: np.ndarray, until: float, rtol: float, scale: FloatArray) -> None:
         state, size = self.states[rows], np.minimum(self.sizes[rows], until - self.times[rows])
-        is_cut = size < self.sizes[rows]
-        slopes = [rates(state)]
+        slopes, after = [rates(state)], state
         with np.errstate(all="ignore"):
             for weights in _NODES:
+                before = after
                 moved = sum(weight * slope for weight, slope in zip(weights, slopes, strict=True) if weight)
                 after = state + size[:, None] * moved
                 slopes.append(rates(after))
             wrong = size[:, None] * sum(weight * slope for weight, slope in zip(_ERROR, slopes, strict=True) if weight)
             allowed = rtol * (scale + np.maximum(np.abs(state), np.abs(after)))
-            error = np.sqrt(np.mean((wrong / allowed) ** 2, axis=1))
+            turned, moved = (((both[0] - both[1]) / allowed) ** 2 for both in (slopes[-1:-3:-1], (after, before)))
+            eigenvalue = np.sqrt(turned.sum(axis=1) / np.maximum(moved.sum(axis=1), 1e-300))
+            is_bounded = size * eigenvalue > _UNSTABLE
+        good = self._take(rows, size, until, after, wrong / allowed, 0.2)
+        is_counted = good & ~self.is_stiff[rows]
+        self.bounded[rows[is_counted & is_bounded]] += 1
+        self.calm[rows[is_counted]] = np.where(is_bounded, 0, self.calm[rows] + 1)[is_counted]
+        self.bounded[rows[is_counted & (self.calm[rows] >= _CALM_STEPS)]] = 0
+
+    def _implicit_step(
+        self, rates: Rates, jacobian: Jacobians, rows: np.ndarray, until: float, rtol: float, scale: FloatArray
+    ) -> None:
+        state, size = self.states[rows], np.minimum(self.sizes[rows], until - self.times[rows])
+        slopes = jacobian(state)
+        slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+        with np.errstate(all="ignore"):
+            inverse = np.linalg.inv((2.0 / size)[:, None, None] * np.eye(state.shape[1]) - slopes)
+
+            def solved(right: FloatArray) -> FloatArray:
+                return np.asarray((inverse @ right[:, :, None])[:, :, 0])
+
+            per_step, rate = 1.0 / size[:, None], rates(state)
+            first = solved(rate)
+            second = solved(rate + 4.0 * per_step * first)
+            third = solved(rates(state + 2.0 * first) + per_step * (first - second))
+            after = state + 2.0 * first + third
+            fourth = solved(rates(after) + per_step * (first - second - 8.0 / 3.0 * third))
+            after = after + fourth
+            allowed = rtol * (scale + np.maximum(np.abs(state), np.abs(after)))
+        self._take(rows, size, until, after, fourth / allowed, 1.0 / 3.0)
+
+    def _take(
+        self, rows: np.ndarray, size: FloatArray, until: float, after: FloatArray, wrong: FloatArray, power: float
+    ) -> np.ndarray:
+        """Take the steps (N,) whose errors, over those allowed (N, D), are small enough, and tell which these are."""
+        with np.errstate(all="ignore"):
+            error = np.sqrt(np.mean(wrong**2, axis=1))
             error = np.where(np.isfinite(error), error, 1e10)
-            factor = np.clip(0.9 * np.maximum(error, 1e-10) ** -0.2, 0.2, 5.0)
-        good = error <= 1.0
+            factor = np.clip(0.9 * np.maximum(error, 1e-10) ** -power, 0.2, 5.0)
+        good, is_cut, proposed = error <= 1.0, size < self.sizes[rows], size * factor
         self.states[rows[good]] = after[good]
         self.times[rows[good]] += size[good]
-        proposed = size * factor
         self.sizes[rows] = np.where(good & is_cut, np.maximum(self.sizes[rows], proposed), proposed)
         self.is_lost[rows] |= self.sizes[rows] < 1e-13 * until
+        return np.asarray(good)

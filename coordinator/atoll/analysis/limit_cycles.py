@@ -14,16 +14,21 @@ from typing import Final
 import numpy as np
 
 from atoll.analysis.box import Box
-from atoll.analysis.fixed_points import (
-    Complexes,
-    FixedPoint,
-    classified,
-    distinct_points,
-    jacobian_in_widths,
-    newton_ends,
-    time_scale,
+from atoll.analysis.fixed_points import distinct_points
+from atoll.analysis.fixed_sets import FixedSet, tangents
+from atoll.analysis.flow import (
+    LONGER,
+    SETTLING,
+    UNBOUNDED,
+    Flow,
+    IntegrationBatch,
+    crossing,
+    follow,
+    is_nearly_at_rest,
+    steps,
 )
-from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch, crossing, follow, steps
+from atoll.analysis.newton import jacobian_in_widths, newton_ends, time_scale
+from atoll.analysis.stability import NON_HYPERBOLIC, Complexes, FixedPoint, classified
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 24
@@ -44,6 +49,9 @@ _NEAR: Final = 0.1
 
 SMALLEST: Final = 1e-3
 """Smallest extent of a cycle, in widths of the box."""
+
+_SLOWLY: Final = 0.05
+"""Widths within which a course is at rest that comes to fixed points along an eigenvalue of 0."""
 
 _CLOSED: Final = 1e-8
 """Widths of the box by which a cycle may miss itself: ten times the error of the integration."""
@@ -110,12 +118,15 @@ class LimitCycles:
     has_family: bool = False
 
 
-def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
-    """Return the limit cycles that simulations from `box` lead to, by rising period; of two states also backward."""
-    forward = _reached(flow, box, fixed)
+def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet] = ()) -> LimitCycles:
+    """Return the limit cycles that simulations from `box` lead to, by rising period; of two states also backward.
+
+    Simulations that come to rest at one of the `fixed` points, or on one of the `sets` of them, lead to none.
+    """
+    forward = _reached(flow, box, fixed, sets)
     cycles = list(forward.cycles)
     if flow.size == 2:
-        for cycle in _reached(replace(flow, direction=-flow.direction), box, fixed).cycles:
+        for cycle in _reached(replace(flow, direction=-flow.direction), box, fixed, sets).cycles:
             if all(distance(other, cycle.point[None], box)[0] > 1e-3 for other in cycles):
                 turned = _closed_orbit(flow, cycle.point, cycle.period, box)
                 cycles += [turned] if turned is not None else []
@@ -123,10 +134,12 @@ def limit_cycles(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycl
     return replace(forward, cycles=tuple(isolated), has_family=len(isolated) < len(cycles))
 
 
-def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
+def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint], sets: Sequence[FixedSet]) -> LimitCycles:
     ends, count, duration = _ends(flow, box, fixed)
-    outside = [rest for rest in _rests(flow, ends, box) if not box.contains(rest.point, 1e-6)]
-    resting = [*fixed, *outside]
+    for fixed_set in sets:
+        ends = ends[fixed_set.distances(flow, ends, box) > _SLOWLY]
+    rests = _rests(flow, ends, box)
+    resting = [*fixed, *rests]
     cycles: list[LimitCycle] = []
     unsettled, failures = [], 0
     for end in ends:
@@ -145,7 +158,7 @@ def _reached(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> LimitCycles:
             unsettled += [end] if cycle is None or cycle.is_isolated else []
             failures += 1
     left = np.array(unsettled).reshape(-1, flow.size)
-    return LimitCycles(tuple(cycles), count, duration, tuple(outside), left)
+    return LimitCycles(tuple(cycles), count, duration, tuple(rests), left)
 
 
 def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray, int, float]:
@@ -154,24 +167,39 @@ def _ends(flow: Flow, box: Box, fixed: Sequence[FixedPoint]) -> tuple[FloatArray
     beside = [point.point[None] + 0.02 * box.widths for point in fixed[:STARTS]]
     starts = np.vstack([box.points(STARTS), *beside])
     batch = IntegrationBatch.of(starts, 1e-4 * duration)
+    most, sizes, before = MOST_STEPS // 5, 1e-3 * box.widths, batch.states
     for part in range(1, 6):
-        batch.advance(flow.rates, part * 0.2 * duration, 1e-3 * box.widths, rtol=1e-6, most_steps=MOST_STEPS // 5)
+        before = batch.states.copy()
+        until = 0.2 * part * duration
+        batch.advance(flow.rates, until, sizes, rtol=1e-6, most_steps=most, jacobian=flow.jacobian)
         batch.is_lost |= box.excursions(batch.states) > UNBOUNDED
+    is_slow = is_nearly_at_rest(batch.states, before, box, 0.2 * SETTLING) & ~batch.is_lost
+    slow = batch.of_rows(is_slow)
+    for longer in LONGER if is_slow.any() else ():
+        slow.advance(flow.rates, longer * duration, sizes, rtol=1e-6, most_steps=most, jacobian=flow.jacobian)
+    batch.states[is_slow], batch.is_lost[is_slow] = slow.states, slow.is_lost
+    batch.is_lost |= box.excursions(batch.states) > UNBOUNDED
     return batch.states[~batch.is_lost], len(starts), duration
 
 
 def _rests(flow: Flow, ends: FloatArray, box: Box) -> list[FixedPoint]:
-    """Return the stable fixed points that Newton steps find beside `ends`."""
+    """Return the fixed points outside the box that Newton steps find beside `ends`, if these attract.
+
+    So do those on curves of fixed points across these.
+    """
     points = distinct_points(flow, newton_ends(flow, box, ends), box)
-    beside = [point for point in points if (np.abs((ends - point) / box.widths).max(axis=1) < 0.01).any()]
-    return [rest for rest in (classified(flow, point, box) for point in beside) if rest.is_stable]
+    is_beside = [bool((np.abs((ends - point) / box.widths).max(axis=1) < 0.01).any()) for point in points]
+    points = points[np.array(is_beside, dtype=bool) & ~box.contains(points, 1e-6)]
+    along = tangents(flow, points, box)
+    rests = [classified(flow, point, box, directions) for point, directions in zip(points, along, strict=True)]
+    return [rest for rest in rests if rest.attracts_in_box]
 
 
 def _is_at_rest(end: FloatArray, fixed: Sequence[FixedPoint], box: Box) -> bool:
     for point in fixed:
         near = SMALLEST
-        if point.is_stable:  # along an eigenvalue of 0 it is approached slowly
-            near = 10.0 * (0.05 if point.kind == "non-hyperbolic" else SMALLEST)
+        if point.attracts_in_box:  # along an eigenvalue of 0 it is approached slowly
+            near = 10.0 * (_SLOWLY if point.kind == NON_HYPERBOLIC else SMALLEST)
         if np.abs((end - point.point) / box.widths).max() < near:
             return True
     return False

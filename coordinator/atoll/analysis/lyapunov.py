@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from atoll.analysis.box import Box
-from atoll.analysis.fixed_points import jacobian_in_widths, time_scale
 from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch
+from atoll.analysis.newton import jacobian_in_widths, time_scale
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 128
@@ -57,7 +57,7 @@ def lyapunov_spectrum(
     if seeds is not None and len(seeds):
         first = seeds[np.arange(starts) % len(seeds)] + 1e-3 * (first - box.middle)
     settled = IntegrationBatch.of(first, 1e-3 * scale)
-    settled.advance(flow.rates, SETTLING * scale, 1e-3 * box.widths, rtol=1e-5, most_steps=5000)
+    settled.advance(flow.rates, SETTLING * scale, 1e-3 * box.widths, rtol=1e-5, most_steps=5000, jacobian=flow.jacobian)
     states = settled.states[~settled.is_lost & (box.excursions(settled.states) < UNBOUNDED)]
     if not len(states):
         return None

@@ -5,10 +5,12 @@ from typing import Final
 from atoll.analysis.analysis import Analysis
 from atoll.analysis.continuation import Branch
 from atoll.analysis.cycle_continuation import CycleBranch
-from atoll.analysis.fixed_points import TOLERANCE, FixedPoint
+from atoll.analysis.fixed_sets import FixedSet
 from atoll.analysis.limit_cycles import LimitCycle
+from atoll.analysis.newton import TOLERANCE
 from atoll.analysis.plain_data import attributes, plain
 from atoll.analysis.sentences import CODES, attractor_text, codes_of, describe, reached_text
+from atoll.analysis.stability import FixedPoint
 
 SCHEMA: Final = 1
 
@@ -26,6 +28,7 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "parameters": [attributes(constant, "name", "variable", "value") for constant in field.parameters],
             "unit_coefficients": analysis.coefficients.units,
             "fixed_points": [_fixed_point(point) for point in fixed.points],
+            "fixed_sets": [_fixed_set(fixed_set) for fixed_set in fixed.sets],
             "fixed_points_search": {
                 **attributes(fixed, "starts", "converged"),
                 "tolerance": TOLERANCE,
@@ -54,6 +57,7 @@ def as_data(analysis: Analysis) -> dict[str, object]:
                     "has_same_phases": comparison.has_same_order,
                     "reaches": reached_text(comparison.reaches, analysis),
                     "orbit_period": comparison.orbit_period,
+                    "end": comparison.end,
                 }
                 for comparison in analysis.comparisons
             ],
@@ -64,7 +68,12 @@ def as_data(analysis: Analysis) -> dict[str, object]:
 
 
 def _fixed_point(fixed: FixedPoint) -> dict[str, object]:
-    return attributes(fixed, "point", "kind", "is_stable", "eigenvalues")
+    return attributes(fixed, "point", "kind", "is_stable", "attracts_in_box", "eigenvalues")
+
+
+def _fixed_set(fixed: FixedSet) -> dict[str, object]:
+    points = [_fixed_point(point) for point in fixed.points]
+    return attributes(fixed, "dimension", "is_straight", "attracts_in_box", "course") | {"points": points}
 
 
 def _cycle(cycle: LimitCycle) -> dict[str, object]:

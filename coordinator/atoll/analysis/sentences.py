@@ -1,7 +1,7 @@
 """What is said of an analysis: sentences, and listings of texts, which text and report draw each in its own way."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,8 +12,9 @@ from atoll.analysis.basins import NO_VALUE, RUNS_AWAY, UNDECIDED, Attractor
 from atoll.analysis.continuation import Branch
 from atoll.analysis.cycle_continuation import CycleBranch
 from atoll.analysis.dynamics import Comparison
-from atoll.analysis.fixed_points import MOST_POINTS, FixedPoint
+from atoll.analysis.fixed_sets import FixedSet
 from atoll.analysis.limit_cycles import LimitCycle
+from atoll.analysis.stability import NON_HYPERBOLIC, FixedPoint
 from atoll_core.data.dataset import FloatArray
 
 CODES: Final[Mapping[int, str]] = {UNDECIDED: "undecided", RUNS_AWAY: "runs away", NO_VALUE: "no value"}
@@ -101,7 +102,17 @@ def attractor_text(attractor: Attractor) -> str:
     """Return what an attractor is called."""
     if isinstance(attractor, LimitCycle):
         return f"limit cycle of period {attractor.period:.6g}"
+    if isinstance(attractor, FixedSet):
+        return _set_text(attractor)
     return f"{attractor.kind} {_point_text(attractor.point)}"
+
+
+def _set_text(fixed: FixedSet) -> str:
+    """Return what a curve or a surface of fixed points is called."""
+    if fixed.dimension > 1:
+        return f"surface of fixed points of {fixed.dimension} dimensions"
+    name = "line" if fixed.is_straight else "curve"
+    return f"{name} of fixed points from {_point_text(fixed.course[0])} to {_point_text(fixed.course[-1])}"
 
 
 def _point_text(point: FloatArray) -> str:
@@ -110,18 +121,45 @@ def _point_text(point: FloatArray) -> str:
 
 def _fixed_points(analysis: Analysis) -> Listing:
     search, resting = analysis.fixed_points, analysis.cycles.resting
-    many = f"more than {MOST_POINTS}, so that they form a curve or a surface; some of them"
-    some = f"{len(search.points)} (Newton steps from {search.starts} starts)"
-    title = f"fixed points: {some if search.are_isolated else many}"
+    beside = f" beside {_many(search.sets)} of them" if search.sets else ""
+    title = f"fixed points: {len(search.points)}{beside} (Newton steps from {search.starts} starts)"
     heads = (f"({', '.join(analysis.field.states)})", "kind", "eigenvalues")
-    return Listing(title, heads, tuple(_fixed_point(point, analysis) for point in (*search.points, *resting)))
+    rows = [_fixed_point(point, analysis) for point in (*search.points, *resting)]
+    for fixed in search.sets:
+        rows.append(Row((_set_text(fixed), _share_text(fixed), ""), f"{_set_text(fixed)}, {_share_text(fixed)}; on it"))
+        rows += [_fixed_point(point, analysis, across="across it ") for point in fixed.points[::2]]
+    return Listing(title, heads, tuple(rows))
 
 
-def _fixed_point(fixed: FixedPoint, analysis: Analysis) -> Row:
+def _many(sets: Sequence[FixedSet]) -> str:
+    """Return how many curves and surfaces there are."""
+    curves = sum(fixed.dimension == 1 for fixed in sets)
+    texts = [
+        f"{count} {name}{'s' if count > 1 else ''}"
+        for count, name in ((curves, "curve"), (len(sets) - curves, "surface"))
+        if count
+    ]
+    return " and ".join(texts)
+
+
+def _share_text(fixed: FixedSet) -> str:
+    """Return how much of a curve or a surface attracts."""
+    attracts = {point.attracts_in_box for point in fixed.points}
+    return "attracts in parts" if len(attracts) > 1 else "attracts" if True in attracts else "does not attract"
+
+
+def _fixed_point(fixed: FixedPoint, analysis: Analysis, across: str = "") -> Row:
     outside = "" if analysis.box.contains(fixed.point, 1e-6) else ", outside the box"
-    attracts = ", attracts" if fixed.is_stable and fixed.kind == "non-hyperbolic" else ""
-    cells = (_point_text(fixed.point), f"{fixed.kind}{attracts}{outside}", _complex_text(fixed.eigenvalues))
+    cells = (_point_text(fixed.point), f"{across}{_kind_text(fixed)}{outside}", _complex_text(fixed.eigenvalues))
     return Row(cells, f"{cells[0]}  {cells[1]}, eigenvalues {cells[2]}")
+
+
+def _kind_text(fixed: FixedPoint) -> str:
+    """Return the kind of a fixed point; where an eigenvalue is 0, with what simulations say."""
+    if fixed.kind != NON_HYPERBOLIC or not fixed.attracts_in_box:
+        return fixed.kind
+    node = "attracts" if fixed.eigenvalues.imag.any() else "a stable node"
+    return f"{fixed.kind}, by simulations {node}{'' if fixed.is_stable else ' within the box'}"
 
 
 def _complex_text(numbers: Iterable[complex]) -> str:
@@ -187,9 +225,11 @@ def _comparison(comparison: Comparison, analysis: Analysis) -> Row:
 
 def _end_text(comparison: Comparison, analysis: Analysis) -> str:
     held = ", inputs held" if analysis.field.inputs else ""
-    if comparison.orbit_period is None:
-        return f"reaches{held}: {reached_text(comparison.reaches, analysis)}"
-    return f"goes round a closed orbit of period {comparison.orbit_period:.4g}{held}"
+    if comparison.orbit_period is not None:
+        return f"goes round a closed orbit of period {comparison.orbit_period:.4g}{held}"
+    reached = analysis.attractors[comparison.reaches] if comparison.reaches >= 0 else None
+    at = f", at {_point_text(comparison.end)}" if isinstance(reached, FixedSet) and comparison.end is not None else ""
+    return f"reaches{held}: {reached_text(comparison.reaches, analysis)}{at}"
 
 
 def _branch(branch: Branch) -> Row:

@@ -25,6 +25,15 @@ _MOST_ROWS: Final = 4_000
 """Rows of the long simulation, at most: where it has to be longer, they stand for several measured ones each."""
 
 
+def may_be_chaotic(measurements: Measurements) -> bool:
+    """Tell whether a model of these measurements can be chaotic at all.
+
+    A bounded trajectory of fewer than three states without inputs comes to a fixed point or a cycle, or is one
+    (Poincaré and Bendixson; Strogatz 1994, section 7.3); equations of second order have two states each.
+    """
+    return len(measurements.inputs) > 0 or len(measurements.smoothed) > 2
+
+
 def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
     """Return what is to be said of a model whose errors grow at this `rate`; None where it has inputs.
 

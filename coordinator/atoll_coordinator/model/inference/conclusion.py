@@ -8,7 +8,7 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.inference.attractor import look_for_chaos
+from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
 from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, random_walk_nats
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
@@ -478,19 +478,20 @@ def long_run_of(final: Final) -> LongRun:
     """Return what is known of a model along whole trajectories.
 
     It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
-    has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing.
+    has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing; one that
+    cannot be chaotic is tested along them however fast errors grow.
     """
     if final.task.piece >= final.task.longest:
         return LongRun(True, None)
     fit = final.free.fit
     rate = growth_rate(fit)
     growths = (rate, rate - speed_growth(fit))
-    fits = None if all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
+    may_be = may_be_chaotic(final.seen.estimator.measurements)
+    fits = None if may_be and all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
     if fits:
         return LongRun(fits, None)
-    if not final.by_group and all(
-        predictable_rows(fit, final.comparison, growth) < final.task.longest for growth in growths
-    ):
+    may_be = may_be and not final.by_group
+    if may_be and all(predictable_rows(fit, final.comparison, growth) < final.task.longest for growth in growths):
         chaos = look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
         return LongRun(None, chaos, None if chaos is not None else _whole_r2(final))
     fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up

@@ -24,7 +24,7 @@ from atoll_coordinator.model.inference.attractor import along
 from atoll_coordinator.model.refinement import Prediction
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, Unsimulated
-from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between
+from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between, without_kept
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
@@ -130,9 +130,16 @@ class _Elsewhere:
         """Initial states (G, D): between two measured ones, or near measured ones over all rows."""
         if self._is_near:
             rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.effort.beam).astype(int)
-            moved = SETTINGS.common.negligible * self._measurements.scales
-            return np.asarray(self._measurements.smoothed[:, rows].T + moved)
+            return np.asarray(self._measurements.smoothed[:, rows].T + self._shift)
         return points_between(self._measurements.smoothed)
+
+    @cached_property
+    def _shift(self) -> FloatArray:
+        """What moves an initial state (D,) a little, and leaves sums as they are that the measured states keep."""
+        measurements, noise = self._measurements, np.zeros(len(self._measurements.smoothed))
+        noise[measurements.observed] = measurements.noise
+        shift = SETTINGS.common.negligible * measurements.scales
+        return np.asarray(without_kept(shift[None], measurements.smoothed, noise)[0])
 
     def own_courses(self, model: System) -> list[Course]:
         """Return the model's courses from all initial states; from now on all are followed for as long as these."""
@@ -150,7 +157,7 @@ class _Elsewhere:
 
     def horizon(self, model: System, own: Sequence[Course]) -> int:
         """Return for how many rows slightly different initial states lead to about the same course: chaos ends it."""
-        moved = self.starts + SETTINGS.common.negligible * self._measurements.scales
+        moved = self.starts + self._shift
         whole = [place for place, course in enumerate(own) if not isinstance(course, str) and place not in self._rows]
         others = ((own[place], self._course(model, place, moved[place])) for place in whole)
         pairs = [

@@ -75,7 +75,11 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
 
 
 def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedModel, list[list[FittedModel]]]:
-    """Return the selection and its alternatives, none of which is shorter: one that lost before may win now."""
+    """Return the selection and its alternatives, none of which is shorter: one that lost before may win now.
+
+    Where the work of a part of the selection is used up an alternative may stay shorter, which is said of it.
+    """
+    until = selection.comparison.estimator.work + SETTINGS.effort.work
     while True:
         alternatives = _all_alternatives(selection, inputs)
         best = min(
@@ -83,7 +87,8 @@ def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedMod
             key=lambda model: model.nats,
             default=selection.model,
         )
-        if best.nats > selection.model.nats - SETTINGS.selection.least_gain:
+        is_used_up = selection.comparison.estimator.work >= until
+        if is_used_up or best.nats > selection.model.nats - SETTINGS.selection.least_gain:
             return selection, alternatives
         selection = replace(selection, model=best)
 

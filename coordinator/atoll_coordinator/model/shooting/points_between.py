@@ -19,8 +19,8 @@ MOST_POINTS: Final = 500
 def points_between(points: FloatArray) -> FloatArray:
     """Return points (G, V) on the lines between two measured ones each, which are far out among all `points` (V, N).
 
-    What holds of all measured ones, such as a sum that does not change or a sign, holds between them as well, and
-    energies are not as large as in the corners of a box of many states.
+    What holds of all measured ones, such as a weighted sum that does not change or a sign, holds between them as well,
+    and energies are not as large as in the corners of a box of many states.
     """
     first, second, (share,) = _pairs(points, 1)
     return np.asarray(first + share[:, None] * (second - first))
@@ -34,6 +34,25 @@ def points_beside(points: FloatArray, moved: int) -> FloatArray:
     first, second, shares = _pairs(points, moved)
     first[:, :moved] += shares.T * (second - first)[:, :moved]
     return first
+
+
+def without_kept(moves: FloatArray, points: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return `moves` (G, V) without what would change a weighted sum that all measured `points` (V, N) keep.
+
+    These are directions (singular vectors, in widths of the range) along which points vary less than `noise` (V,)
+    would let be seen: of N independent rows the variance is known to a share of sqrt(2/N), and a signal is told from
+    noise (p = 0.05) where it adds more than 1.64 times that. Of no more rows than numbers nothing is known.
+    """
+    if points.shape[1] <= len(points):
+        return moves
+    widths = np.ptp(points, axis=1)
+    widths = np.where(widths > 0.0, widths, 1.0)
+    scaled = ((points - points.mean(axis=1, keepdims=True)) / widths[:, None]).T
+    _, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
+    rows = len(scaled)
+    least = math.sqrt(1.64 * math.sqrt(2.0 / rows)) * np.sqrt(((directions * noise / widths) ** 2).sum(axis=1))
+    kept = directions[sizes / math.sqrt(rows) <= np.maximum(least, SETTINGS.common.clean)]
+    return np.asarray(moves - (moves / widths) @ kept.T @ kept * widths)
 
 
 def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, FloatArray]:

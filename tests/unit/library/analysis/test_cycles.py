@@ -127,6 +127,6 @@ def test_beyond_two_states_fractions_have_binomial_errors() -> None:
 
 def test_courses_without_an_end_are_told_apart() -> None:
     system = flow(x="x**2", y="-y")
-    away = destinations(system, SQUARE, (), np.array([[1.0, 0.0], [-1.0, 0.0]]), 10.0)
+    away, _ = destinations(system, SQUARE, (), np.array([[1.0, 0.0], [-1.0, 0.0]]), 10.0)
     assert away.tolist() == [-2, -1]
-    assert destinations(flow(x="-1.0/sqrt(x)"), box((0.0, 1.0)), (), np.array([[0.5]]), 10.0).tolist() == [-3]
+    assert destinations(flow(x="-1.0/sqrt(x)"), box((0.0, 1.0)), (), np.array([[0.5]]), 10.0)[0].tolist() == [-3]

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from atoll.analysis.dynamics import measured_trajectories, motion
+from atoll.analysis.dynamics import Measured, compared, measured_trajectories, motion
 from atoll.model.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
+from tests.unit.library.analysis.systems import box, flow
 from tests.unit.library.model.results import result
 
 TIMES = np.linspace(0.0, 20.0, 401)
@@ -79,3 +80,13 @@ def test_of_closed_orbits_the_period_is_said_also_where_the_data_are_too_short()
     assert comparison.orbit_period == pytest.approx(6.6998, rel=1e-3)
     assert "goes round a closed orbit of period 6.7" in str(known)
     assert known.as_dict()["dynamics"][0]["orbit_period"] == comparison.orbit_period
+
+
+def test_amplitudes_are_compared_over_the_measured_times() -> None:
+    """Of a decay measured at times that grow tenfold, the second half has but its last row."""
+    times = np.array([0.0, 0.01, 0.1, 0.3, 0.6, 1.0, 4.0])
+    decay = flow(x="-x")
+    measured = Measured("1", times, np.exp(-times)[:, None])
+    (comparison,) = compared(decay, box((0.0, 1.0)), (), [measured], 10.0, has_family=False)
+    assert comparison.has_same_amplitudes
+    assert comparison.end is not None

@@ -415,6 +415,27 @@ def test_a_conservative_system_is_followed_for_hundreds_of_periods():
     assert refinement.chaos is None
 
 
+VAN_DER_POL = Known(("x", "v"), lambda _, z: [z[1], 0.8 * (1.0 - z[0] ** 2) * z[1] - z[0]])
+
+
+def test_a_model_of_the_plane_is_not_chaotic_however_fast_errors_grow():
+    """Errors grow on the way from beside the unstable point to the cycle; Poincaré and Bendixson exclude chaos."""
+    refinement = refined(VAN_DER_POL, [[0.1, 0.0]], {"x": ("v",), "v": ("0.8*v - 0.8*x*x*v - x",)},
+                         times=0.1 * np.arange(400.0), noise=0.05, config=NOTHING_ELSE)  # fmt: skip
+    assert refinement.chaos is None
+    assert not any("chaotic" in equation.reason for equation in refinement.equations.values())
+
+
+def test_a_model_of_the_plane_whose_errors_grow_is_tested_along_whole_trajectories(monkeypatch):
+    """As in `test_what_is_missing_in_the_long_run_alone_is_a_doubt`, with errors that grow as those of chaos do."""
+    monkeypatch.setattr(conclusion, "growth_rate", lambda _: 10.0)
+    slow = Known(("x", "v"), lambda _, z: [z[1], -z[0] - 0.05 * z[1]])
+    times, wrong = 0.002 * np.arange(15_000.0), {"x": ("v",), "v": ("-x",)}
+    refinement = refined(slow, [[1.0, 0.0]], wrong, times=times, noise=0.05, config=NOTHING_ELSE)
+    assert refinement.chaos is None
+    assert all("pieces of 500 rows and not whole" in equation.reason for equation in refinement.equations.values())
+
+
 @pytest.mark.slow
 def test_a_driven_model_that_may_be_chaotic_is_not_asked_to_fit_in_whole():
     """Where there are inputs, chaos is not looked for."""

@@ -1,6 +1,7 @@
 """What came closest, and who wins a close ranking."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -120,3 +121,20 @@ def test_a_pole_must_be_earned(monkeypatch, is_earned):
     monkeypatch.setattr(alternatives, "_winner", lambda *_: None)
     shown = ranked_by(chosen).selection.model.programs[1]
     assert (structure(shown) == truth) is is_earned
+
+
+def test_the_ranking_ends_with_the_work_of_a_part_however_many_alternatives_are_shorter(monkeypatch):
+    estimator = SimpleNamespace(work=7)
+    comparison = SimpleNamespace(estimator=estimator)
+    looks = []
+
+    def ever_shorter(selection, _):
+        looks.append(selection.model.nats)
+        estimator.work += SETTINGS.effort.work // 3 + 1
+        return [[SimpleNamespace(nats=selection.model.nats - 1.0)]]
+
+    monkeypatch.setattr(alternatives, "_all_alternatives", ever_shorter)
+    begun = SelectedModel(None, comparison, SimpleNamespace(nats=0.0))
+    selection, models = alternatives._shortest(begun, np.zeros((1, 1)))
+    assert looks == [0.0, -1.0, -2.0]
+    assert (selection.model.nats, models[0][0].nats) == (-2.0, -3.0)
