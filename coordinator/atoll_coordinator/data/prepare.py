@@ -13,6 +13,7 @@ from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
+from atoll_coordinator.data.row_selection.row_means import average_oversampled_rows, estimates_of_means
 from atoll_coordinator.data.row_selection.selected_rows import (
     normalize_weights,
     select_rows,
@@ -55,6 +56,12 @@ def _prepare(table: Table, config: JobConfig, roles: Roles, options: DataConfig)
     if measurements.ranges != whole.ranges:
         weights = normalize_weights(measurements.weights)
         estimates = estimate_states(measurements, weights, differentiation)
+    if not differentiation.paper:
+        sampled = measurements
+        measurements = average_oversampled_rows(sampled, estimates)
+        if measurements is not sampled:
+            weights = normalize_weights(measurements.weights)
+            estimates = estimates_of_means(estimate_states(measurements, weights, differentiation), estimates)
 
     selected = select_rows(measurements, estimates, paper=differentiation.paper)
     if not differentiation.paper:
