@@ -187,31 +187,40 @@ def divided_blocks(blocks: Blocks, times: FloatArray, values: FloatArray, limit:
 
 
 def input_means(blocks: Blocks, times: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the means (B,) of an input over blocks without the bias of curvature.
+    """Return an input (B,) at the centres of blocks: of the parabola that fits the rows of each block best.
 
-    The mean of a parabola over the time h is its value in the middle and h^2/24 times its second derivative.
+    Other blocks have no say, so that nothing is carried over from where an input is switched. Of three rows and fewer
+    the parabola goes through the one in the middle.
     """
-    means, centres = blocks.means(values), times[blocks.centres]
-    slopes = np.diff(means) / np.diff(centres)
-    spans = (centres[2:] - centres[:-2]) / 2.0
-    widths = spans * (blocks.sizes > 1)[1:-1]
-    means[1:-1] -= widths * widths / 24.0 * np.diff(slopes) / spans
-    return means
+    centres = blocks.centres
+    ages = times - np.repeat(times[centres], blocks.sizes)
+    lengths = np.maximum(times[blocks.ranges[:, 1] - 1] - times[blocks.ranges[:, 0]], 1e-300)
+    ages = ages / np.repeat(lengths, blocks.sizes)
+    m1, m2, m3, m4 = (blocks.means(ages**power) for power in (1, 2, 3, 4))
+    u0, u1, u2 = (blocks.means(values * ages**power) for power in (0, 1, 2))
+    first, second, third = m2 * m4 - m3 * m3, m2 * m3 - m1 * m4, m1 * m3 - m2 * m2  # cofactors of the normal equations
+    is_fitted = blocks.sizes > 3
+    whole = np.where(is_fitted, first + m1 * second + m2 * third, 1.0)
+    return np.where(is_fitted, (first * u0 + second * u1 + third * u2) / whole, values[centres])
 
 
 def interpolated(times: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
     """Return the cubics through `values` (R,) at the times `wanted`, with slopes of parabolas through three rows."""
-    steps = np.diff(times)
-    rises = np.diff(values) / steps
-    slopes = np.empty(len(times))
-    slopes[1:-1] = (steps[1:] * rises[:-1] + steps[:-1] * rises[1:]) / (steps[1:] + steps[:-1])
-    slopes[0], slopes[-1] = 2.0 * rises[0] - slopes[1], 2.0 * rises[-1] - slopes[-2]
+    steps, slopes = np.diff(times), _slopes(times, values)
     before = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, len(steps) - 1)
     step = steps[before]
     share = (wanted - times[before]) / step
     rest = 1.0 - share
     ends = values[before] * rest * rest * (1.0 + 2.0 * share) + values[before + 1] * share * share * (3.0 - 2.0 * share)
     return np.asarray(ends + step * share * rest * (slopes[before] * rest - slopes[before + 1] * share))
+
+
+def _slopes(times: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the slope at each row (R,), three or more, of the parabola through it and its neighbours."""
+    steps = np.diff(times)
+    rises = np.diff(values) / steps
+    inner = (steps[1:] * rises[:-1] + steps[:-1] * rises[1:]) / (steps[1:] + steps[:-1])
+    return np.concatenate([[2.0 * rises[0] - inner[0]], inner, [2.0 * rises[-1] - inner[-1]]])
 
 
 # ----------------------------------------------------------------------------------------------- their values
