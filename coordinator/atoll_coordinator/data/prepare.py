@@ -1,7 +1,8 @@
 """From a raw table to the regression problems of a job: the stages of preparation, in order. Pure.
 
 Roles of columns, checks, trajectories; smoothing and differentiation, and once more where gaps in the times split
-trajectories; selection of rows; the `Dataset` of the search and the recording. A stochastic process is not smoothed.
+trajectories, or where there are far more rows than the states' time scales need; selection of rows; the `Dataset` of
+the search and the recording. A stochastic process is not smoothed.
 """
 
 from dataclasses import replace
