@@ -98,13 +98,14 @@ def estimates_of_means(estimates: Sequence[StateEstimate], of_rows: Sequence[Sta
 def rows_of_mean(measurements: Measurements, estimates: Sequence[StateEstimate]) -> int:
     """Return of how many rows a mean is to be taken; 1 where rows are to stay as they are.
 
-    The states' fastest correlation length gets as many rows as the shortest segments have, unless all rows can be
-    compared in whole trajectories anyway.
+    The states' fastest correlation length gets as many rows as the shortest segments have, or more where so few rows
+    are needed neither for a comparison of all of them nor for pieces that are whole trajectories.
     """
     lengths = [last - first for (first, last), out in zip(measurements.ranges, measurements.held_out, strict=True)
                if not out]  # fmt: skip
-    longest, compared = max(lengths), SETTINGS.selection.compared_rows
-    most = min(max(sum(lengths) // compared, -(-longest // SETTINGS.shooting.piece)), longest // _LEAST_BLOCKS)
+    longest, piece = max(lengths), SETTINGS.shooting.piece
+    of_whole = 1 if longest <= piece else math.ceil(longest / (piece * (1.0 - LIMITS.most_divided)))
+    most = min(max(sum(lengths) // SETTINGS.selection.compared_rows, of_whole), longest // _LEAST_BLOCKS)
     if most < 2 or all(estimate.is_interpolated for estimate in estimates):
         return 1
     fewest = SETTINGS.shooting.lengths[0]
@@ -266,6 +267,7 @@ def _averaged(
             states=states,
         ),
         warnings=(*measurements.warnings, sentence),
+        rows_of_mean=count,
     )
 
 
