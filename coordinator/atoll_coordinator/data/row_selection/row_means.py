@@ -50,6 +50,11 @@ class Blocks:
         """How many rows each block has (B,)."""
         return np.asarray(self.ranges[:, 1] - self.ranges[:, 0])
 
+    @property
+    def divided_rows(self) -> int:
+        """How many rows the blocks have that were divided."""
+        return int(self.sizes[~self.is_whole].sum())
+
     def means(self, values: FloatArray) -> FloatArray:
         """Return the mean (B,) of `values` (R,) over each block, summed in order."""
         return np.array([moments(values[first:end])[0] for first, end in self.ranges.tolist()])
@@ -76,8 +81,7 @@ def average_oversampled_rows(measurements: Measurements, estimates: Sequence[Sta
     count = rows_of_mean(measurements, estimates)
     while count > 1:
         blocks = _blocks(measurements, estimates, count)
-        divided = sum(int(part.sizes[~part.is_whole].sum()) for part in blocks)
-        if divided <= LIMITS.most_divided * measurements.row_count:
+        if sum(part.divided_rows for part in blocks) <= _most_divided(measurements):
             return _averaged(measurements, estimates, blocks, count)
         count //= 2
     return measurements
@@ -144,8 +148,13 @@ def _blocks(measurements: Measurements, estimates: Sequence[StateEstimate], coun
     for along in measurements.inputs:
         limit = reach * moments(np.concatenate(along))[1]
         parts = zip(blocks, measurements.trajectories.times, along, strict=True)
-        blocks = [divided_blocks(part, times, values, limit) for part, times, values in parts]
+        most = _most_divided(measurements)
+        blocks = [divided_blocks(part, times, values, limit, most) for part, times, values in parts]
     return blocks
+
+
+def _most_divided(measurements: Measurements) -> float:
+    return LIMITS.most_divided * measurements.row_count
 
 
 def even_blocks(rows: int, count: int) -> Blocks:
@@ -170,10 +179,12 @@ def _reach(measurements: Measurements, estimates: Sequence[StateEstimate], count
     return min(reaches)
 
 
-def divided_blocks(blocks: Blocks, times: FloatArray, values: FloatArray, limit: float) -> Blocks:
+def divided_blocks(
+    blocks: Blocks, times: FloatArray, values: FloatArray, limit: float, most: float = math.inf
+) -> Blocks:
     """Return the blocks so divided that the integral of an input, from their rows, errs by no more than `limit`.
 
-    Errors count from the beginning of a block to any of its rows.
+    Errors count from the beginning of a block to any of its rows. No more are divided once so many rows are, `most`.
     """
     while True:
         wanted = interpolated(times[blocks.centres], input_means(blocks, times, values), times)
@@ -182,7 +193,7 @@ def divided_blocks(blocks: Blocks, times: FloatArray, values: FloatArray, limit:
             [float(np.max(np.abs(np.cumsum(errors[first:end])))) > limit for first, end in blocks.ranges.tolist()]
         )
         is_divided = is_wrong & (blocks.sizes > 1)
-        if not is_divided.any():
+        if not is_divided.any() or blocks.divided_rows > most:
             return blocks
         blocks = blocks.divided(is_divided)
 
