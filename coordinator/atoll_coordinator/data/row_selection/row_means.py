@@ -73,7 +73,7 @@ class Blocks:
 def average_oversampled_rows(measurements: Measurements, estimates: Sequence[StateEstimate]) -> Measurements:
     """Return `measurements` with means in place of rows where there are far more than the states' time scales need.
 
-    The same object otherwise, and where no state has noise: then each row is as good as a mean. The mean of a state is
+    The same object otherwise, and where no state has noise to speak of: then each row is as good as a mean. The mean of a state is
     that of its residuals, added to the smoothed value in the middle: so it has no bias by curvature. Where an input
     changes so fast that means of it would move the states by more than their noise, as where it is switched, blocks
     are divided, down to single rows, and the states count as not measured there.
@@ -110,7 +110,8 @@ def rows_of_mean(measurements: Measurements, estimates: Sequence[StateEstimate])
     longest, piece = max(lengths), SETTINGS.shooting.piece
     of_whole = 1 if longest <= piece else math.ceil(longest / (piece * (1.0 - LIMITS.most_divided)))
     most = min(max(sum(lengths) // SETTINGS.selection.compared_rows, of_whole), longest // _LEAST_BLOCKS)
-    if most < 2 or all(estimate.is_interpolated for estimate in estimates):
+    least = SETTINGS.selection.least_noise  # below it errors are systematic, and means are no better
+    if most < 2 or all(estimate.is_interpolated or estimate.relative_noise < least for estimate in estimates):
         return 1
     fewest = SETTINGS.shooting.lengths[0]
     return max(1, min(most, *(correlation_length(measurements, estimate) // fewest for estimate in estimates)))

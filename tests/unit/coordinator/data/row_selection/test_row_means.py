@@ -74,8 +74,9 @@ def test_a_table_of_few_rows_in_a_correlation_length_stays_as_it_is():
     assert average_oversampled_rows(measurements, estimates) is measurements
 
 
-def test_nor_are_states_averaged_that_have_no_noise():
-    measurements, estimates = smoothed(wave(6000, noise=0.0))
+@pytest.mark.parametrize("noise", [0.0, 3e-5])
+def test_nor_are_states_averaged_that_have_next_to_no_noise(noise):
+    measurements, estimates = smoothed(wave(6000, noise=noise))
     assert average_oversampled_rows(measurements, estimates) is measurements
 
 
