@@ -73,10 +73,10 @@ class Blocks:
 def average_oversampled_rows(measurements: Measurements, estimates: Sequence[StateEstimate]) -> Measurements:
     """Return `measurements` with means in place of rows where there are far more than the states' time scales need.
 
-    The same object otherwise, and where no state has noise to speak of: then each row is as good as a mean. The mean of a state is
-    that of its residuals, added to the smoothed value in the middle: so it has no bias by curvature. Where an input
-    changes so fast that means of it would move the states by more than their noise, as where it is switched, blocks
-    are divided, down to single rows, and the states count as not measured there.
+    The same object otherwise, and where no state has noise to speak of: then each row is as good as a mean. The mean
+    of a state is that of its residuals, added to the smoothed value in the middle: so it has no bias by curvature.
+    Where an input changes so fast that means of it would move the states by more than their noise, as where it is
+    switched, blocks are divided, down to single rows, and the states count as not measured there.
     """
     count = rows_of_mean(measurements, estimates)
     while count > 1:
