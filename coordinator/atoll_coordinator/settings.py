@@ -114,6 +114,8 @@ class RowSettings:
     """Share of the rows that is kept however uncertain they are, and that pieces between gaps must hold."""
     most_uneven: float = 2.0
     """Root mean square of the uncertainty over its mean, at most, on the rows selected."""
+    most_divided: float = 0.1
+    """Where rows are averaged, share of them, at most, that no state's mean has, because inputs change too fast."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """From a raw table to the regression problems of a job: the stages of preparation, in order. Pure.
 
 Roles of columns, checks, trajectories; smoothing and differentiation, and once more where gaps in the times split
-trajectories; selection of rows; the `Dataset` of the search and the recording. A stochastic process is not smoothed.
+trajectories, or where there are far more rows than the states' time scales need; selection of rows; the `Dataset` of
+the search and the recording. A stochastic process is not smoothed.
 """
 
 from dataclasses import replace
@@ -13,6 +14,7 @@ from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
+from atoll_coordinator.data.row_selection.row_means import average_oversampled_rows, estimates_of_means
 from atoll_coordinator.data.row_selection.selected_rows import (
     normalize_weights,
     select_rows,
@@ -55,6 +57,12 @@ def _prepare(table: Table, config: JobConfig, roles: Roles, options: DataConfig)
     if measurements.ranges != whole.ranges:
         weights = normalize_weights(measurements.weights)
         estimates = estimate_states(measurements, weights, differentiation)
+    if not differentiation.paper:
+        sampled = measurements
+        measurements = average_oversampled_rows(sampled, estimates)
+        if measurements is not sampled:
+            weights = normalize_weights(measurements.weights)
+            estimates = estimates_of_means(estimate_states(measurements, weights, differentiation), estimates)
 
     selected = select_rows(measurements, estimates, paper=differentiation.paper)
     if not differentiation.paper:

@@ -113,7 +113,7 @@ class Recording:
     of the arrays' rows; `offsets` are states measured up to an offset that each trajectory has its own. With `order` 2
     the variables of expressions are the states, then `velocity_symbols`, then the inputs. `offset` is what was taken
     from the times of the file to centre them. `groups` are the names of groups of trajectories that have constants of
-    their own; none: all share them.
+    their own; none: all share them. A row is the mean of about `rows_of_mean` rows of the file.
     """
 
     states: tuple[str, ...]
@@ -127,6 +127,7 @@ class Recording:
     trajectories: tuple[Trajectory, ...]
     offsets: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()
+    rows_of_mean: int = 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,6 +45,7 @@ def build_recording(
         _trajectories(measurements, weights, estimates, inputs),
         roles.offsets,
         measurements.group_names,
+        measurements.rows_of_mean,
     )
 
 

@@ -36,7 +36,8 @@ class Measurements:
     `columns[name]` (R,) are the used columns, angles in radians, states not finite where they are missing; `ranges` are
     half-open ranges of rows, one for each trajectory, and `held_out` says of each whether it is kept from the search;
     `trajectories` is None where the left-hand sides are given; `warnings` are sentences for the user; `groups` has the
-    group of each trajectory where these may differ in constants, else nothing.
+    group of each trajectory where these may differ in constants, else nothing. Each row is the mean of about
+    `rows_of_mean` rows of the table.
     """
 
     roles: Roles
@@ -46,6 +47,7 @@ class Measurements:
     trajectories: Trajectories | None
     warnings: tuple[str, ...]
     groups: tuple[str, ...] = ()
+    rows_of_mean: int = 1
 
     @property
     def row_count(self) -> int:

@@ -131,4 +131,6 @@ def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedM
 
 
 def _rows(task: ModellingTask) -> int:
-    return sum(len(trajectory.times) for trajectory in task.recording.trajectories if not trajectory.held_out)
+    """Return how many rows were measured: means know what all of theirs do."""
+    recording = task.recording
+    return sum(len(part.times) for part in recording.trajectories if not part.held_out) * recording.rows_of_mean

@@ -119,7 +119,10 @@ class Measurements:
         return np.array(ranges, dtype=np.int64)
 
     def thinned(self, most: int) -> "Measurements":
-        """Return pieces of the trajectories of at most about `most` rows together, early ones as well as late ones."""
+        """Return pieces of the trajectories of at most about `most` rows together, early ones as well as late ones.
+
+        Where groups have constants of their own, as many as have so many rows, of each group at least one if they can.
+        """
         if self.rows <= most:
             return self
         length = min(SETTINGS.shooting.piece // 2, max(SETTINGS.shooting.lengths[-1], most // len(self.bounds)))
@@ -128,7 +131,8 @@ class Measurements:
             for (first, end), owner in zip(self.bounds.tolist(), self.owners.tolist(), strict=True)
             for first, end in _cut(first, end, max(1, round((end - first) / length)))
         ]
-        count = min(max(1, most * len(pieces) // self.rows), len(pieces))
+        rows = self.rows if self.groups is None else sum(end - first for first, end, _ in pieces)
+        count = min(max(1, most * len(pieces) // rows), len(pieces))
         return self.pieces([pieces[place] for place in _spread([owner for *_, owner in pieces], count)])
 
     def part(self, owners: Collection[int]) -> "Measurements":
