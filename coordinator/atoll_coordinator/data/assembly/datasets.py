@@ -71,7 +71,7 @@ def assemble_differentiated(
     roles = measurements.roles
     warnings = (*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected))
     inputs = measurements.inputs
-    values = [estimate.values for estimate in estimates]
+    values = [estimate.values if estimate.points is None else estimate.points for estimate in estimates]
     values += [estimate.velocity for estimate in estimates if roles.velocities]
     values += [np.concatenate(parts) for parts in inputs]
     targets = [

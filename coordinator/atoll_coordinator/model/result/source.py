@@ -44,6 +44,8 @@ def _trajectory(recording: Recording, part: Trajectory, share: float) -> Recorde
     """Return one trajectory as it was measured, a `share` of its rows; weights are null where all are 1."""
     count = len(part.times)
     listed = thinned(count, max(LEAST_ROWS, int(share * count)))
+    if len(listed) < count:
+        listed = sorted({*listed, *_switches(part)[:MOST_ROWS]})
     robust = part.robustness_weights
     return Recorded(
         name=part.name,
@@ -58,6 +60,12 @@ def _trajectory(recording: Recording, part: Trajectory, share: float) -> Recorde
     )
 
 
+def _switches(part: Trajectory) -> list[int]:
+    """Return the rows at which a held input changes: left out, the value before would last too long."""
+    held = part.inputs[np.isnan(part.input_slopes).any(axis=1)]
+    return (np.flatnonzero((held[:, 1:] != held[:, :-1]).any(axis=0)) + 1).tolist()
+
+
 def _by_name(names: tuple[str, ...], values: FloatArray, listed: list[int]) -> dict[str, tuple[float | None, ...]]:
     return {name: curve(np.asarray(row[listed]), DIGITS) for name, row in zip(names, values, strict=True)}
 
@@ -70,6 +78,7 @@ def system(given: Preparation) -> System | None:
     source = given.source
     if source is None:
         return None
+    recording = given.recording
     ranges = zip(given.dataset.symbols, given.dataset.inputs, strict=True)
     return System(
         kind=_kind(given, source),
@@ -78,6 +87,7 @@ def system(given: Preparation) -> System | None:
         states=source.states,
         velocities=source.velocities,
         inputs=source.inputs,
+        input_kinds={} if recording is None else dict(zip(recording.inputs, recording.input_kinds, strict=False)),
         target=source.target,
         units=dict(source.units),
         ranges={name: (float(values.min()), float(values.max())) for name, values in ranges},
