@@ -118,6 +118,7 @@ class Recording:
     the variables of expressions are the states, then `velocity_symbols`, then the inputs. `offset` is what was taken
     from the times of the file to centre them. `groups` are the names of groups of trajectories that have constants of
     their own; none: all share them. `input_kinds` say how each input goes from row to row; empty: that is not known.
+    `input_error` is the largest error of their curves between rows over their standard deviations.
     """
 
     states: tuple[str, ...]
@@ -132,6 +133,7 @@ class Recording:
     offsets: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()
     input_kinds: tuple[InputKind, ...] = ()
+    input_error: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

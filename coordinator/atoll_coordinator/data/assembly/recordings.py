@@ -1,11 +1,16 @@
 """The recording of a job, put together from what was measured and how it was smoothed. Pure."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
-from atoll_coordinator.data.differentiation.inputs import choose_input_kind, estimate_input_slopes
+from atoll_coordinator.data.differentiation.inputs import (
+    choose_input_kind,
+    estimate_input_slopes,
+    relative_curve_error,
+)
 from atoll_coordinator.data.recording import ExcludedRow, InputKind, Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
@@ -47,6 +52,7 @@ def build_recording(
         roles.offsets,
         measurements.group_names,
         kinds,
+        max(map(partial(relative_curve_error, whole.times), inputs, kinds), default=0.0),
     )
 
 

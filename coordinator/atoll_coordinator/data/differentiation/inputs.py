@@ -121,6 +121,23 @@ def estimate_input_slopes(
         ]
 
 
+def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind) -> float:
+    """Return the error of a smooth curve between rows over the standard deviation of the input (root mean squares).
+
+    A cubic spline errs by the fourth power of the step: by a sixteenth of what it errs at rows that are left out, one
+    in two. 0 for inputs of other kinds: when they are switched between two rows is not known.
+    """
+    samples = [pair for pair in zip(times, _scaled(values)[0], strict=True) if len(pair[0]) > _LEAST_SMOOTH]
+    if kind != "smooth" or not samples:
+        return 0.0
+    errors = [error for sample in samples for error in _left_out_errors(kind, *sample)]
+    numbers = [value for _, part in samples for value in part.tolist()]
+    mean = math.fsum(numbers) / len(numbers)
+    spread = math.fsum((value - mean) ** 2 for value in numbers) / len(numbers)
+    square = math.fsum(error * error for error in errors) / len(errors)
+    return math.sqrt(square / spread) / 16.0 if spread > 0.0 else 0.0
+
+
 def _scaled(values: Sequence[FloatArray]) -> tuple[list[FloatArray], int]:
     """Return values over a power of two by which they are about one, and its exponent."""
     _, exponent = math.frexp(max((float(np.max(np.abs(part))) for part in values if len(part)), default=0.0))
@@ -136,15 +153,16 @@ def _slopes(kind: InputKind, times: FloatArray, values: FloatArray) -> FloatArra
     return np.asarray(make(times, values)(times, 1))
 
 
+def _left_out_errors(kind: InputKind, times: FloatArray, values: FloatArray) -> list[float]:
+    """Return the errors at inner rows when every other row is left out, first the odd then the even."""
+    errors = list[float]()
+    for first in (0, 1):
+        kept, left_out = slice(first, None, 2), slice(first + 1, len(times) - 1, 2)
+        curve = InputCurve(times[kept], values[kept], _slopes(kind, times[kept], values[kept]))
+        errors += [curve(t) - v for t, v in zip(times[left_out].tolist(), values[left_out].tolist(), strict=True)]
+    return errors
+
+
 def _left_out_error(kind: InputKind, samples: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Return the sum of absolute errors at inner rows when every other row is left out, first the odd then the even."""
-    total = 0.0
-    for times, values in samples:
-        for first in (0, 1):
-            kept, left_out = slice(first, None, 2), slice(first + 1, len(times) - 1, 2)
-            curve = InputCurve(times[kept], values[kept], _slopes(kind, times[kept], values[kept]))
-            errors = [
-                abs(curve(t) - v) for t, v in zip(times[left_out].tolist(), values[left_out].tolist(), strict=True)
-            ]
-            total += math.fsum(errors)
-    return total
+    """Return the sum of absolute errors at rows that are left out."""
+    return math.fsum(abs(error) for sample in samples for error in _left_out_errors(kind, *sample))

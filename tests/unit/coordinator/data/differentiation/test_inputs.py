@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from atoll_coordinator.data.differentiation.inputs import InputCurve, choose_input_kind, estimate_input_slopes
+from atoll_coordinator.data.differentiation.inputs import (
+    InputCurve,
+    choose_input_kind,
+    estimate_input_slopes,
+    relative_curve_error,
+)
 
 
 def steps(rows, seed=0):
@@ -84,3 +89,17 @@ def test_few_rows_make_a_curve(rows):
     times = np.arange(float(rows))
     curve = InputCurve.through(times, 2.0 * times)
     assert curve(0.5 * (rows - 1)) == pytest.approx(float(rows - 1))
+
+
+@pytest.mark.parametrize("rows", [7, 12, 25])
+def test_the_error_of_a_smooth_curve_is_that_between_its_rows(rows):
+    """Of `rows` in a period of a sine; the estimate is above the error, by less than ten times."""
+    times = np.arange(0.0, 60.0, 2.0 * np.pi / rows)
+    between = np.linspace(times[2], times[-3], 2000)
+    curve = InputCurve.through(times, np.sin(times), "smooth")
+    error = np.sqrt(np.mean([(curve(t) - np.sin(t)) ** 2 for t in between.tolist()])) / np.std(np.sin(times))
+    assert error < relative_curve_error([times], [np.sin(times)], "smooth") < 10.0 * error
+
+
+def test_switched_inputs_have_no_such_error():
+    assert relative_curve_error([np.arange(40.0)], [np.arange(40.0) % 2.0], "shape-preserving") == 0.0
