@@ -103,6 +103,9 @@ class DataConfig(Frozen):
     offsets: tuple[str, ...] = Field(
         default=(), description="states measured up to an offset that each trajectory has its own"
     )
+    hold: tuple[str, ...] = Field(
+        default=(), description="inputs that keep the value of a row until the next row (zero-order hold)"
+    )
     group: str | None = Field(
         default=None, description="column: trajectories of one value share constants, others have own"
     )

@@ -44,7 +44,6 @@ FUNCTIONS = {
 }  # fmt: skip
 ALLOWED = {
     ("inputs.py", "scipy"): "slopes of inputs are for simulations; the search sees inputs at rows only",
-    ("inputs.py", "np.sum"): "the same",
     ("matlab_child.py", "scipy"): "reads files",
     ("roughness.py", "np.median"): "one or two values of those that are there, added and halved",
     ("steps.py", "np.median"): "the same",

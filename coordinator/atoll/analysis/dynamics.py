@@ -12,8 +12,11 @@ import numpy as np
 from atoll.analysis.basins import UNDECIDED, Attractor, destinations
 from atoll.analysis.box import Box
 from atoll.analysis.flow import UNBOUNDED, Flow, follow
-from atoll.model.simulation import Inputs, interpolated
+from atoll.model.beginnings import input_curves
+from atoll.model.driving import Driving
+from atoll.model.simulation import Inputs
 from atoll.model.vector_field import VectorField
+from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
@@ -145,14 +148,14 @@ def _recorded(result: Result, field: VectorField, name: str, begin: float) -> In
     if recorded is None or not field.inputs:
         return None
     named, clock = result.symbols, result.columns.time or ""
-    columns = {named.get(column, column): values for column, values in recorded.inputs.items()}
-    columns |= {named[clock]: recorded.times} if clock in named else {}
-    if not all(symbol in columns for symbol in field.inputs):
-        return None
+    curves = input_curves(result, recorded)
     times = np.array(recorded.times, dtype=np.float64)
-    values = np.array([columns[symbol] for symbol in field.inputs], dtype=np.float64).T
-    known = np.isfinite(values).all(axis=1)
-    return interpolated(times[known] - begin, values[known]) if known.any() else None
+    if clock in named:
+        curves |= {named[clock]: InputCurve(times, times, np.ones(len(times)))}
+    if not all(symbol in curves for symbol in field.inputs):
+        return None
+    shifted = [replace(curves[symbol], times=curves[symbol].times - begin) for symbol in field.inputs]
+    return Driving(shifted)
 
 
 def compared(

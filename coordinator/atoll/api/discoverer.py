@@ -10,7 +10,7 @@ from pydantic import JsonValue
 
 from atoll.api.discover import discover
 from atoll.api.tables import numbers_of
-from atoll.model.arguments import numbers
+from atoll.model.arguments import numbers, read_columns
 from atoll.model.driving import GivenInputs
 from atoll.model.equations import DIGITS
 from atoll.model.model import Model
@@ -117,15 +117,17 @@ class Discoverer:
     def predict(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, *, group: object = None
     ) -> FloatArray | list[FloatArray]:
-        """Return the derivatives (N, D) at states, of a list a list.
+        """Return the derivatives (N, D) at states, of a list a list; angles are read as by `fit`, results in radians.
 
         `group`: whose constants are taken, with ``per_trajectory=True`` the number of a trajectory from 1.
         """
         model = self._of(group)
         if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
             inputs = [None] * len(x) if u is None else _matching_parts(u, len(x), "u")
-            return [model.predict(_rows(part), _rows_if_any(inputs[index])) for index, part in enumerate(x)]
-        return model.predict(_rows(x), _rows_if_any(u))
+            return [
+                model.predict(*self._as_read(_rows(part), _rows_if_any(inputs[index]))) for index, part in enumerate(x)
+            ]
+        return model.predict(*self._as_read(_rows(x), _rows_if_any(u)))
 
     def simulate(
         self, x0: npt.ArrayLike, t: npt.ArrayLike, u: GivenInputs = None, *, group: object = None
@@ -155,12 +157,29 @@ class Discoverer:
         """
         measured, predicted = [], []
         for states, times, controls, slopes in _trajectories(x, t, u, x_dot):
-            measured.append(np.gradient(states, times, axis=0) if slopes is None else slopes)
-            predicted.append(self._of(group).predict(states, controls))
+            read, read_controls = self._as_read(states, controls)
+            measured.append(np.gradient(read, times, axis=0) if slopes is None else self._slopes_as_read(slopes))
+            predicted.append(self._of(group).predict(read, read_controls))
         all_measured, all_predicted = np.concatenate(measured), np.concatenate(predicted)
         left = ((all_measured - all_predicted) ** 2).sum(axis=0)
         spread = ((all_measured - all_measured.mean(axis=0)) ** 2).sum(axis=0)
         return float(np.mean(1.0 - left / np.where(spread > 0.0, spread, np.inf)))
+
+    def _as_read(self, x: FloatArray, u: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
+        """Return states (N, D) and inputs (N, U) as `fit` has read them: angles in radians, without full turns."""
+        model, columns = self._model, self._model.result.columns_by_symbol
+        states, inputs = ([columns.get(name, name) for name in names] for names in (model.states, model.inputs))
+        return self._read(x, states), None if u is None else self._read(u, inputs)
+
+    def _slopes_as_read(self, slopes: FloatArray) -> FloatArray:
+        derivatives = self._model.result.data_settings.get("derivatives")
+        return self._read(slopes, [str(name) for name in derivatives]) if isinstance(derivatives, list) else slopes
+
+    def _read(self, rows: FloatArray, names: Sequence[str]) -> FloatArray:
+        if len(names) != rows.shape[1]:
+            return rows  # which is refused with what was expected
+        columns = read_columns(self._model, dict(zip(names, rows.T, strict=True)))
+        return np.column_stack([np.asarray(columns[name]) for name in names])
 
     def _of(self, group: object) -> Model:
         return self._model if group is None else self._model.of_group(group)

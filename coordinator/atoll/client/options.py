@@ -216,6 +216,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("time", "data.time", text, "t", "time column (default: t or time)"),
         Option("states", "data.states", names, "x,y", "state columns (default: all other numeric columns)"),
         Option("inputs", "data.inputs", names, "u", "columns that are variables without an equation; may name time"),
+        Option("hold", "data.hold", names, "u", "inputs that keep the value of a row until the next row"),
         Option("trajectory", "data.trajectory", text, "run", "column whose value changes where a trajectory begins"),
         Option(
             "group", "data.group", text, "strain",

@@ -11,6 +11,7 @@ from atoll.model.beginnings import Given, recorded_inputs, start_of, times_of
 from atoll.model.driving import inputs_along, require_inputs
 from atoll.model.parameters import Parameter
 from atoll.model.simulation import followed_sizes
+from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_core import VERSION
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 
 Times = npt.ArrayLike | None
 """Times that ascend, the last one alone, or those that were measured."""
-HeldInputs = Mapping[str, npt.ArrayLike] | None
-"""By name numbers, or arrays at the times."""
+HeldInputs = Mapping[str, npt.ArrayLike | InputCurve] | None
+"""By name numbers, arrays at the times, or curves."""
 
 _MOST_EVALUATIONS: Final = 20_000
 """Of the rates, to see how small states become: a part of a second."""
@@ -57,8 +58,8 @@ class State:
 class Input:
     """A variable without an equation.
 
-    It is the time itself, is held at a `value`, or goes along a `table`: pieces of cubics, (N - 1, 5), each the time
-    from which it holds and the coefficients of the powers 0 to 3 of the time since then; `until` is the last time.
+    It is the time itself, is held at a `value`, or goes along a `table`: pieces of cubics, (M, 5), each the time from
+    which it holds and the coefficients of the powers 0 to 3 of the time since then; `until` is where the last one ends.
     Its `status` is that nothing is known of it, or that what was recorded was dropped, where it is held at 0 for that.
     """
 
@@ -211,9 +212,9 @@ def _unit(model: "Model", symbol: str) -> str:
 def _input(
     model: "Model",
     name: str,
-    given: Mapping[str, npt.ArrayLike],
+    given: Mapping[str, npt.ArrayLike | InputCurve],
     times: FloatArray,
-    recorded: tuple[FloatArray, FloatArray] | None,
+    recorded: InputCurve | None,
     *,
     has_tables: bool,
 ) -> Input:
@@ -224,11 +225,13 @@ def _input(
     if value is None:
         if recorded is None:
             return Input(name, column, unit, "value", status="unknown")
-        times, course = recorded
-        is_constant = bool((course == course[0]).all())
-        if not is_constant and not has_tables:
+        value = recorded
+    if isinstance(value, InputCurve):
+        if (value.values == value.values[0]).all():
+            return Input(name, column, unit, "value", float(value.values[0]))
+        if not has_tables and recorded is value:
             return Input(name, column, unit, "value", status="dropped")
-        value = course[0] if is_constant else course
+        return Input(name, column, unit, "table", 0.0, value.pieces, value.until)
     if callable(value):
         raise UsageError(f"the input {name!r} is a function, which no export can hold; give its values at the times t")
     values = np.asarray(value, dtype=np.float64)
@@ -236,11 +239,8 @@ def _input(
         return Input(name, column, unit, "value", float(values))
     if values.shape != times.shape or len(times) < 2:
         raise UsageError(f"the input {name!r} has {values.size} values for {times.size} times; give one for each")
-    from scipy.interpolate import PchipInterpolator
-
-    curve = PchipInterpolator(times, values)  # that of simulations: `atoll.model.simulation.interpolated`
-    pieces = np.column_stack([curve.x[:-1], curve.c[::-1].T])
-    return Input(name, column, unit, "table", 0.0, pieces, float(times[-1]))
+    curve = InputCurve.through(times, values, model.input_kind(name))
+    return Input(name, column, unit, "table", 0.0, curve.pieces, curve.until)
 
 
 def _zeros(inputs: tuple[Input, ...], without_tables: str) -> tuple[str, ...]:

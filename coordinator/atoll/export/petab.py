@@ -18,7 +18,7 @@ from atoll.export import sbml
 from atoll.export.description import Description, State, describe
 from atoll.export.formats import require_holds
 from atoll.export.language import Wording
-from atoll.model.arguments import Columns, inputs_of, rows_of
+from atoll.model.arguments import Columns, inputs_of, read_columns, rows_of
 from atoll.model.beginnings import measured_beginning, values_of_curve
 from atoll.model.parameters import Parameter
 from atoll_coordinator.result.findings import Errors, Noise
@@ -126,7 +126,7 @@ def _given(model: "Model", data: Sequence[Columns]) -> list[Trajectory]:
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")
     trajectories = []
-    for number, part in enumerate(data, start=1):
+    for number, part in enumerate((read_columns(model, part) for part in data), start=1):
         times, values, start = rows_of(model, part)
         first = tuple(start[name] for name in model.states)
         trajectories.append(Trajectory(str(number), times, values, first, inputs_of(model, part)))

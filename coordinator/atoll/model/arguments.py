@@ -3,12 +3,16 @@
 What is none is named in one sentence, with what was expected. Letters: D states, U inputs, N rows.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.data.trajectories.measurements import RADIANS_PER_DEGREE
+from atoll_coordinator.data.trajectories.trajectories import unwrap
+from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.masked import plain_array
 from atoll_core.errors import UsageError
@@ -60,6 +64,53 @@ def by_name(given: object, what: str) -> Mapping[str, object]:
 
 
 # ---------------------------------------------------------------------------------------------- rows and columns
+
+
+@dataclass(frozen=True, eq=False)
+class ReadColumns(Mapping[str, npt.ArrayLike]):
+    """Columns of one trajectory as a fit reads them: full turns are taken out of angles, which are in radians.
+
+    `factors` are what columns are multiplied by, `wrapped` the names of those that are unwrapped then.
+    """
+
+    given: Columns
+    factors: Mapping[str, float] = field(default_factory=dict)
+    wrapped: frozenset[str] = frozenset()
+
+    def __getitem__(self, name: str) -> FloatArray:
+        if not has(self.given, name):
+            raise KeyError(name)
+        values = column(self.given, name)
+        if name in self.factors:
+            values = values * self.factors[name]
+        return unwrap(values) if name in self.wrapped and values.ndim == 1 else values
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and has(self.given, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(getattr(self.given, "columns", self.given))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+def read_columns(model: "Model", part: Columns) -> ReadColumns:
+    """Return the measured columns of one trajectory as the fit of the model has read them.
+
+    All that takes a table after the fit takes it through here.
+    """
+    if isinstance(part, ReadColumns):
+        return part
+    data, symbols = DataConfig.model_validate(model.result.data_settings), model.result.symbols
+    angles = {angle.column: RADIANS_PER_DEGREE if angle.degrees else 1.0 for angle in data.angles}
+    wrapped = {*angles, *(symbols[name] for name in angles if name in symbols)}
+    factors = {**angles, **{symbols[name]: factor for name, factor in angles.items() if name in symbols}}
+    states = model.result.columns.states
+    factors |= {
+        rate: angles[name] for name, rate in zip(states, data.derivatives or (), strict=False) if name in angles
+    }
+    return ReadColumns(part, factors, frozenset(wrapped))
 
 
 def rows_of(model: "Model", part: Columns) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:

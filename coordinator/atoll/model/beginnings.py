@@ -4,15 +4,17 @@ Letters: D states, N rows or times.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll.model.arguments import number, numbers, rows_of
+from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
+from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.hints import did_you_mean
@@ -63,16 +65,28 @@ def measured_beginning(model: "Model", part: Recorded | Simulated) -> Beginning 
     return Beginning(part.name, start, rows[model.time])
 
 
-def recorded_inputs(model: "Model") -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return times (N,) and values (N,) of the inputs recorded along the first trajectory, by symbol."""
-    name, symbols = beginning_of(model).name, model.result.symbols
+def recorded_inputs(model: "Model") -> dict[str, InputCurve]:
+    """Return the inputs recorded along the first trajectory, by symbol."""
+    name = beginning_of(model).name
     part = next((part for part in model.result.recorded if part.name == name), None)
-    if part is None:
-        return {}
-    times = values_of_curve(part.times)
-    columns = {symbols.get(column, column): values_of_curve(curve) for column, curve in part.inputs.items()}
-    known = {name: np.isfinite(values) for name, values in columns.items()}
-    return {name: (times[known[name]], values[known[name]]) for name, values in columns.items() if known[name].any()}
+    return {} if part is None else input_curves(model.result, part)
+
+
+def input_curves(result: Result, part: Recorded) -> dict[str, InputCurve]:
+    """Return the inputs recorded along a trajectory, by symbol, between rows as the fit has taken them."""
+    times, symbols, curves = values_of_curve(part.times), result.symbols, {}
+    for column, values in part.inputs.items():
+        known = np.isfinite(measured := values_of_curve(values))
+        kind, slopes = result.columns.input_kinds.get(column), (part.input_slopes or {}).get(column)
+        if not known.any():
+            continue
+        fitted = None if slopes is None else values_of_curve(slopes)[known]
+        is_fitted = fitted is not None and (kind == "held" or np.isfinite(fitted).all())
+        curve = InputCurve.through(times[known], measured[known], kind)
+        curves[symbols.get(column, column)] = (
+            replace(curve, slopes=fitted) if is_fitted and fitted is not None else curve
+        )
+    return curves
 
 
 def start_of(model: "Model", x0: Given | None) -> FloatArray:

@@ -3,14 +3,17 @@
 Letters: U inputs, N times.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll.model.arguments import has, has_columns, number, numbers
-from atoll.model.simulation import Inputs, interpolated
+from atoll.model.simulation import Inputs
+from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.hints import did_you_mean
@@ -23,7 +26,22 @@ _ByName = Mapping[str, npt.ArrayLike | _Course]
 GivenInputs = _ByName | npt.ArrayLike | _Course | None
 """By name numbers, arrays or functions of time; an array (N, U); or a function of time that returns U numbers."""
 
-_Recorded = tuple[FloatArray, FloatArray]
+
+@dataclass(frozen=True, eq=False)
+class Driving:
+    """All inputs (U,) of a simulation as one function of time."""
+
+    courses: Sequence[Callable[[float], float]]
+
+    def __call__(self, t: float) -> FloatArray:
+        """Return the inputs at a time."""
+        return np.array([course(t) for course in self.courses], dtype=np.float64)
+
+    @cached_property
+    def jumps(self) -> FloatArray:
+        """The times at which a held input changes, ascending."""
+        parts = [course.jumps for course in self.courses if isinstance(course, InputCurve)]
+        return np.unique(np.concatenate(parts)) if parts else np.zeros(0)
 
 
 def require_inputs(model: "Model", names: Iterable[str]) -> None:
@@ -35,7 +53,9 @@ def require_inputs(model: "Model", names: Iterable[str]) -> None:
         raise UsageError(f"there is no input {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}{hint}")
 
 
-def inputs_along(model: "Model", u: GivenInputs, times: FloatArray, recorded: Mapping[str, _Recorded]) -> Inputs | None:
+def inputs_along(
+    model: "Model", u: GivenInputs, times: FloatArray, recorded: Mapping[str, InputCurve]
+) -> Inputs | None:
     """Return all inputs as one function of time, those that `u` lacks as `recorded`; None of a model without inputs.
 
     Raises:
@@ -51,9 +71,8 @@ def inputs_along(model: "Model", u: GivenInputs, times: FloatArray, recorded: Ma
     if has_columns(u):
         given = u
     elif u is not None:
-        return interpolated(times, _rows(model, u, times))
-    courses = [_input(model, name, given, times, recorded.get(name)) for name in model.inputs]
-    return lambda t: np.array([course(t) for course in courses], dtype=np.float64)
+        given = dict(zip(model.inputs, _rows(model, u, times).T, strict=True))
+    return Driving([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
 
 
 def _rows(model: "Model", u: object, times: FloatArray) -> FloatArray:
@@ -66,7 +85,7 @@ def _rows(model: "Model", u: object, times: FloatArray) -> FloatArray:
 
 
 def _input(
-    model: "Model", name: str, given: _ByName, times: FloatArray, recorded: _Recorded | None
+    model: "Model", name: str, given: _ByName, times: FloatArray, recorded: InputCurve | None
 ) -> Callable[[float], float]:
     column = model.result.columns_by_symbol[name]
     key = next((key for key in (name, column) if has(given, key)), None)
@@ -74,13 +93,15 @@ def _input(
         if column == model.time:
             return lambda t: t
         if recorded is not None:
-            return _curve(*recorded)
+            return recorded
         raise UsageError(
             f"the model has the input {name!r}, of which nothing is given",
             python="name it in u",
             command=f"give a number, such as --hold {name}=1, or a file with its column as --initial",
         )
     value = given[key]
+    if isinstance(value, InputCurve):
+        return value
     if callable(value):
         return lambda t: number(value(t), f"what the function of the input {name!r} returns")
     values = numbers(value, f"the input {name!r}")
@@ -88,10 +109,4 @@ def _input(
         return lambda _: float(values)
     if values.shape != times.shape:
         raise UsageError(f"the input {name!r} has {values.size} values for {len(times)} times; give one for each")
-    return _curve(times, values)
-
-
-def _curve(times: FloatArray, values: FloatArray) -> Callable[[float], float]:
-    """Return `values` (N,) at `times` (N,) as a function of time."""
-    curve = interpolated(times, values[:, np.newaxis])
-    return lambda t: float(curve(t)[0])
+    return InputCurve.through(times, values, model.input_kind(name))

@@ -13,7 +13,7 @@ from typing import Literal, overload
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.arguments import Columns, by_name, has_columns, number, points_of
+from atoll.model.arguments import Columns, by_name, has_columns, number, points_of, read_columns
 from atoll.model.beginnings import Given, recorded_inputs, start_of, times_of
 from atoll.model.candidates import candidate_results
 from atoll.model.driving import GivenInputs, inputs_along, require_inputs
@@ -27,6 +27,7 @@ from atoll.model.scoring import score
 from atoll.model.shortcuts import Shortcuts
 from atoll.model.simulation import EarlyEndWarning, Simulation, simulate
 from atoll.model.vector_field import VectorField
+from atoll_coordinator.result.findings import InputKind
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.stochastic.densities import StationaryDensity
 from atoll_coordinator.stochastic.moments import Pair
@@ -97,6 +98,10 @@ class Model(Shortcuts):
     def inputs(self) -> tuple[str, ...]:
         """The names of the inputs in expressions: variables without an equation."""
         return self._result.names if self.is_regression else self.field.inputs
+
+    def input_kind(self, name: str) -> InputKind | None:
+        """Return how an input goes from row to row in the data, None where that is not known or it is no input."""
+        return self._result.columns.input_kinds.get(self._result.columns_by_symbol.get(name, name))
 
     @cached_property
     def field(self) -> VectorField:
@@ -221,8 +226,8 @@ class Model(Shortcuts):
         One that ends early has the times that were reached alone; an `EarlyEndWarning` says so.
 
         Args:
-            x0: the initial state, by name or in order; None: that of the first measured trajectory, with its inputs
-                where `u` names none.
+            x0: the initial state, by name or in order, angles in radians; None: that of the first measured trajectory,
+                with its inputs where `u` names none.
             t: times that ascend, the first being that of `x0`; one number: until then, from the first time measured;
                 None: the times of the first trajectory.
             u: inputs: by name numbers, arrays at the times `t` or functions of time; or an array (N, U), or a function
@@ -294,12 +299,16 @@ class Model(Shortcuts):
 
         Args:
             x: (N, D) states, or columns by name (also a frame of pandas or polars); of a regression (N, U) inputs.
+                Columns are read as those of the fit, angles in degrees; arrays are in the units of the model, angles
+                in radians.
             u: (N, U) inputs; None where there are none, or where `x` has them by name.
 
         Returns:
             (N, D) derivatives, (N,) values of a regression; NaN where there is none.
         """
         self.require_one_group()
+        x = read_columns(self, x) if has_columns(x) else x
+        u = read_columns(self, u) if has_columns(u) else u
         if self.is_regression:
             program = from_infix(self.equations[0].exact, self.result.names)
             values = values_of(program, np.ascontiguousarray(points_of(self, x, self.inputs).T))

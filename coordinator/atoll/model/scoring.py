@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from atoll.model.arguments import Columns, column, has, has_columns, rows_of, stacked
+from atoll.model.arguments import Columns, column, has, has_columns, read_columns, rows_of, stacked
 from atoll.model.simulation import EarlyEndWarning
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def score(model: "Model", data: Columns | Sequence[Columns]) -> float:
     """Return R2 on data; see `atoll.Model.score`."""
     given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
-    parts = [part for part in given if has_columns(part)]
+    parts = [read_columns(model, part) for part in given if has_columns(part)]
     if not given or len(parts) < len(given):
         raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
     return _of_regression(model, parts) if model.is_regression else _of_dynamics(model, parts)

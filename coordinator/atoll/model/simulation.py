@@ -8,8 +8,9 @@ import csv
 import io
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
@@ -25,7 +26,7 @@ Status = Literal["finished", "blow-up", "stiff", "undefined"]
 were used up; where a rate has no finite value."""
 
 Inputs = Callable[[float], FloatArray]
-"""The inputs (U,) at a time."""
+"""The inputs (U,) at a time. Held ones have `jumps`, the times at which they change: no step goes across."""
 
 TOLERANCE: Final = 1e-11
 """Relative error of a step; far below the errors of constants."""
@@ -163,6 +164,8 @@ class _Task:
     inputs: Inputs | None
     most: int
     count: int = 0
+    before: float = math.inf
+    """Inputs are those just before this time, from it on."""
 
     @property
     def is_spent(self) -> bool:
@@ -171,7 +174,16 @@ class _Task:
 
     def inputs_at(self, t: float) -> FloatArray | None:
         """Return the inputs at a time; None where there are none."""
-        return None if self.inputs is None else np.asarray(self.inputs(t), dtype=np.float64)
+        return None if self.inputs is None else np.asarray(self.inputs(min(t, self.before)), dtype=np.float64)
+
+    def spans(self, begin: float, end: float) -> Iterator[tuple[float, float]]:
+        """Yield first and last time between the jumps of inputs, which are those within each while it is yielded."""
+        jumps = np.asarray(getattr(self.inputs, "jumps", ()), dtype=np.float64)
+        times = [begin, *jumps[(jumps > begin) & (jumps < end)].tolist(), end]
+        for first, last in pairwise(times):
+            self.before = math.nextafter(last, first) if last < end else math.inf
+            yield first, last
+        self.before = math.inf
 
     def rates(self, t: float, x: FloatArray) -> FloatArray:
         """Return dx/dt."""
@@ -254,18 +266,21 @@ def _attempt(task: _Task, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _
     with contextlib.suppress(_SpentError), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         least = TOLERANCE * _COARSE * sizes
-        solver = LSODA(task.rates, reached, x0, float(t[-1]), rtol=TOLERANCE, atol=least, jac=task.jacobian)
-        while solver.status == "running":
-            solver.step()
-            if solver.status == "failed" or not np.isfinite(solver.y).all():
+        for first, final in task.spans(reached, float(t[-1])):
+            solver = LSODA(task.rates, first, last, final, rtol=TOLERANCE, atol=least, jac=task.jacobian)
+            while solver.status == "running":
+                solver.step()
+                if solver.status == "failed" or not np.isfinite(solver.y).all():
+                    break
+                reached, last = float(solver.t), solver.y.copy()
+                lowest = np.minimum(lowest, np.abs(last))
+                if np.abs(last).max() > _LARGEST:
+                    break
+                if len(rows) < len(t) and t[len(rows)] <= solver.t:  # the last step has passed some of the times
+                    dense, end = solver.dense_output(), int(np.searchsorted(t, solver.t, side="right"))
+                    rows += [np.asarray(dense(at)) for at in t[len(rows) : end].tolist()]
+            if solver.status != "finished":
                 break
-            reached, last = float(solver.t), solver.y.copy()
-            lowest = np.minimum(lowest, np.abs(last))
-            if np.abs(last).max() > _LARGEST:
-                break
-            if len(rows) < len(t) and t[len(rows)] <= solver.t:  # the last step has passed some of the times
-                dense, end = solver.dense_output(), int(np.searchsorted(t, solver.t, side="right"))
-                rows += [np.asarray(dense(at)) for at in t[len(rows) : end].tolist()]
     return _Course(np.array(rows), reached, last, sizes, lowest, len(rows) == len(t), task.is_spent)
 
 
@@ -333,8 +348,6 @@ def _standard_errors(task: _Task, errors: JointErrors, course: _Course, t: Float
         slope = task.jacobian(at, x) @ s + errors.rates(x, task.inputs_at(at)) @ (root / shares)
         return np.concatenate([task.rates(at, x), slope.ravel()])
 
-    from scipy.integrate import solve_ivp
-
     task.count = 0
     start = np.concatenate([x0, np.zeros(size * number)])
     try:
@@ -342,13 +355,31 @@ def _standard_errors(task: _Task, errors: JointErrors, course: _Course, t: Float
             warnings.simplefilter("ignore")
             small = np.where(_comes_back(states), np.minimum(course.lowest, sizes), sizes)
             least = 1e-9 * np.concatenate([small, np.repeat(small, number)])
-            solution = solve_ivp(rates, (float(t[0]), float(t[-1])), start, "LSODA", t, rtol=1e-6, atol=least)
+            solution = _solved(task, rates, start, t, least)
     except _SpentError:
         return None
-    if solution.status != 0:
+    if solution is None:
         return None
-    sensitivities = solution.y[size:].reshape(size, number, len(t)) * shares[:, None]
+    sensitivities = solution[size:].reshape(size, number, len(t)) * shares[:, None]
     return np.asarray(np.sqrt(np.einsum("dkn,dkn->nd", sensitivities, sensitivities)))
+
+
+def _solved(
+    task: _Task, rates: Callable[[float, FloatArray], FloatArray], start: FloatArray, t: FloatArray, least: FloatArray
+) -> FloatArray | None:
+    """Return the numbers (M, N) that go from `start` (M,) by these rates; None where the solver fails."""
+    from scipy.integrate import solve_ivp
+
+    found = np.empty((len(start), len(t)))
+    for first, last in task.spans(float(t[0]), float(t[-1])):
+        rows = (t >= first) & (t <= last)
+        times = np.unique(np.append(t[rows], last))
+        solution = solve_ivp(rates, (first, last), start, "LSODA", times, rtol=1e-6, atol=least)
+        if solution.status != 0:
+            return None
+        found[:, rows] = solution.y[:, : int(rows.sum())]
+        start = solution.y[:, -1]
+    return found
 
 
 def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
@@ -364,15 +395,3 @@ def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
 def _positive(sizes: FloatArray) -> FloatArray:
     """Return sizes, 1 in the place of 0: what is always 0 has none, and errors of it are none."""
     return np.where(sizes > 0.0, sizes, 1.0)
-
-
-def interpolated(times: FloatArray, values: FloatArray) -> Inputs:
-    """Return the inputs (N, U) measured at `times` (N,) as a function of time: cubic between them, constant beyond."""
-    from scipy.interpolate import PchipInterpolator
-
-    if len(times) < 2:
-        constant = values[0].copy()
-        return lambda _: constant
-    curve = PchipInterpolator(times, values, axis=0)
-    first, last = float(times[0]), float(times[-1])
-    return lambda t: np.asarray(curve(min(max(t, first), last)))

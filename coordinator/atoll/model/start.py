@@ -8,10 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from atoll.model.arguments import rows_of
+from atoll.model.arguments import read_columns, rows_of
 from atoll.model.beginnings import ROWS, beginning_of
 from atoll.model.model import Model
 from atoll.model.simulation import MOST_NUMBERS
+from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_coordinator.data.roles.trajectory_column import TRAJECTORY_NAME
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
@@ -24,17 +25,11 @@ _SLACK: Final = 1e-9
 
 @dataclass(frozen=True)
 class Start:
-    """An initial state by symbol, and of a file also times (N,) and inputs (N,) by symbol; None: as measured."""
+    """An initial state by symbol, and of a file also times (N,) and inputs by symbol; None: as measured."""
 
     state: Mapping[str, float] | None = None
     times: FloatArray | None = None
-    recorded: Mapping[str, FloatArray] = field(default_factory=dict)
-
-    def inputs(self, times: FloatArray) -> dict[str, FloatArray]:
-        """Return the file's inputs, interpolated at these times."""
-        if self.times is None:
-            return {}
-        return {name: np.interp(times, self.times, values) for name, values in self.recorded.items()}
+    inputs: Mapping[str, InputCurve] = field(default_factory=dict)
 
 
 def start_of_file(model: Model, path: Path) -> Start:
@@ -52,9 +47,19 @@ def start_of_file(model: Model, path: Path) -> Start:
     )  # dates in the model's unit
     rows = _rows_of_first(table, str(config.get("trajectory") or TRAJECTORY_NAME))
     columns = {name: table.column(name)[:rows] for name in table.names}
+    columns = {name: np.asarray(values) for name, values in read_columns(model, columns).items()}
+    times = columns.get(model.time)
     driving = [name for name in columns if symbols.get(name) in model.inputs and name != model.time]
-    inputs = {symbols[name]: columns[name] for name in driving}
-    return Start(_state_of(model, columns, path), columns.get(model.time), inputs)
+    inputs = {} if times is None else {symbols[name]: _curve(model, name, times, columns[name]) for name in driving}
+    return Start(_state_of(model, columns, path), times, inputs)
+
+
+def _curve(model: Model, name: str, times: FloatArray, values: FloatArray) -> InputCurve:
+    """Return an input of a file between its rows, as the fit has taken it; rows without a value are passed over."""
+    known = np.isfinite(values)
+    if not known.any():
+        raise UsageError(f"the input {name!r} has no number in the file of the initial state; give one")
+    return InputCurve.through(times[known], values[known], model.input_kind(name))
 
 
 def times_of(model: Model, start: Start, end: float | None, step: float | None) -> FloatArray:

@@ -8,7 +8,8 @@ the search and the recording. A stochastic process is not smoothed.
 from dataclasses import replace
 
 from atoll_coordinator.data.assembly.datasets import assemble_differentiated, assemble_given
-from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_states
+from atoll_coordinator.data.differentiation.derivatives import Differentiation
+from atoll_coordinator.data.differentiation.held_inputs import estimate_driven_states
 from atoll_coordinator.data.increments.targets import assemble_process
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
@@ -52,17 +53,17 @@ def _prepare(table: Table, config: JobConfig, roles: Roles, options: DataConfig)
         return assemble_given(measurements, weights, rows, equations, symbols)
 
     differentiation = Differentiation(options.order, config.preset == "paper", options.robust)
-    whole, estimates = measurements, estimate_states(measurements, weights, differentiation)
+    whole, estimates = measurements, estimate_driven_states(measurements, weights, differentiation)
     measurements = split_at_gaps(whole, max(estimate.span for estimate in estimates))
     if measurements.ranges != whole.ranges:
         weights = normalize_weights(measurements.weights)
-        estimates = estimate_states(measurements, weights, differentiation)
+        estimates = estimate_driven_states(measurements, weights, differentiation)
     if not differentiation.paper:
         sampled = measurements
         measurements = average_oversampled_rows(sampled, estimates)
         if measurements is not sampled:
             weights = normalize_weights(measurements.weights)
-            estimates = estimates_of_means(estimate_states(measurements, weights, differentiation), estimates)
+            estimates = estimates_of_means(estimate_driven_states(measurements, weights, differentiation), estimates)
 
     selected = select_rows(measurements, estimates, paper=differentiation.paper)
     if not differentiation.paper:

@@ -14,6 +14,9 @@ import numpy.typing as npt
 from atoll_core.data.dataset import Dataset, FloatArray
 
 Method = Literal["interpolation", "loess", "robust loess"]
+InputKind = Literal["smooth", "shape-preserving", "held"]
+"""How an input goes from row to row: with continuous second derivatives (de Boor 1978, chapter IV); so that nothing
+overshoots where it is switched (Fritsch & Butland 1984); at its value until the next row (zero-order hold)."""
 Reason = Literal["end", "gap", "jump", "outlier", "missing"]
 """Why a row is not used: near an end of its trajectory, near a gap in the times, where the state changes too fast for
 the sampling or for the smoother, as an outlier, or because the state is missing and its other rows do not tell it."""
@@ -52,7 +55,8 @@ class Trajectory:
     `name` is what the user knows it by: its number from 1, or the value of the trajectory column. `times` (R,) ascend
     strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
     radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
-    with these values and slopes. `held_out` trajectories were kept from the search and from every fit.
+    with these values and slopes, NaN where it is held at its value until the next row. `held_out` trajectories were
+    kept from the search and from every fit.
     `measured` is NaN where a value is missing; `is_known` (S, R) tells where `smoothed` is known all the same, None:
     everywhere.
     `robustness_weights` (S, R), from 0 (an outlier) to 1, reduce the weight of single measurements; None: all are 1.
@@ -113,7 +117,9 @@ class Recording:
     of the arrays' rows; `offsets` are states measured up to an offset that each trajectory has its own. With `order` 2
     the variables of expressions are the states, then `velocity_symbols`, then the inputs. `offset` is what was taken
     from the times of the file to centre them. `groups` are the names of groups of trajectories that have constants of
-    their own; none: all share them. A row is the mean of about `rows_of_mean` rows of the file.
+    their own; none: all share them. A row is the mean of about `rows_of_mean` rows of the file. `input_kinds` say how
+    each input goes from row to row; empty: that is not known. `input_error` is the largest error of their curves
+    between rows over their standard deviations.
     """
 
     states: tuple[str, ...]
@@ -128,6 +134,8 @@ class Recording:
     offsets: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()
     rows_of_mean: int = 1
+    input_kinds: tuple[InputKind, ...] = ()
+    input_error: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,8 @@ from atoll_coordinator.result.base import (
 from atoll_coordinator.result.listed_trajectories import Recorded
 from atoll_coordinator.stochastic.discretisation import Discretisation
 
+InputKind = Literal["smooth", "shape-preserving", "held"]
+"""How an input goes from row to row, see `docs/data.md`."""
 Kind = Literal["dynamics", "process", "regression"]
 
 
@@ -201,6 +203,7 @@ class System(Part):
     states: tuple[Text, ...] = ()
     velocities: tuple[Text, ...] = ()
     inputs: tuple[Text, ...] = ()
+    input_kinds: dict[Text, InputKind] = Field(default_factory=dict)
     target: Text | None = None
     units: dict[Text, Text] = Field(default_factory=dict)
     ranges: dict[Text, Pair] = Field(default_factory=dict)

@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 
 from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import ADD, CONSTANT, DIVIDE, INVERSE, MULTIPLY, NEGATE, POW, SUBTRACT, VARIABLE
-from atoll_core.expression.program import MAX_NODES, Program
+from atoll_core.expression.program import MAX_NODES, Program, structure
 from atoll_core.expression.writing.failures import contained
 from atoll_core.expression.writing.layout import in_order
 from atoll_core.expression.writing.shortest import sum_of
@@ -107,6 +107,18 @@ def _atom_shape(atom: Atom) -> Shape:
     if kind == VARIABLE:
         return atom
     return (kind, *(tuple(sorted((shape_of(monomial) for monomial, _ in inner), key=repr)) for inner in rest))
+
+
+def form_of(program: Program) -> Hashable:
+    """Return what programs have in common that differ in the values of their constants alone, however written.
+
+    Brackets above the line are expanded: ``0.1*y*(x - 4)`` has the form of ``0.1*x*y - 0.4*y``. What cannot be expanded
+    has the form of its nodes.
+    """
+    try:
+        return tuple(sorted((shape_of(monomial) for monomial, _ in terms_of(program)), key=repr))
+    except UndefinedError:
+        return structure(program)
 
 
 def inner_numbers(terms: Sum) -> list[float]:

@@ -3,17 +3,19 @@
 import argparse
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options.values import finite_number, if_given, interval, intervals, numbers, whole_number
 from atoll.cli.request import result_of
+from atoll.model.arguments import ReadColumns
 from atoll.model.files import write_text
 from atoll.model.model import Model
 from atoll.model.simulation import EarlyEndWarning
 from atoll.model.start import Start, start_of_file, times_of
 from atoll.terminal.output import as_json, note, say
+from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
@@ -26,7 +28,7 @@ def simulate(options: argparse.Namespace) -> int:
         raise UsageError("the model is a regression without time, so there is nothing to simulate; see its result")
     start = _start_of(model, options.initial)
     times = _chosen_times(model, start, options)
-    inputs = start.inputs(times) | _held_inputs(model, options)
+    inputs: dict[str, InputCurve | float] = {**start.inputs, **_held_inputs(model, options)}
     paths, seed = _paths(options)
     if paths is not None:
         ensemble = model.simulate(start.state, times, inputs, paths=paths, seed=seed)
@@ -174,18 +176,17 @@ def _chosen(model: Model, options: argparse.Namespace) -> Model:
 
 def _beginning(
     model: Model, options: argparse.Namespace
-) -> tuple[Mapping[str, float] | None, FloatArray | None, dict[str, FloatArray | float] | None]:
+) -> tuple[Mapping[str, float] | None, FloatArray | None, dict[str, InputCurve | float] | None]:
     """Return initial state, times and inputs, as far as options tell them."""
     if model.is_regression:
         return None, None, None
     start = _start_of(model, options.initial)
     is_told = options.until is not None or options.step is not None or start.times is not None
     times = _chosen_times(model, start, options) if is_told else None
-    inputs = {} if times is None else start.inputs(times)
-    return start.state, times, {**inputs, **_held_inputs(model, options)}
+    return start.state, times, {**start.inputs, **_held_inputs(model, options)}
 
 
-def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArray]]:
+def _trajectories(model: Model, files: list[str]) -> list[ReadColumns]:
     """Return the measured columns of files, trajectory by trajectory, read as the result's own were."""
     from atoll_coordinator.data.reading.files import read_table
     from atoll_coordinator.data.roles.roles import assign_roles
@@ -196,7 +197,12 @@ def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArra
     table = read_table([Path(file) for file in files], config)
     roles, config = assign_roles(table, config)
     measured = take_measurements(table, roles, config)
-    return [{name: column[first:last] for name, column in measured.columns.items()} for first, last in measured.ranges]
+    unwrapped: dict[str, Sequence[FloatArray]] = dict(zip(roles.inputs, measured.inputs, strict=True))
+    if measured.trajectories is not None:
+        unwrapped |= measured.trajectories.states
+    plain = [{name: column[first:last] for name, column in measured.columns.items()} for first, last in measured.ranges]
+    parts = [part | {name: along[place] for name, along in unwrapped.items()} for place, part in enumerate(plain)]
+    return [ReadColumns(part) for part in parts]
 
 
 def _load(options: argparse.Namespace) -> Model:

@@ -14,7 +14,7 @@ from atoll_coordinator.data.differentiation.value_scale import (
     derivative_standard_deviation,
     representable_standard_deviation,
 )
-from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.data.recording import Preparation, Recording
 from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
@@ -78,7 +78,7 @@ def assemble_differentiated(
     roles = measurements.roles
     warnings = (*measurements.warnings, *selected.warnings, *_remarks(measurements, estimates, selected))
     inputs = measurements.inputs
-    values = [estimate.values for estimate in estimates]
+    values = [estimate.values if estimate.points is None else estimate.points for estimate in estimates]
     values += [estimate.velocity for estimate in estimates if roles.velocities]
     values += [np.concatenate(parts) for parts in inputs]
     targets = [
@@ -87,12 +87,24 @@ def assemble_differentiated(
     ]
     sought = [target for target in targets if target.variable in equations]
     groups = measurements.group_of_row
+    recording = build_recording(measurements, weights, estimates, inputs, selected, symbols)
+    warnings = (*warnings, *_coarse_inputs(recording))
     whole = Dataset(tuple(symbols.values()), np.array(values), tuple(sought), dict(symbols), warnings, groups)
     return Preparation(
         _take_rows(whole, selected.searched),
-        build_recording(measurements, weights, estimates, inputs, selected, symbols),
+        recording,
         _take_rows(whole, selected.held_out) if selected.held_out else None,
     )
+
+
+def _coarse_inputs(recording: Recording) -> list[str]:
+    """Return a sentence where inputs are less certain between rows than states are at them."""
+    error, noise = recording.input_error, max(part.relative_noise for part in recording.smoothing)
+    if error <= max(noise, SETTINGS.selection.least_noise):
+        return []
+    of_inputs = f"Between rows, inputs ({', '.join(recording.inputs)}) are uncertain by {100.0 * error:.2g} %"
+    more = "equations that differ by less are not told apart; sample inputs more often"
+    return [f"{of_inputs} of their standard deviation, more than the noise of the states: {more}."]
 
 
 def _take_rows(dataset: Dataset, rows: list[int]) -> Dataset:

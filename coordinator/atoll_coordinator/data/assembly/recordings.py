@@ -1,12 +1,17 @@
 """The recording of a job, put together from what was measured and how it was smoothed. Pure."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
-from atoll_coordinator.data.differentiation.inputs import estimate_input_slopes
-from atoll_coordinator.data.recording import ExcludedRow, Method, Recording, Smoothing, Trajectory
+from atoll_coordinator.data.differentiation.inputs import (
+    choose_input_kind,
+    estimate_input_slopes,
+    relative_curve_error,
+)
+from atoll_coordinator.data.recording import ExcludedRow, InputKind, Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.row_selection.selected_rows import SelectedRows
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_core.data.dataset import FloatArray
@@ -32,6 +37,7 @@ def build_recording(
     """
     roles, whole = measurements.roles, measurements.trajectories
     assert whole is not None
+    kinds = _input_kinds(measurements, inputs)
     smoothing = map(_describe_smoothing, roles.states, estimates, map(len, selected.uncertain), selected.excluded)
     return Recording(
         roles.states,
@@ -42,11 +48,24 @@ def build_recording(
         roles.order,
         whole.offset,
         tuple(smoothing),
-        _trajectories(measurements, weights, estimates, inputs),
+        _trajectories(measurements, weights, estimates, inputs, kinds),
         roles.offsets,
         measurements.group_names,
         measurements.rows_of_mean,
+        kinds,
+        max(map(partial(relative_curve_error, whole.times), inputs, kinds), default=0.0),
     )
+
+
+def _input_kinds(measurements: Measurements, inputs: Sequence[Sequence[FloatArray]]) -> tuple[InputKind, ...]:
+    """Return how each input goes from row to row: the time is smooth, others as options say, else as fits better."""
+    roles, whole = measurements.roles, measurements.trajectories
+    assert whole is not None
+    known: dict[str, InputKind] = dict.fromkeys(roles.held, "held")
+    if roles.time is not None:
+        known[roles.time] = "smooth"
+    pairs = zip(roles.inputs, inputs, strict=True)
+    return tuple(known.get(name) or choose_input_kind(whole.times, along) for name, along in pairs)
 
 
 def _trajectories(
@@ -54,8 +73,9 @@ def _trajectories(
     weights: FloatArray | None,
     estimates: Sequence[StateEstimate],
     inputs: Sequence[Sequence[FloatArray]],
+    kinds: Sequence[InputKind],
 ) -> tuple[Trajectory, ...]:
-    """Return the trajectories of a recording; parameters are those of `build_recording`."""
+    """Return the trajectories of a recording, inputs being of these `kinds`; others are those of `build_recording`."""
     roles, whole, ranges = measurements.roles, measurements.trajectories, measurements.ranges
     assert whole is not None
 
@@ -64,11 +84,12 @@ def _trajectories(
         stacked = np.array(columns, dtype=np.float64).reshape(len(columns), measurements.row_count)
         return [np.ascontiguousarray(stacked[:, slice(*place)]) for place in ranges]
 
-    slopes = [estimate_input_slopes(whole.times, along) for along in inputs]
+    slopes = [estimate_input_slopes(whole.times, along, kind) for along, kind in zip(inputs, kinds, strict=True)]
     if roles.time in roles.inputs:
         slopes[roles.inputs.index(roles.time)] = [np.ones(len(times)) for times in whole.times]
     is_known = np.array([estimate.is_known for estimate in estimates])
     robustness_weights = [estimate.robustness_weights for estimate in estimates]
+    is_between = any(estimate.points is not None for estimate in estimates)
     ones = np.ones(measurements.row_count)
     nothing = [None] * len(ranges)
     columns = zip(
@@ -85,8 +106,8 @@ def _trajectories(
         else parts([ones if weights_of is None else weights_of for weights_of in robustness_weights]),
         nothing if weights is None else [np.ascontiguousarray(weights[slice(*place)]) for place in ranges],
         nothing if is_known.all() else [np.ascontiguousarray(is_known[:, slice(*place)]) for place in ranges],
-        parts([estimate.derivative for estimate in estimates]),
-        parts([estimate.total_uncertainty for estimate in estimates]),
+        nothing if is_between else parts([estimate.derivative for estimate in estimates]),
+        nothing if is_between else parts([estimate.total_uncertainty for estimate in estimates]),
         measurements.groups or [""] * len(ranges),
         strict=True,
     )

@@ -7,7 +7,8 @@
 - `noise`: the noise estimated, from what loess leaves or from predicted rows
 - `quantisation`: the steps in which values were recorded, the least errors that they can have
 - `missing_values`: a state at rows where it was not measured
-- `inputs`: slopes of inputs, for simulations
+- `inputs`: the curve of an input between rows, for fits, simulations and exports
+- `held_inputs`: states under inputs that are held between rows, whose slopes jump
 - `value_scale`: the scale by which values are judged
 - `kernels`: compiled loops of loess and of interpolation; `warmup` compiles or loads them
 

@@ -44,7 +44,7 @@ class StateEstimate:
     and `standard_deviation` that of the measurements; `smoother` is None where the state was interpolated. `outliers`,
     how many rows have no weight, and `robustness_weights` are None unless loess was robust; `has_heavy_tails` advises
     that it should be. `narrower_noise` is the noise by loess with the narrower span, `narrower_span` (rows), by which
-    the bias is estimated.
+    the bias is estimated. `points` (R,) are the values that the derivatives belong to where these are not `values`.
     """
 
     values: FloatArray
@@ -61,6 +61,7 @@ class StateEstimate:
     narrower_noise: float = 0.0
     narrower_span: int = 0
     quantisation: Quantisation | None = None
+    points: FloatArray | None = None
 
     @property
     def is_known(self) -> npt.NDArray[np.bool_]:

@@ -1,50 +1,168 @@
-"""Inputs between the rows at which they were measured: cubics, given by slopes at the rows. Pure.
+"""Inputs between the rows at which they were measured: one curve for fits, simulations, reports and exports. Pure.
 
-Not for the search, which sees inputs at rows only: models are simulated with them. Most data have none, and
-need not wait for the library.
+The curve is the cubic with given values and slopes at the rows; the slopes of a held input are not numbers (NaN), and
+it keeps the value of a row until the next row. Not for the search, which sees inputs at rows only. Most data have no
+inputs, and need not wait for the library.
+
+Letters: N rows.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 
+from atoll_coordinator.data.recording import InputKind
 from atoll_core.data.dataset import FloatArray
 
+_LEAST_SMOOTH: Final = 4
+"""Rows from which a cubic with continuous second derivatives is determined; fewer are taken as shape-preserving."""
 
-def estimate_input_slopes(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return slopes of one input along each trajectory.
 
-    The input is taken as smooth, with continuous second derivatives (de Boor 1978, chapter IV), or as shape-preserving,
-    so that nothing overshoots where it is switched (Fritsch & Butland 1984): whichever predicts rows that are left out
-    better. A linear input has its own slope, but for rounding.
+@dataclass(frozen=True, eq=False)
+class InputCurve:
+    """An input along one trajectory as a function of the time: `values` and `slopes` (N,) at ascending `times` (N,).
+
+    It is constant before the first time and from the last time on.
+    """
+
+    times: FloatArray
+    values: FloatArray
+    slopes: FloatArray
+
+    @classmethod
+    def through(cls, times: FloatArray, values: FloatArray, kind: InputKind | None = None) -> "InputCurve":
+        """Return the curve of a kind through finite `values` (N,) at `times` (N,); None: the kind that fits better."""
+        kind = choose_input_kind([times], [values]) if kind is None else kind
+        return cls(times, values, estimate_input_slopes([times], [values], kind)[0])
+
+    def __call__(self, t: float) -> float:
+        """Return the input at a time."""
+        times, rows = self._listed
+        if t <= times[0]:
+            return rows[0][0]
+        if t >= times[-1]:
+            return rows[-1][0]
+        row = bisect_right(times, t) - 1
+        p, m, c2, c3 = rows[row]
+        s = t - times[row]
+        return p + s * (m + s * (c2 + s * c3))
+
+    @property
+    def is_held(self) -> bool:
+        """Whether each value holds until the next row."""
+        return bool(np.isnan(self.slopes).any())
+
+    @cached_property
+    def pieces(self) -> FloatArray:
+        """Cubics (N - 1, 5): the time from which each holds, the coefficients of the powers 0 to 3 of the time since.
+
+        Of a held input there are N, of which the last one begins at the last row.
+        """
+        times, values, slopes = self.times, self.values, self.slopes
+        if self.is_held or len(times) < 2:
+            return np.column_stack([times, values, np.zeros((len(times), 3))])
+        width, rise = np.diff(times), np.diff(values)
+        m, n = slopes[:-1], slopes[1:]
+        c2, c3 = (3.0 * rise / width - 2.0 * m - n) / width, (m + n - 2.0 * rise / width) / width**2
+        return np.column_stack([times[:-1], values[:-1], m, c2, c3])
+
+    @property
+    def until(self) -> float:
+        """The time up to which the `pieces` hold."""
+        return float(
+            self.times[-1] + (self.times[-1] - self.times[-2] if self.is_held and len(self.times) > 1 else 0.0)
+        )
+
+    @cached_property
+    def jumps(self) -> FloatArray:
+        """The times at which a held input changes."""
+        is_jump = self.values[1:] != self.values[:-1]
+        return np.asarray(self.times[1:][is_jump & self.is_held])
+
+    @cached_property
+    def _listed(self) -> tuple[list[float], list[list[float]]]:
+        pieces = self.pieces[:, 1:].tolist()
+        if len(pieces) < len(self.times):
+            pieces.append([float(self.values[-1]), 0.0, 0.0, 0.0])
+        return self.times.tolist(), pieces
+
+
+def choose_input_kind(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> InputKind:
+    """Return whether one input is smooth or shape-preserving: what predicts rows that are left out better.
 
     Args:
-        times: of each trajectory, ascending strictly, 5 rows or more.
+        times: of each trajectory, ascending strictly.
         values: of the input at these times, finite.
     """
+    samples = [pair for pair in zip(times, _scaled(values)[0], strict=True) if len(pair[0]) > _LEAST_SMOOTH]
+    if not samples:
+        return "shape-preserving"
+    return min(("smooth", "shape-preserving"), key=lambda kind: _left_out_error(kind, samples))
+
+
+def estimate_input_slopes(
+    times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind
+) -> list[FloatArray]:
+    """Return slopes of one input along each trajectory, NaN of a held one.
+
+    A linear input has its own slope, but for rounding. Arguments are those of `choose_input_kind`.
+    """
+    if kind == "held":
+        return [np.full(len(part), np.nan) for part in times]
+    scaled, exponent = _scaled(values)
+    with np.errstate(over="ignore", under="ignore"):
+        return [
+            np.ldexp(_slopes(kind, part_times, part), exponent) for part_times, part in zip(times, scaled, strict=True)
+        ]
+
+
+def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind) -> float:
+    """Return the error of a smooth curve between rows over the standard deviation of the input (root mean squares).
+
+    A cubic spline errs by the fourth power of the step: by a sixteenth of what it errs at rows that are left out, one
+    in two. 0 for inputs of other kinds: when they are switched between two rows is not known.
+    """
+    samples = [pair for pair in zip(times, _scaled(values)[0], strict=True) if len(pair[0]) > _LEAST_SMOOTH]
+    if kind != "smooth" or not samples:
+        return 0.0
+    errors = [error for sample in samples for error in _left_out_errors(kind, *sample)]
+    numbers = [value for _, part in samples for value in part.tolist()]
+    mean = math.fsum(numbers) / len(numbers)
+    spread = math.fsum((value - mean) ** 2 for value in numbers) / len(numbers)
+    square = math.fsum(error * error for error in errors) / len(errors)
+    return math.sqrt(square / spread) / 16.0 if spread > 0.0 else 0.0
+
+
+def _scaled(values: Sequence[FloatArray]) -> tuple[list[FloatArray], int]:
+    """Return values over a power of two by which they are about one, and its exponent."""
+    _, exponent = math.frexp(max((float(np.max(np.abs(part))) for part in values if len(part)), default=0.0))
+    return [np.ldexp(part, -exponent) for part in values], exponent
+
+
+def _slopes(kind: InputKind, times: FloatArray, values: FloatArray) -> FloatArray:
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
-    _, exponent = math.frexp(max(float(np.max(np.abs(part))) for part in values))
-    samples = [(part_times, np.ldexp(part, -exponent)) for part_times, part in zip(times, values, strict=True)]
-    best = min((CubicSpline, PchipInterpolator), key=lambda kind: _left_out_error(kind, samples))
-    with np.errstate(over="ignore", under="ignore"):
-        return [np.ldexp(best(*sample)(sample[0], 1), exponent) for sample in samples]
+    if len(times) < 2:
+        return np.zeros(len(times))
+    make: Callable[..., Any] = CubicSpline if kind == "smooth" and len(times) >= _LEAST_SMOOTH else PchipInterpolator
+    return np.asarray(make(times, values)(times, 1))
 
 
-def _left_out_error(
-    kind: Callable[[FloatArray, FloatArray], Any], samples: Sequence[tuple[FloatArray, FloatArray]]
-) -> float:
-    """Return the sum of absolute errors at inner rows when every other row is left out, first the odd then the even."""
-    from scipy.interpolate import CubicHermiteSpline
+def _left_out_errors(kind: InputKind, times: FloatArray, values: FloatArray) -> list[float]:
+    """Return the errors at inner rows when every other row is left out, first the odd then the even."""
+    errors = list[float]()
+    for first in (0, 1):
+        kept, left_out = slice(first, None, 2), slice(first + 1, len(times) - 1, 2)
+        curve = InputCurve(times[kept], values[kept], _slopes(kind, times[kept], values[kept]))
+        errors += [curve(t) - v for t, v in zip(times[left_out].tolist(), values[left_out].tolist(), strict=True)]
+    return errors
 
-    total = 0.0
-    for times, values in samples:
-        for first in (0, 1):
-            kept = slice(first, None, 2)
-            left_out = slice(first + 1, len(times) - 1, 2)
-            slopes = kind(times[kept], values[kept])(times[kept], 1)
-            curve = CubicHermiteSpline(times[kept], values[kept], slopes)
-            total += float(np.sum(np.abs(curve(times[left_out]) - values[left_out])))
-    return total
+
+def _left_out_error(kind: InputKind, samples: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """Return the sum of absolute errors at rows that are left out."""
+    return math.fsum(abs(error) for sample in samples for error in _left_out_errors(kind, *sample))

@@ -9,7 +9,7 @@ from atoll_core.config import DataConfig
 from atoll_core.errors import UsageError
 
 _SINGLE: Final = ("time", "trajectory", "group", "target", "weights")
-_SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets")
+_SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets", "hold")
 """Options that name one column, and several."""
 _EXCLUSIONS: Final = (
     ("--target", "--derivatives", "give the one column set that is sought"),
@@ -18,6 +18,9 @@ _EXCLUSIONS: Final = (
     ("--order 2", "--derivatives", "the velocity has to be derived from the data"),
     ("--offsets", "--target", "offsets belong to states measured in time"),
     ("--offsets", "--derivatives", "offsets belong to states measured in time"),
+    ("--hold", "--target", "rows of an explicit regression do not follow one another"),
+    ("--hold", "--derivatives", "nothing is differentiated, and rows need not follow one another"),
+    ("--hold", "--stochastic", "a step of a process takes the mean of an input over its ends"),
     ("--stochastic", "--target", "an explicit regression has no process"),
     ("--stochastic", "--derivatives", "the steps of a process are those of its states"),
     ("--stochastic", "--order 2", "name the velocities among the states instead"),
@@ -87,6 +90,7 @@ def check_options(config: DataConfig) -> None:
         "--robust": config.robust,
         "--weights": config.weights is not None,
         "--offsets": bool(config.offsets),
+        "--hold": bool(config.hold),
         "--group": config.group is not None,
         "--per-trajectory": config.per_trajectory,
     }

@@ -22,6 +22,7 @@ class Roles:
 
     `target` is set in explicit regression and `derivatives` (one per state) where they are given; with neither, the
     states are differentiated in time, `order` times. `weights` is the column that says how much each row counts.
+    `held` are the inputs that keep their value from one row to the next.
     `angles` are the states and inputs that are angles, with their unit; `offsets` the states measured up to an offset.
     Trajectories with different values in column `group` may differ in constants; so may all where this
     `is_by_trajectory`.
@@ -39,6 +40,7 @@ class Roles:
     offsets: tuple[str, ...] = ()
     group: str | None = None
     is_by_trajectory: bool = False
+    held: tuple[str, ...] = ()
 
     @property
     def used(self) -> tuple[str, ...]:
@@ -103,6 +105,7 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
         _check_no_text_time(table)
     _check_equations(roles, config, table)
     _check_angles(roles)
+    _check_held(roles)
     return roles, config
 
 
@@ -142,6 +145,7 @@ def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -
         config.offsets,
         config.group,
         config.per_trajectory,
+        config.hold,
     )
 
 
@@ -180,6 +184,15 @@ def _check_angles(roles: Roles) -> None:
             raise UsageError(f"--angle names '{angle.column}', the target of an explicit regression; remove it")
         if angle.column not in (*roles.states, *roles.inputs):
             raise UsageError(f"--angle names '{angle.column}', which is neither a state nor an input; remove it")
+
+
+def _check_held(roles: Roles) -> None:
+    for name in roles.held:
+        if name not in roles.inputs:
+            known = ", ".join(roles.inputs) or "none; name it with --inputs"
+            raise UsageError(f"--hold names '{name}', but the inputs are {known}")
+        if name == roles.time:
+            raise UsageError(f"--hold names '{name}', the time, which does not stay the same between rows; remove it")
 
 
 def _check_no_text_time(table: Table) -> None:

@@ -52,7 +52,25 @@ def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
 
 
 def _split(measurements: Measurements, pieces: Sequence[Sequence[Range]], reason: str) -> Measurements:
-    """Return `measurements` with the `pieces` of each trajectory, which are ranges of its rows."""
+    """Return `measurements` with the `pieces` of each trajectory, which are ranges of its rows, and say so."""
+    whole, split = measurements.trajectories, take_pieces(measurements, pieces)
+    assert whole is not None
+    assert split.trajectories is not None
+    numbers = [number for number, ranges in enumerate(pieces) for _ in ranges]
+    names_of: dict[int, list[str]] = {}
+    for name, number in zip(split.trajectories.names, numbers, strict=True):
+        names_of.setdefault(number, []).append(name)
+    texts = [f"{whole.names[number]} into {', '.join(its)}" for number, its in names_of.items() if len(its) > 1]
+    listed = "; ".join(texts[:MANY]) + ("; …" if len(texts) > MANY else "")
+    warnings = [*measurements.warnings, f"{reason}; trajectories are split there{f': {listed}' if listed else ''}."]
+    left_out = measurements.row_count - split.row_count
+    if left_out:
+        warnings.append(f"{left_out} rows in pieces of fewer than {MIN_ROWS} rows between gaps are left out.")
+    return replace(split, warnings=tuple(warnings))
+
+
+def take_pieces(measurements: Measurements, pieces: Sequence[Sequence[Range]]) -> Measurements:
+    """Return `measurements` with the `pieces` of each trajectory, ranges of its rows, as trajectories of their own."""
     whole = measurements.trajectories
     assert whole is not None
     parts = [(number, slice(*piece)) for number, ranges in enumerate(pieces) for piece in ranges]
@@ -61,15 +79,6 @@ def _split(measurements: Measurements, pieces: Sequence[Sequence[Range]], reason
     names = distinguish([whole.names[number] for number, _ in parts])
     times = tuple(whole.times[number][part] for number, part in parts)
     states = {name: [along[number][part] for number, part in parts] for name, along in whole.states.items()}
-    names_of: dict[int, list[str]] = {}
-    for name, (number, _) in zip(names, parts, strict=True):
-        names_of.setdefault(number, []).append(name)
-    texts = [f"{whole.names[number]} into {', '.join(its)}" for number, its in names_of.items() if len(its) > 1]
-    listed = "; ".join(texts[:MANY]) + ("; …" if len(texts) > MANY else "")
-    warnings = [*measurements.warnings, f"{reason}; trajectories are split there{f': {listed}' if listed else ''}."]
-    left_out = measurements.row_count - len(rows)
-    if left_out:
-        warnings.append(f"{left_out} rows in pieces of fewer than {MIN_ROWS} rows between gaps are left out.")
     return replace(
         measurements,
         columns={name: values[rows] for name, values in measurements.columns.items()},
@@ -77,5 +86,4 @@ def _split(measurements: Measurements, pieces: Sequence[Sequence[Range]], reason
         held_out=tuple(measurements.held_out[number] for number, _ in parts),
         trajectories=Trajectories(names, times, whole.offset, states),
         groups=tuple(measurements.groups[number] for number, _ in parts) if measurements.groups else (),
-        warnings=tuple(warnings),
     )

@@ -44,6 +44,8 @@ def _trajectory(recording: Recording, part: Trajectory, share: float) -> Recorde
     """Return one trajectory as it was measured, a `share` of its rows; weights are null where all are 1."""
     count = len(part.times)
     listed = thinned(count, max(LEAST_ROWS, int(share * count)))
+    if len(listed) < count:
+        listed = sorted({*listed, *_switches(part)[:MOST_ROWS]})
     robust = part.robustness_weights
     return Recorded(
         name=part.name,
@@ -56,6 +58,12 @@ def _trajectory(recording: Recording, part: Trajectory, share: float) -> Recorde
         weights=None if part.weights is None else curve(part.weights[listed], DIGITS),
         robustness_weights=None if robust is None else _by_name(recording.states, robust, listed),
     )
+
+
+def _switches(part: Trajectory) -> list[int]:
+    """Return the rows at which a held input changes: left out, the value before would last too long."""
+    held = part.inputs[np.isnan(part.input_slopes).any(axis=1)]
+    return (np.flatnonzero((held[:, 1:] != held[:, :-1]).any(axis=0)) + 1).tolist()
 
 
 def _by_name(names: tuple[str, ...], values: FloatArray, listed: list[int]) -> dict[str, tuple[float | None, ...]]:
@@ -72,6 +80,7 @@ def system(given: Preparation) -> System | None:
         return None
     dataset = given.counted or given.dataset
     ranges = zip(dataset.symbols, dataset.inputs, strict=True)
+    recording = given.recording
     return System(
         kind=_kind(given, source),
         order=source.order,
@@ -79,6 +88,7 @@ def system(given: Preparation) -> System | None:
         states=source.states,
         velocities=source.velocities,
         inputs=source.inputs,
+        input_kinds={} if recording is None else dict(zip(recording.inputs, recording.input_kinds, strict=False)),
         target=source.target,
         units=dict(source.units),
         ranges={name: (float(values.min()), float(values.max())) for name, values in ranges},

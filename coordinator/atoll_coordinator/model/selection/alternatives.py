@@ -26,6 +26,7 @@ from atoll_core.data.dataset import EXACT_ERROR, FloatArray
 from atoll_core.expression.builder import Expression
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
+from atoll_core.expression.writing.expansion import form_of
 from atoll_core.expression.writing.shortest import shortest
 
 
@@ -191,7 +192,7 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
     """Return what came closest with another equation for one variable, distinct in function, the closest first.
 
     Programs of the same misfit say the same in other words unless they differ beside the measured curves, also where
-    groups have constants of their own.
+    groups have constants of their own. The same form with other constants is the same equation, unless they fit better.
     """
     comparison, best = selection.comparison, selection.model
     tried = sorted(
@@ -207,12 +208,18 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
         most=math.inf,
     )
     distinct_models, functions = [best], [values_of(best.programs[index], inputs)]
+    forms = {form_of(best.programs[index])}
+    shorter = best.nats - SETTINGS.selection.least_gain
     for model in comparison.distinct([best, *near], index)[1:]:
+        form = form_of(model.programs[index])
+        if form in forms and model.nats > shorter:
+            continue
         values = values_of(model.programs[index], inputs)
         if all(
             differ(values, function) or comparison.differ_beside(model, other, index)
             for other, function in zip(distinct_models, functions, strict=True)
         ):
+            forms.add(form)
             functions.append(values)
             distinct_models.append(model)
     return distinct_models[1 : SETTINGS.effort.beam + 1]

@@ -141,7 +141,8 @@ class ModelComparison:
         self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
         self.counts: Final = measurements.weights.sum(axis=1)
         self._starts: Final = len(measurements.bounds) * (len(measurements.scales) + len(measurements.offset))
-        self.least_errors: Final = SETTINGS.shooting.exact * measurements.scales[measurements.observed]
+        least = max(SETTINGS.shooting.exact, measurements.input_error)
+        self.least_errors: Final = least * measurements.scales[measurements.observed]
         self.pieces: Final = np.minimum(
             np.maximum(count_pieces(measurements), SETTINGS.selection.systematic_numbers), self.counts
         )

@@ -53,7 +53,10 @@ class CandidatePool:
     def _add_to(self, propose: Proposer, equation: int) -> None:
         """Take in what is proposed for one equation, which has nothing to do with what is for the others."""
         task, name = self._task, self._task.variables[equation]
-        if name not in self._ranked or task.is_over:
+        if name not in self._ranked:
+            return
+        if task.is_over:
+            self.lists[equation] = self.lists[equation] or _found_by_search(task, name)
             return
         most = math.inf if self.best is None else self.comparison.affordable(self.best, equation)
         programs, libraries = propose(task, name, most)
@@ -73,6 +76,19 @@ class CandidatePool:
             return False
         targets = (self._task.dataset.problem(name).target for name in self._ranked)
         return all(target.uncertainty <= SETTINGS.inference.largest_uncertainty for target in targets)
+
+
+def _found_by_search(task: ModellingTask, name: str) -> list[Program]:
+    """Return what the search has found for an equation: what there is to simulate where no time is left to choose.
+
+    First come the shortest ones that describe the target up to its uncertainty, then those of the least error.
+    """
+    target, members = task.dataset.problem(name).target, task.candidates[name].front
+    limit = (target.uncertainty * target.standard_deviation) ** 2
+    describing = [member.program for member in members if member.mse <= limit]
+    rest = [member.program for member in reversed(members) if member.mse > limit]
+    admitted = map(task.restrictions(name).admitted, [*describing, *rest])
+    return [one for one in admitted if one is not None and task.may_be_shown(one)]
 
 
 def _alone(task: ModellingTask, name: str, whole: ModelComparison) -> RankedCandidates:

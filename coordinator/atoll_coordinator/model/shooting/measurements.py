@@ -41,7 +41,8 @@ class Measurements:
     states. `resting` (O, N) tells along which trajectories a state was 0 throughout, as an absent species is: there it
     has no weight and begins at 0; None: nowhere. `input_slopes` belong to `inputs` (U, N).
     `variables` names the numbers of a point: D states, then U inputs. `groups` (T,) are the groups of trajectories that
-    have constants of their own, by owner; None: all share them.
+    have constants of their own, by owner; None: all share them. `input_error` is the error of input curves between
+    rows over their standard deviations: simulations err by about as much of those of the states.
     """
 
     bounds: Ints
@@ -63,6 +64,7 @@ class Measurements:
     consistency: FloatArray | None = None
     resting: npt.NDArray[np.bool_] | None = None
     groups: Ints | None = None
+    input_error: float = 0.0
 
     @property
     def rows(self) -> int:
@@ -226,6 +228,7 @@ def measurements_of(
         consistency=_consistency(parts, chosen),
         resting=resting if resting.any() else None,
         groups=_groups(recording, parts),
+        input_error=recording.input_error,
     )
     return _where_inputs_are_known(whole, parts, others)
 

@@ -53,7 +53,7 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
     places = [symbols.index(name) for name in names]
     states = np.concatenate([part.measured for part in parts], axis=1)
     smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
-    inputs = np.concatenate([part.inputs for part in parts], axis=1)
+    inputs = np.concatenate([_mean_inputs(part) for part in parts], axis=1)
     noise = [_noise(parts, place, smoothing) for place, smoothing in enumerate(recording.smoothing)]
     stretches = _stretches([len(part.times) for part in parts])
     rows = np.concatenate([np.arange(first, end) for first, end in stretches])
@@ -65,6 +65,21 @@ def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
         np.concatenate([smoothed, inputs])[places][:, rows],
         np.array([*noise, *([0.0] * len(inputs))])[places],
     )
+
+
+def _mean_inputs(part: Trajectory) -> FloatArray:
+    """Return the inputs (U, R) at the rows, of held ones the mean over both steps beside a row, by their lengths.
+
+    With these a trapezoidal rule integrates test functions times a held input as it jumps.
+    """
+    held = np.asarray(np.isnan(part.input_slopes).any(axis=1))
+    if not held.any():
+        return part.inputs
+    steps = np.diff(part.times)
+    before, after = np.append(0.0, steps), np.append(steps, 0.0)
+    previous = np.concatenate([part.inputs[:, :1], part.inputs[:, :-1]], axis=1)
+    means = (before * previous + after * part.inputs) / (before + after)
+    return np.where(held[:, None], means, part.inputs)
 
 
 def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:

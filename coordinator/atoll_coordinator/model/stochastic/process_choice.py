@@ -11,7 +11,7 @@ stand where that is the shorter description.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -31,6 +31,7 @@ from atoll_core.data.dataset import Dataset
 from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
+from atoll_core.expression.writing.expansion import form_of
 
 _ZERO: Final = b"zero"
 """By what rivals keep the equation that is zero."""
@@ -91,7 +92,7 @@ class ProcessChoice:
         """Return the law of the process."""
         fitted = self._settled(self._with_first_diffusion(self._first_model()), looks_around=True)
         fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._discretised(fitted)
-        rivals = tuple(sorted(by_structure.values(), key=lambda rival: rival.nats) for by_structure in self._rivals)
+        rivals = tuple(_of_other_forms(by_structure.values()) for by_structure in self._rivals)
         free = self._free(fitted.model)
         return ChosenProcess(
             self._process,
@@ -328,3 +329,11 @@ def is_zero(program: Program) -> bool:
 def _constant(value: float) -> Program:
     builder = ProgramBuilder()
     return builder.program(builder.build(value))
+
+
+def _of_other_forms(rivals: Iterable[Rival]) -> list[Rival]:
+    """Return the best of each form: the same equation with other constants is no rival."""
+    best: dict[Hashable, Rival] = {}
+    for rival in sorted(rivals, key=lambda rival: rival.nats):
+        best.setdefault(form_of(rival.program), rival)
+    return list(best.values())

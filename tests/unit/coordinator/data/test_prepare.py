@@ -282,3 +282,12 @@ def test_a_state_that_is_switched_is_said_to_stand_still():
     columns["x"] = np.where(np.arange(200) // 25 % 2 == 0, 1.0, 0.0)
     with pytest.raises(DataError, match=r"state 'x' stands still wherever it can be differentiated.*--inputs x"):
         prepare(table_of(columns), JobConfig())
+
+
+def test_inputs_that_are_sampled_coarsely_are_told():
+    """A state without noise under a sine of seven rows in a period, between which no curve knows it to a thousandth."""
+    for step, count in ((0.9, 1), (0.1, 0)):
+        times = np.arange(0.0, 60.0, step)
+        columns = {"t": times, "x": np.sin(times - 0.5) + np.cos(0.3 * times), "u": np.sin(times)}
+        told = [warning for warning in prepared(columns, inputs=("u",)).warnings if "Between rows" in warning]
+        assert len(told) == count

@@ -102,3 +102,17 @@ def test_of_groups_the_constants_of_one_are_taken(monkeypatch: pytest.MonkeyPatc
     assert fitted.score(X[:, :1], x_dot=-3.0 * X[:, :1], group=2) == 1.0
     with pytest.raises(UsageError, match="choose one with of_group"):
         fitted.predict([[1.0]])
+
+
+def test_angles_of_arrays_are_read_as_by_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In degrees, with full turns: dx0/dt = 1 + x1, dx1/dt = sin(x0) - 0.2*x1, along some curve."""
+    contents = result({"x0": "1.0 + x1", "x1": "sin(x0) - 0.2*x1"})
+    contents["config"] = {"data": {"angles": [{"column": "x0", "degrees": True}]}}
+    model = Model(contents)
+    monkeypatch.setattr(discoverer, "discover", lambda *_, **__: model)
+    times = np.arange(0.0, 9.0, 0.02)
+    radians = model.simulate([6.0, 0.5], times).x
+    rows = np.column_stack([np.degrees(radians[:, 0]) % 360.0, radians[:, 1]])
+    fitted = Discoverer(angle="x0:deg").fit(rows, times)
+    assert np.asarray(fitted.predict(rows)) == pytest.approx(model.predict(radians))
+    assert fitted.score(rows, times) == pytest.approx(1.0, abs=1e-4)

@@ -147,6 +147,28 @@ def test_recorded_inputs_are_held_as_simulations_have_them() -> None:
     )
 
 
+def held() -> Model:
+    """Return a model whose recorded input is held between rows."""
+    contents = recorded([0.0, 1.0, 1.0, 4.0, 3.0, 1.0, 0.0, 0.5, 2.0]).result.as_dict()
+    contents["system"]["input_kinds"] = {"u": "held"}
+    contents["data"]["trajectories"][0]["input_slopes"] = {"u": [None] * 9}
+    return Model(contents)
+
+
+def test_held_inputs_are_tables_of_constant_pieces() -> None:
+    """What solves the text does not know of jumps: its steps are short there, and err by more than elsewhere."""
+    exported = held()
+    assert difference(run_python(exported.to_python())["simulate"](), exported) < 1e-5
+    assert difference(run_python(recorded([1.0] * 9).to_python())["simulate"](), exported) > 0.1
+    late = np.linspace(0.0, 3.0, 9)
+    assert difference(run_python(exported.to_python(t=3.0))["simulate"](times=late), exported, t=late) < 1e-5
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_c_holds_inputs() -> None:
+    assert difference(programs.c(held()), held()) < 1e-5
+
+
 def test_a_format_without_tables_says_that_a_recorded_input_is_not_held() -> None:
     text = recorded([0.0, 1.0, None, 4.0, 3.0, 1.0, 0.0, 0.5, 0.5]).to_xppaut()
     assert "held at 0, not as recorded, since XPPAUT has no tables: u" in text

@@ -94,6 +94,14 @@ def test_measurements_may_be_given(tmp_path: Path) -> None:
     assert (rows_written[-1]["time"], rows_written[-1]["measurement"]) == ("0.0", "3.0")
 
 
+def test_angles_of_given_measurements_are_unwrapped_and_in_radians(tmp_path: Path) -> None:
+    model = alone()
+    model = Model({**model.result.as_dict(), "config": {"data": {"angles": [{"column": "x", "degrees": True}]}}})
+    model.to_petab(tmp_path, [{"t": TIMES, "x": np.degrees(6.0 + TIMES) % 360.0}])
+    written = [float(row["measurement"]) for row in rows((tmp_path / "measurements.tsv").read_text())]
+    assert written == pytest.approx(6.0 + TIMES)
+
+
 def test_the_linter_of_petab_finds_nothing(tmp_path: Path) -> None:
     measured().to_petab(tmp_path)
     try:

@@ -12,6 +12,7 @@ import pytest
 import atoll
 from atoll.model.model import Model
 from atoll.model.simulation import EarlyEndWarning
+from atoll.model.start import start_of_file
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.parsing import from_infix
@@ -121,6 +122,79 @@ def test_initial_states_are_as_measured_by_name_or_in_order() -> None:
 def test_inputs_are_numbers_arrays_or_functions(given: object) -> None:
     model = Model(result({"x": "u"}, ("u",)))
     assert model.simulate([0.0], TIMES, given)["x"] == pytest.approx(2.0 * TIMES, abs=1e-9)
+
+
+def driven(kind: str | None) -> dict:
+    """dx/dt = u, the input being of a kind between rows and recorded at five times."""
+    times, values = [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0]
+    slopes = [None] * 5 if kind == "held" else [1.5, 0.0, -1.5, 0.0, 1.5]
+    part = {"name": "1", "times": times, "measured": {"x": values}, "inputs": {"u": values}}
+    contents = result({"x": "u"}, ("u",))
+    contents["data"]["trajectories"] = [{**part, "input_slopes": {"u": slopes}}]
+    contents["system"]["input_kinds"] = {} if kind is None else {"u": kind}
+    contents["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 0.0}, "times": times}]}
+    return contents
+
+
+def test_recorded_inputs_go_between_rows_as_the_fit_has_taken_them() -> None:
+    """The cubic with the recorded slopes: its integral over a step is the trapezoid and (m - n) / 12 of the slopes."""
+    steps = [0.5 + 1.5 / 12, 0.5 + 1.5 / 12, -0.5 - 1.5 / 12, -0.5 - 1.5 / 12]
+    simulation = Model(driven("smooth")).simulate()
+    assert simulation["x"] == pytest.approx(np.cumsum([0.0, *steps]), abs=1e-9)
+
+
+def test_held_inputs_jump_at_rows() -> None:
+    simulation = Model(driven("held")).simulate()
+    assert simulation["x"] == pytest.approx([0.0, 0.0, 1.0, 1.0, 0.0], abs=1e-9)
+    model = Model(driven("held"))
+    given = model.simulate([0.0], np.arange(5.0), {"u": np.array([2.0, 0.0, 0.0, 1.0, 7.0])})
+    assert given["x"] == pytest.approx([0.0, 2.0, 2.0, 2.0, 3.0], abs=1e-9)
+
+
+def test_bands_follow_held_inputs() -> None:
+    """dx/dt = c u with c = 1 +- 0.1: the error is a tenth of the state."""
+    contents = driven("held")
+    contents["equations"][0] |= {"expression": "1.0*u", "program": from_infix("1.0*u", ["x", "u"]).to_bytes().hex()}
+    contents["equations"][0]["constants"] = [constant(1.0, 0.1)]
+    contents["covariance"] = {"constants": [{"variable": "x", "constant": 0}], "matrix": [[0.01]], "freedom": 1e9}
+    simulation = Model(contents).simulate()
+    assert simulation.stderr is not None
+    assert simulation.stderr[:, 0] == pytest.approx([0.0, 0.0, 0.1, 0.1, 0.0], abs=1e-6)
+
+
+def rotor() -> tuple[dict, dict]:
+    """An angle in degrees, wrapped, that turns by 1 rad in each unit of time, and its table."""
+    contents = result({"angle": "1.0", "x": "sin(angle)"})
+    contents["config"] = {"data": {"angles": [{"column": "angle", "degrees": True}]}}
+    times = np.arange(0.0, 20.0, 0.5)
+    table = {"t": times, "angle": np.degrees(6.0 + times) % 360.0, "x": np.cos(6.0) - np.cos(6.0 + times)}
+    return contents, table
+
+
+def test_angles_of_a_table_are_read_as_the_fit_has_read_them() -> None:
+    contents, table = rotor()
+    model = Model(contents)
+    assert model.score(table) == pytest.approx(1.0)
+    assert model.predict(table)[:, 1] == pytest.approx(np.sin(6.0 + table["t"]))
+    radians = np.column_stack([6.0 + table["t"], table["x"]])
+    assert model.predict(radians)[:, 1] == pytest.approx(np.sin(6.0 + table["t"]))
+
+
+def test_a_simulation_starts_at_the_angle_of_its_file(tmp_path: Path) -> None:
+    contents, table = rotor()
+    path = tmp_path / "angles.csv"
+    np.savetxt(path, np.column_stack(list(table.values())), delimiter=",", header=",".join(table), comments="")
+    start = start_of_file(Model(contents), path)
+    assert start.state == pytest.approx({"angle": 6.0, "x": 0.0})
+
+
+def test_an_input_of_a_file_goes_between_rows_as_in_the_fit(tmp_path: Path) -> None:
+    path = tmp_path / "held.csv"
+    path.write_text("t,x,u\n0,0,2\n1,2,0\n2,2,0\n3,2,1\n4,3,7\n", "utf-8")
+    model = Model(driven("held"))
+    start = start_of_file(model, path)
+    simulation = model.simulate(start.state, np.array([0.0, 0.5, 3.5]), start.inputs)
+    assert simulation["x"] == pytest.approx([0.0, 1.0, 2.5], abs=1e-9)
 
 
 def test_an_input_that_is_the_time_needs_nothing_and_another_one_does() -> None:

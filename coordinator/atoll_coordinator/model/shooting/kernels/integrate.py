@@ -181,7 +181,7 @@ def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segme
     """
     stage_count = table[1].shape[0]
     is_implicit = table[0].shape[1] == stage_count
-    times, inputs, _ = path
+    times, inputs, input_slopes = path
     nodes, states = tape[0].shape[0], tape[4].shape[0]
     columns = owners.shape[0] + states
     scratch = (
@@ -199,6 +199,9 @@ def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segme
     matrix = np.zeros((states, states))
     column = np.zeros((states, 1))
     y = np.zeros(states)
+    is_held = False  # then rates jump at the rows, and those at the end of one step do not begin the next
+    for u in range(inputs.shape[0]):
+        is_held = is_held or math.isnan(input_slopes[u, 0])
     given = budget
     taken[0] = 0
     for g in range(segments.shape[0]):
@@ -212,7 +215,7 @@ def integrate_segments(table: Table, tape: Tape, owners: Ints, path: Path, segme
             if row > first and is_implicit:
                 step, budget = advance_implicitly(
                     table, tape, owners, path, row - 1, tolerance, limits, y, step, budget, sensitivity, wants, scratch,
-                    matrix, column, row == first + 1,
+                    matrix, column, row == first + 1 or is_held,
                 )  # fmt: skip
             elif row > first:
                 step, budget = advance(

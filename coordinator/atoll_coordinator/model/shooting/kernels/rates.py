@@ -177,10 +177,16 @@ def slopes(tape: Tape, values: FloatArray, adjoints: FloatArray, jacobian: Float
 
 @inlined
 def put_inputs(z: FloatArray, states: int, path: Path, row: int, at: float, width: float) -> None:
-    """Write the inputs at `at` in [0, 1] between `row` and the next, `width` apart, behind the states in `z`."""
+    """Write the inputs at `at` in [0, 1] between `row` and the next, `width` apart, behind the states in `z`.
+
+    Without a slope (NaN) an input is held at the value of the row.
+    """
     _, inputs, input_slopes = path
     for u in range(inputs.shape[0]):
         p, q = inputs[u, row], inputs[u, row + 1]
-        m, n = input_slopes[u, row] * width, input_slopes[u, row + 1] * width
-        c2, c3 = 3.0 * (q - p) - 2.0 * m - n, 2.0 * (p - q) + m + n
-        z[states + u] = p + at * (m + at * (c2 + at * c3))
+        if math.isnan(input_slopes[u, row]):
+            z[states + u] = p
+        else:
+            m, n = input_slopes[u, row] * width, input_slopes[u, row + 1] * width
+            c2, c3 = 3.0 * (q - p) - 2.0 * m - n, 2.0 * (p - q) + m + n
+            z[states + u] = p + at * (m + at * (c2 + at * c3))

@@ -6,7 +6,14 @@ import pytest
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
-from atoll_core.expression.writing.expansion import expand_program, factored_forms, raised_quotients, shape_of, terms_of
+from atoll_core.expression.writing.expansion import (
+    expand_program,
+    factored_forms,
+    form_of,
+    raised_quotients,
+    shape_of,
+    terms_of,
+)
 
 NAMES = ("x", "y")
 POINTS = np.random.default_rng(3).uniform(0.5, 2.0, (2, 20))
@@ -64,3 +71,19 @@ def test_a_quotient_is_raised_where_that_takes_no_new_term() -> None:
     assert dict(raised)[flux] == pytest.approx(-2.0)
     assert sorted(factor for _, factor in raised) == pytest.approx([-2.0, -0.4])
     assert list(raised_quotients(terms_of(from_infix("1.6*y/(0.8 + x) - 2.4", names)))) == []
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "are_same"),
+    [
+        ("0.1*y*(x - 4.02)", "0.1001*x*y - 0.4*y", True),
+        ("-0.0033", "-0.0031", True),
+        ("x/(4 + 2*y)", "3*x/(y + 7)", True),
+        ("sin(2*x + 1)", "3*sin(0.5*x - 2)", True),
+        ("y*(x - 4)", "y*(x - 4) + 1", False),
+        ("x/(4 + 2*y)", "x/y", False),
+        ("-1/x", "-1/y", False),
+    ],
+)
+def test_a_form_knows_no_constants_and_no_brackets(one, other, are_same):
+    assert (form_of(from_infix(one, NAMES)) == form_of(from_infix(other, NAMES))) is are_same

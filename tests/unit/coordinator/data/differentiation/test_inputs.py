@@ -4,23 +4,32 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from atoll_coordinator.data.differentiation.inputs import estimate_input_slopes
+from atoll_coordinator.data.differentiation.inputs import (
+    InputCurve,
+    choose_input_kind,
+    estimate_input_slopes,
+    relative_curve_error,
+)
 
 
 def steps(rows, seed=0):
     return np.cumsum(np.random.default_rng(seed).uniform(0.05, 0.15, rows))
 
 
+def slopes_of(times, values):
+    return estimate_input_slopes(times, values, choose_input_kind(times, values))
+
+
 @pytest.mark.parametrize("scale", [1.0, 1e-300, 1e300])
 def test_a_linear_input_is_exact(scale):
     times = steps(30)
-    (slopes,) = estimate_input_slopes([times], [scale * (3.0 - 0.7 * times)])
+    (slopes,) = slopes_of([times], [scale * (3.0 - 0.7 * times)])
     assert slopes / scale == pytest.approx(np.full(30, -0.7), rel=1e-12)
 
 
 def test_a_smooth_input_is_interpolated_to_the_fourth_order():
     times = steps(100)
-    (slopes,) = estimate_input_slopes([times], [np.sin(times)])
+    (slopes,) = slopes_of([times], [np.sin(times)])
     between = np.linspace(times[3], times[-4], 999)
     curve = CubicHermiteSpline(times, np.sin(times), slopes)
     assert np.abs(curve(between) - np.sin(between)).max() < 3e-6
@@ -29,7 +38,7 @@ def test_a_smooth_input_is_interpolated_to_the_fourth_order():
 def test_a_switched_input_does_not_overshoot():
     times = [steps(60), steps(40, 1)]
     values = [np.where(part_times % 2.0 < 1.0, 0.0, 5.0) for part_times in times]
-    for part_times, part, slopes in zip(times, values, estimate_input_slopes(times, values), strict=True):
+    for part_times, part, slopes in zip(times, values, slopes_of(times, values), strict=True):
         curve = CubicHermiteSpline(part_times, part, slopes)(np.linspace(part_times[0], part_times[-1], 2000))
         assert -1e-12 < curve.min() <= curve.max() < 5.0 + 1e-12
 
@@ -37,13 +46,60 @@ def test_a_switched_input_does_not_overshoot():
 def test_all_trajectories_of_an_input_are_taken_alike():
     """A short smooth piece of an input that is switched elsewhere is shape-preserving too."""
     switched, smooth = steps(60), steps(8, 1)
-    alone = estimate_input_slopes([smooth], [np.sin(smooth)])[0]
-    both = estimate_input_slopes([switched, smooth], [np.where(switched % 2.0 < 1.0, 0.0, 5.0), np.sin(smooth)])[1]
+    alone = slopes_of([smooth], [np.sin(smooth)])[0]
+    both = slopes_of([switched, smooth], [np.where(switched % 2.0 < 1.0, 0.0, 5.0), np.sin(smooth)])[1]
     assert not np.allclose(alone, both)
 
 
 @pytest.mark.parametrize("rows", [5, 6, 7])
 def test_short_trajectories_have_slopes(rows):
     times = np.arange(float(rows))
-    (slopes,) = estimate_input_slopes([times], [times**2])
+    (slopes,) = slopes_of([times], [times**2])
     assert slopes == pytest.approx(2 * times)
+
+
+def test_a_curve_is_the_cubic_with_its_slopes_and_constant_beyond():
+    times = steps(40)
+    curve = InputCurve.through(times, np.sin(times), "smooth")
+    cubic = CubicHermiteSpline(times, np.sin(times), curve.slopes)
+    for t in np.linspace(times[0], times[-1], 333):
+        assert curve(t) == pytest.approx(float(cubic(t)), abs=1e-13)
+    assert curve(times[0] - 1.0) == np.sin(times[0])
+    assert curve(times[-1] + 1.0) == np.sin(times[-1])
+    assert not len(curve.jumps)
+
+
+def test_pieces_are_the_curve():
+    times = steps(20)
+    for kind in ("smooth", "shape-preserving", "held"):
+        curve = InputCurve.through(times, np.sin(3.0 * times), kind)
+        for t in np.linspace(times[0], curve.until, 100)[:-1]:
+            begin, *powers = curve.pieces[np.searchsorted(curve.pieces[:, 0], t, side="right") - 1]
+            assert sum(c * (t - begin) ** n for n, c in enumerate(powers)) == pytest.approx(curve(t), abs=1e-12)
+
+
+def test_a_held_input_keeps_the_value_of_a_row_until_the_next():
+    curve = InputCurve.through(np.array([0.0, 1.0, 3.0]), np.array([2.0, 2.0, 5.0]), "held")
+    assert [curve(t) for t in (-1.0, 0.0, 0.99, 2.99, 3.0, 9.0)] == [2.0, 2.0, 2.0, 2.0, 5.0, 5.0]
+    assert curve.jumps.tolist() == [3.0]
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 4])
+def test_few_rows_make_a_curve(rows):
+    times = np.arange(float(rows))
+    curve = InputCurve.through(times, 2.0 * times)
+    assert curve(0.5 * (rows - 1)) == pytest.approx(float(rows - 1))
+
+
+@pytest.mark.parametrize("rows", [7, 12, 25])
+def test_the_error_of_a_smooth_curve_is_that_between_its_rows(rows):
+    """Of `rows` in a period of a sine; the estimate is above the error, by less than ten times."""
+    times = np.arange(0.0, 60.0, 2.0 * np.pi / rows)
+    between = np.linspace(times[2], times[-3], 2000)
+    curve = InputCurve.through(times, np.sin(times), "smooth")
+    error = np.sqrt(np.mean([(curve(t) - np.sin(t)) ** 2 for t in between.tolist()])) / np.std(np.sin(times))
+    assert error < relative_curve_error([times], [np.sin(times)], "smooth") < 10.0 * error
+
+
+def test_switched_inputs_have_no_such_error():
+    assert relative_curve_error([np.arange(40.0)], [np.arange(40.0) % 2.0], "shape-preserving") == 0.0

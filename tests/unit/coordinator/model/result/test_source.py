@@ -30,6 +30,7 @@ def test_columns_units_ranges_and_digest_are_those_of_the_table(tmp_path: Path) 
         "states": [],
         "velocities": [],
         "inputs": ["x"],
+        "input_kinds": {},
         "target": "y",
         "units": {"x": "m", "y": "m/s"},
         "ranges": {"x": [0.0, 8.0]},

@@ -445,3 +445,13 @@ def test_nothing_is_foreseen_of_one_equation_or_where_nobody_takes_batches():
     for made, equations in ((lotka(), (0, 1)), (lotka(spread=Spread(ScatteredBatches(3))), (0,))):
         near = made.fit_model([TRUTH, OTHER])
         assert made.foresee(near, {equation: [TRUTH] for equation in equations}, ((6, 1),)) == {}
+
+
+@pytest.mark.parametrize(("input_error", "wins"), [(0.0, 1), (0.02, 0)])
+def test_what_the_curve_of_an_input_hides_makes_no_equation_longer(input_error, wins):
+    """A term that moves the state by 0.1 % is seen, unless inputs between rows are less certain than that."""
+    known = Known(("x",), lambda _, z: [0.002 * z[0] ** 2 - 0.5 * z[0]])
+    measured = replace(measurements(known, [[1.0], [2.0]], TIMES, noise=0.0), input_error=input_error)
+    compared = ModelComparison(MultipleShooting(measured, 1e-8), DECAY.names)
+    models = [compared.fit_model([DECAY.parsed(text)], 20) for text in ("-0.5*x", "0.002*x*x - 0.5*x")]
+    assert min(range(2), key=lambda place: models[place].nats) == wins

@@ -1,11 +1,13 @@
 """The pool of candidates: stages of proposals, the best system of a few, and when no more are needed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.pool import CandidatePool
 from atoll_coordinator.model.selection.task import ModellingTask
@@ -61,3 +63,14 @@ def test_equations_that_are_given_have_no_other_candidates(task):
     pool.add(proposer(TRUTH))
     assert pool.lists[0] == [given]
     assert pool.best.programs[1].operators.tolist()
+
+
+def test_without_time_what_the_search_found_is_simulated(task):
+    """Nothing is proposed any more, but a system is there to be shown and judged."""
+    late, asked = replace(task, deadline=Deadline(0.0)), []
+    pool = CandidatePool(late, late.comparison, {})
+    pool.add(proposer(TRUTH, asked))
+    assert asked == []
+    assert [structure(program) for program in pool.best.programs] == [
+        structure(SPIRAL.parsed("b")), structure(SPIRAL.parsed("-a")),
+    ]  # fmt: skip

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
@@ -304,3 +305,19 @@ def test_interpreted_kernels_give_the_numbers_of_the_compiled_ones():
     )
     assert finished.returncode == 0, finished.stderr
     assert json.loads(finished.stdout) == pytest.approx(numbers(), rel=1e-9, abs=1e-12, nan_ok=True)
+
+
+@pytest.mark.parametrize("table", [PRECISE, QUICK, STIFF], ids=["precise", "quick", "stiff"])
+def test_an_input_without_slopes_is_held_until_the_next_row(table):
+    """dx/dt = u - x: between rows x goes towards the value of u at the row before."""
+    inputs = np.array([[1.0, -2.0, 0.0, 5.0, 5.0, 1.0, -1.0, 9.0]])
+    programs = parsed("u - x", "0*y")
+    tolerance = 1e-9 if table is PRECISE else 1e-6
+    _, simulated, gradients = integrated(
+        programs, [0.5, 0.0], table=table, tolerance=tolerance, inputs=inputs, input_slopes=np.full((1, 8), np.nan)
+    )
+    expected = [0.5]
+    for width, u in zip(np.diff(TIMES), inputs[0], strict=False):
+        expected.append(u + (expected[-1] - u) * np.exp(-width))
+    assert simulated[0] == pytest.approx(expected, abs=100.0 * tolerance)
+    assert gradients[:, 0, -2] == pytest.approx(np.exp(-TIMES), abs=1e4 * tolerance)

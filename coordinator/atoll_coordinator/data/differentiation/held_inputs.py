@@ -1,0 +1,224 @@
+"""States that held inputs drive: smooth between two switches, with a slope that jumps at each. Pure.
+
+Where an input is held over five rows or more, each piece between two switches is differentiated as a trajectory of its
+own. Where it is switched more often, the slope is the difference of two neighbouring rows over their distance: the
+mean slope under one value of the input, which to second order belongs to the middle between them. There no smoothing
+tells errors from motion: their size follows from what a polynomial in all variables leaves of these slopes.
+
+Letters: R rows, N steps between rows, P terms.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations_with_replacement, pairwise
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.data.differentiation.derivatives import Differentiation, StateEstimate, estimate_states
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.differentiation.missing_values import make_signal
+from atoll_coordinator.data.differentiation.smoothing import Smoother
+from atoll_coordinator.data.trajectories.gaps import take_pieces
+from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.data.trajectories.trajectories import Range
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+
+_DEGREES: Final = (1, 2, 3)
+"""Of the polynomials in all variables; the one that leaves least tells the errors."""
+_STEPS_PER_TERM: Final = 3
+"""Steps for each term of a polynomial at least: fewer leave too little to tell the errors from."""
+_MOST_STEPS: Final = 2000
+"""Steps that a polynomial is fitted to: the relative error of a standard deviation is 1.6 % then."""
+_MOST_NOISE: Final = 0.5
+"""Share of the variance of derivatives that errors may make up: where they are more than the motion, a smoother that
+crosses jumps tells more."""
+_NEIGHBOURS: Final = Smoother(2, 1, 0.0)
+"""A line through two neighbouring rows, as a smoother."""
+
+
+def estimate_driven_states(
+    measurements: Measurements, weights: FloatArray | None, options: Differentiation
+) -> list[StateEstimate]:
+    """Return values and derivatives of the measured states, with what held inputs say of their jumps.
+
+    Without held inputs they are those of `estimate_states`, as arguments and errors are.
+    """
+    if not measurements.roles.held:
+        return estimate_states(measurements, weights, options)
+    pieces = pieces_between_switches(measurements)
+    long = [[piece for piece in its if piece[1] - piece[0] >= SETTINGS.checks.min_rows] for its in pieces]
+    rows = [
+        begin + row
+        for (begin, _), its in zip(measurements.ranges, long, strict=True)
+        for first, end in its
+        for row in range(first, end)
+    ]
+    is_any_searched = any(its and not out for its, out in zip(long, measurements.held_out, strict=True))
+    if is_any_searched and len({*rows}) >= SETTINGS.rows.least_kept * measurements.row_count:
+        split = take_pieces(measurements, long)
+        estimates = estimate_states(split, None if weights is None else weights[rows], options)
+        pairs = zip(estimates, measurements.roles.states, strict=True)
+        estimates = [_over_all_rows(estimate, rows, measurements, name) for estimate, name in pairs]
+        if not any(map(_is_hidden, estimates)):
+            return estimates
+    smoothed = estimate_states(measurements, weights, options)
+    differences = None if options.order == 2 else _by_differences(measurements, weights, smoothed)
+    return smoothed if differences is None or any(map(_is_hidden, differences)) else differences
+
+
+def pieces_between_switches(measurements: Measurements) -> list[list[Range]]:
+    """Return for each trajectory the half-open ranges of its rows along which held inputs do not change.
+
+    The row of a switch ends one and begins the next. The last value holds from the last row on, where nothing was
+    measured.
+    """
+    held = np.array([measurements.columns[name] for name in measurements.roles.held])
+    pieces = []
+    for first, end in measurements.ranges:
+        part = held[:, first : end - 1]
+        switches = np.flatnonzero((part[:, 1:] != part[:, :-1]).any(axis=0)) + 1
+        ends = pairwise([0, *switches.tolist(), end - first - 1])
+        pieces.append([(begin, last + 1) for begin, last in ends])
+    return pieces
+
+
+def _over_all_rows(
+    estimate: StateEstimate, rows: Sequence[int], measurements: Measurements, name: str
+) -> StateEstimate:
+    """Return an estimate over some `rows`, each once or twice, as one over all.
+
+    Of a row at which two pieces meet the later one tells, under whose input the rows go on; a row that no piece after
+    it begins with is not known, unless a trajectory ends there.
+    """
+    of_row = dict(zip(rows, range(len(rows)), strict=True))  # the last of two
+    ends = {last - 1 for _, last in measurements.ranges}
+    goes_on = {row for row, after in pairwise(rows) if after == row + 1}
+    kept = [row for row in of_row if row in goes_on or row in ends]
+    places = [of_row[row] for row in kept]
+    known = [row for row in of_row if row not in goes_on and row not in ends]
+
+    def spread(values: FloatArray, elsewhere: FloatArray) -> FloatArray:
+        result = elsewhere.copy()
+        result[kept] = values[places]
+        return result
+
+    values = _filled(measurements, name)
+    values[known] = estimate.values[[of_row[row] for row in known]]
+    zeros, unknown = np.zeros(len(values)), np.full(len(values), math.inf)
+    weights = estimate.robustness_weights
+    return replace(
+        estimate,
+        values=spread(estimate.values, values),
+        velocity=spread(estimate.velocity, zeros),
+        derivative=spread(estimate.derivative, zeros),
+        uncertainty=spread(estimate.uncertainty, unknown),
+        total_uncertainty=spread(estimate.total_uncertainty, unknown),
+        robustness_weights=None if weights is None else spread(weights, zeros + 1.0),
+    )
+
+
+def _is_hidden(estimate: StateEstimate) -> bool:
+    """Say whether errors are most of the variance of a derivative: then a smoother that crosses jumps tells more."""
+    known = np.flatnonzero(estimate.is_known)
+    if len(known) < SETTINGS.checks.min_rows:
+        return True
+    error, spread = moments(estimate.total_uncertainty[known])
+    return error * error + spread * spread > _MOST_NOISE * moments(estimate.derivative[known])[1] ** 2
+
+
+def _by_differences(
+    measurements: Measurements, weights: FloatArray | None, smoothed: Sequence[StateEstimate]
+) -> list[StateEstimate] | None:
+    """Return first derivatives in the steps between rows, each at the row that it begins with.
+
+    `smoothed` are the estimates without regard to jumps. None where there are too few steps to tell errors.
+    """
+    assert measurements.trajectories is not None
+    times = np.concatenate(measurements.trajectories.times)
+    steps = np.array([row for first, end in measurements.ranges for row in range(first, end - 1)])
+    lengths = times[steps + 1] - times[steps]
+    inverse = np.ones(len(times)) if weights is None else 1.0 / weights
+    gains = np.sqrt(inverse[steps] + inverse[steps + 1]) / lengths
+    states = [_filled(measurements, name) for name in measurements.roles.states]
+    points = [0.5 * (values[steps] + values[steps + 1]) for values in states]
+    driving = [
+        values[steps] if name in measurements.roles.held else 0.5 * (values[steps] + values[steps + 1])
+        for name, values in zip(measurements.roles.inputs, map(np.concatenate, measurements.inputs), strict=True)
+    ]
+    searched = np.flatnonzero(np.isin(steps, measurements.searched_rows))
+    seen = searched[np.linspace(0, len(searched) - 1, min(len(searched), _MOST_STEPS)).astype(np.int64)]
+    estimates = []
+    for values, middle, estimate in zip(states, points, smoothed, strict=True):
+        slopes = (values[steps + 1] - values[steps]) / lengths
+        is_known = estimate.is_known[steps] & estimate.is_known[steps + 1]
+        chosen = seen[is_known[seen]]
+        noise = _noise(slopes[chosen], gains[chosen], [column[chosen] for column in (*points, *driving)])
+        if noise is None:
+            return None
+        noise = max(noise, 0.0 if estimate.quantisation is None else estimate.quantisation.error)
+        whole, errors = values.copy(), np.full(len(values), math.inf)
+        derivative = np.zeros(len(values))
+        whole[steps], derivative[steps[is_known]] = middle, slopes[is_known]
+        errors[steps[is_known]] = noise * gains[is_known]
+        estimates.append(
+            replace(
+                estimate,
+                values=values,
+                points=whole,
+                velocity=derivative,
+                derivative=derivative,
+                uncertainty=errors,
+                total_uncertainty=errors,
+                noise=noise,
+                smoother=_NEIGHBOURS,
+                outliers=None,
+                robustness_weights=None,
+                narrower_noise=0.0,
+                narrower_span=0,
+            )
+        )
+    return estimates
+
+
+def _filled(measurements: Measurements, name: str) -> FloatArray:
+    """Return a state (R,) as measured, where it is missing its neighbours' line."""
+    assert measurements.trajectories is not None
+    pairs = zip(measurements.trajectories.times, measurements.trajectories.states[name], strict=True)
+    return np.concatenate([make_signal(times, values).values for times, values in pairs])
+
+
+def _noise(slopes: FloatArray, gains: FloatArray, variables: Sequence[FloatArray]) -> float | None:
+    """Return the standard deviation of the errors of a state, by what polynomials leave of its `slopes` (N,).
+
+    `gains` (N,) are the standard errors of slopes for errors of deviation one. None where there are too few steps.
+    """
+    columns = [(values - mean) / (deviation or 1.0) for values in variables for mean, deviation in [moments(values)]]
+    least: float | None = None
+    for degree in _DEGREES:
+        powers = [power for size in range(degree + 1) for power in combinations_with_replacement(columns, size)]
+        if _STEPS_PER_TERM * len(powers) > len(slopes):
+            break
+        rest, basis = slopes / gains, list[FloatArray]()
+        for power in powers:
+            column = 1.0 / gains
+            for factor in power:
+                column = column * factor
+            size = _dot(column, column)
+            for _ in range(2):  # once more, for what rounding leaves
+                for other in basis:
+                    column = column - _dot(column, other) * other
+            left = _dot(column, column)
+            if left > SETTINGS.common.negligible**2 * size:
+                basis.append(column / math.sqrt(left))
+                rest = rest - _dot(rest, basis[-1]) * basis[-1]
+        noise = math.sqrt(_dot(rest, rest) / (len(slopes) - len(basis)))
+        least = noise if least is None else min(least, noise)
+    return least
+
+
+def _dot(one: FloatArray, other: FloatArray) -> float:
+    """Return the sum of products, rounded once: the same bits everywhere."""
+    return math.fsum((one * other).tolist())
