@@ -109,6 +109,9 @@ class DataConfig(Frozen):
     per_trajectory: bool = Field(default=False, description="each trajectory has constants of its own")
     units: dict[str, str] = Field(default_factory=dict, description="units of columns, by name; over those of headers")
     missing: Literal["refuse", "drop"] = Field(default="refuse", description="what to do with NaN and infinity")
+    missing_values: tuple[float, ...] = Field(
+        default=(), description="numbers that stand for missing values, which are dropped, such as -9999"
+    )
 
 
 class SpaceConfig(Frozen):

@@ -1,0 +1,43 @@
+"""Rows that are the steps of a map x(n + 1) = f(x(n)) rather than samples of a motion. Pure."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from atoll_coordinator.data.columns.finding import Columns, Finding
+from atoll_coordinator.data.columns.neighbours import disagreement
+from atoll_coordinator.data.columns.sums import roughness
+from atoll_coordinator.settings import SETTINGS
+
+LIMITS = SETTINGS.columns
+
+
+def check_map(columns: Columns) -> Iterator[Finding]:
+    """Yield a finding where states jump from row to row, and yet the next row follows from each."""
+    states = columns.roles.states
+    if not columns.is_in_time or columns.config.data.stochastic or not 0 < len(states) <= LIMITS.most_positions:
+        return
+    jumping = [name for name in states if roughness(columns.values[name]) > LIMITS.jumps]
+    if not jumping or not all(_follows(columns, name) for name in states):
+        return
+    named = " and ".join(f"'{name}'" for name in jumping)
+    yield Finding(
+        f"{named} jump{'s' if len(jumping) == 1 else ''} from row to row, yet each row decides the next, as in "
+        "steps of a map x(n + 1) = f(x(n)) or where a period has few rows",
+        f"sample more often, or, if it is a map, write the next row's value beside each, as '{jumping[0]}_next', and "
+        f"use --target {jumping[0]}_next",
+    )
+
+
+def _follows(columns: Columns, name: str) -> bool:
+    """Say whether rows with nearly the same states have nearly the same next row."""
+    values, roles = columns.values, columns.roles
+    part = np.concatenate([np.full(len(along) - 1, place, np.int64) for place, along in enumerate(columns.times)])
+    now = [np.concatenate([along[:-1] for along in values[other]]) for other in (*roles.states, *roles.inputs)]
+    after = np.concatenate([along[1:] for along in values[name]])
+    is_there = np.logical_and.reduce([np.isfinite(array) for array in (*now, after)])
+    rows = np.flatnonzero(is_there)[: LIMITS.most_windows]
+    if len(rows) < LIMITS.least_rows:
+        return False
+    found = disagreement([array[rows] for array in now], after[rows], part[rows], 1)
+    return found is not None and found.share < LIMITS.followed
