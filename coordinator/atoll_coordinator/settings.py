@@ -92,7 +92,7 @@ class QuantisationSettings:
     """When values count as multiples of a step."""
 
     fewest_values: int = 8
-    """With fewer distinct values a step is chance as often as not."""
+    """With fewer distinct values a step is chance as often as not, unless many rows repeat them."""
     written_steps: float = 3.0
     """Differences of at most so many steps of the last digit are those of writing numbers down."""
     shares_of_least: tuple[int, ...] = (1, 2, 3)

@@ -42,7 +42,7 @@ def check_few_levels(columns: Columns) -> Iterator[Finding]:
         values = columns.finite(name)
         levels = np.unique(values)
         as_input = f"add --inputs {listed((*inputs, name))}"
-        if has_few_levels(values):
+        if has_few_levels(columns.values[name]):
             error = float(np.min(np.diff(levels))) / math.sqrt(12.0)
             share = error / math.sqrt(variance(values))
             yield Finding(
@@ -57,14 +57,27 @@ def check_few_levels(columns: Columns) -> Iterator[Finding]:
             )
 
 
-def has_few_levels(values: FloatArray) -> bool:
-    """Say whether finite values are repeated so often that a quantity in finer steps would have shown others.
+def has_few_levels(parts: Parts) -> bool:
+    """Say whether values are repeated so often that a quantity in finer steps would have shown others.
 
-    What was recorded in half of these steps, or finer, takes one of the values shown by chance in every second row.
+    What was recorded in half of these steps, or finer, takes one of the values shown by chance in every second row. A
+    wave in step with the rows repeats its values, too, each of them once or twice a period.
     """
+    values = _finite(parts)
     levels = len(np.unique(values))
     by_chance = math.log2(1.0 / SETTINGS.quantisation.improbable)
-    return 1 < levels < SETTINGS.quantisation.fewest_values and len(values) - levels >= by_chance
+    if not 1 < levels < SETTINGS.quantisation.fewest_values or len(values) - levels < by_chance:
+        return False
+    return levels == 2 or not any(_has_period(parts, period) for period in range(levels, 2 * levels + 1))
+
+
+def _has_period(parts: Parts, period: int) -> bool:
+    return all(np.array_equal(part[period:], part[:-period]) for part in parts if len(part) > period)
+
+
+def _finite(parts: Parts) -> FloatArray:
+    values = np.concatenate(list(parts))
+    return values[np.isfinite(values)]
 
 
 def is_held(parts: Parts) -> bool:
@@ -72,9 +85,8 @@ def is_held(parts: Parts) -> bool:
 
     A quantity that moves smoothly and was rounded goes to the next of its values; jumps are larger.
     """
-    values = np.concatenate(list(parts))
-    values = values[np.isfinite(values)]
-    if has_few_levels(values):
+    values = _finite(parts)
+    if has_few_levels(parts):
         return True
     steps = np.abs(np.concatenate([np.diff(part) for part in parts]))
     steps, levels = steps[np.isfinite(steps)], np.unique(values)

@@ -17,15 +17,15 @@ def check_map(columns: Columns) -> Iterator[Finding]:
     states = columns.roles.states
     if not columns.is_in_time or columns.config.data.stochastic or not 0 < len(states) <= LIMITS.most_positions:
         return
-    jumping = [name for name in states if roughness(columns.values[name]) > LIMITS.jumps]
-    if not jumping or not all(_follows(columns, name) for name in states):
+    is_jumping = all(roughness(columns.values[name]) > LIMITS.jumps for name in states)
+    if not is_jumping or not all(_follows(columns, name) for name in states):
         return
-    named = " and ".join(f"'{name}'" for name in jumping)
+    named = " and ".join(f"'{name}'" for name in states)
     yield Finding(
-        f"{named} jump{'s' if len(jumping) == 1 else ''} from row to row, yet each row decides the next, as in "
+        f"{named} jump{'s' if len(states) == 1 else ''} from row to row, yet each row decides the next, as in "
         "steps of a map x(n + 1) = f(x(n)) or where a period has few rows",
-        f"sample more often, or, if it is a map, write the next row's value beside each, as '{jumping[0]}_next', and "
-        f"use --target {jumping[0]}_next",
+        f"sample more often, or, if it is a map, write the next row's value beside each, as '{states[0]}_next', and "
+        f"use --target {states[0]}_next",
     )
 
 
