@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll_coordinator.data.columns.finding import Parts
-from atoll_coordinator.data.columns.sums import dot, variance
+from atoll_coordinator.data.columns.sums import dot, middle
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, IntArray
 
@@ -20,12 +20,14 @@ _ROOT_70 = math.sqrt(70.0)
 class LocalSlopes:
     """Of n windows: the mean of each column, slopes and curvatures of states, all (n,); `part` the trajectory.
 
-    A window has `width` rows; windows that share rows are `width` or fewer places apart.
+    `bends` are the sizes of curvatures by the row instead of by the time; windows fewer than `apart` places apart share
+    rows.
     """
 
     means: Mapping[str, FloatArray]
     slopes: Mapping[str, FloatArray]
     curvatures: Mapping[str, FloatArray]
+    bends: Mapping[str, FloatArray]
     part: IntArray
     apart: int
 
@@ -54,6 +56,7 @@ def _over(times: Parts, values: Mapping[str, Parts], states: Sequence[str], widt
     means: dict[str, list[FloatArray]] = {name: [] for name in values}
     slopes: dict[str, list[FloatArray]] = {name: [] for name in states}
     curvatures: dict[str, list[FloatArray]] = {name: [] for name in states}
+    bends: dict[str, list[FloatArray]] = {name: [] for name in states}
     numbers: list[IntArray] = []
     rows = sum(len(part) - width + 1 for part in times)
     every = max(1, rows // LIMITS.most_windows)
@@ -67,14 +70,17 @@ def _over(times: Parts, values: Mapping[str, Parts], states: Sequence[str], widt
             if name in slopes:
                 slopes[name].append(_weighted(along, firsts, offsets / squares) / steps)
                 curvature = _weighted(along, firsts, 2.0 * bent / dot(bent, bent))
+                bends[name].append(np.abs(curvature))
                 curvatures[name].append(curvature / (steps * steps))
-    joined = [{name: np.concatenate(parts) for name, parts in kind.items()} for kind in (means, slopes, curvatures)]
+    joined = [
+        {name: np.concatenate(parts) for name, parts in kind.items()} for kind in (means, slopes, curvatures, bends)
+    ]
     is_there = np.logical_and.reduce([np.isfinite(array) for kind in joined for array in kind.values()])
     kept = np.flatnonzero(is_there)
     if len(kept) < LIMITS.least_rows:
         return None
     of = [{name: array[kept] for name, array in kind.items()} for kind in joined]
-    return LocalSlopes(of[0], of[1], of[2], np.concatenate(numbers)[kept], max(1, width // every))
+    return LocalSlopes(*of, np.concatenate(numbers)[kept], max(1, width // every))
 
 
 def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> FloatArray:
@@ -86,13 +92,13 @@ def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> Floa
 
 
 def _is_clear(parts: Parts, made: LocalSlopes, name: str, width: int) -> bool:
-    """Say whether curvatures of a state vary far more than noise makes them."""
+    """Say whether half of the curvatures of a state are far larger than noise makes them."""
     differences = np.concatenate([np.diff(part, 4) for part in parts if len(part) > 4] or [np.zeros(0)])
     differences = differences[np.isfinite(differences)]
     if not len(differences):
         return False
     noise = math.sqrt(dot(differences, differences) / len(differences)) / _ROOT_70
-    return noise * curvature_gain(width) < LIMITS.clear * math.sqrt(variance(made.curvatures[name]))
+    return noise * curvature_gain(width) < LIMITS.clear * middle(made.bends[name])
 
 
 def curvature_gain(width: int) -> float:
