@@ -23,7 +23,7 @@ _WHY: Final = {
     "hold": "the inputs seem to be constant between rows",
     "order": "the same values are passed with different velocities",
     "per-trajectory": "the trajectories seem to differ in a constant",
-    "inputs": "it seems to be switched from outside",
+    "inputs": "a column, or the time, seems to act from outside",
     "states": "the columns determine each other",
 }
 """The options that are proposed, the most useful first, and what for."""

@@ -76,7 +76,7 @@ def _has_period(parts: Parts, period: int) -> bool:
 
 
 def _finite(parts: Parts) -> FloatArray:
-    values = np.concatenate(list(parts))
+    values: FloatArray = np.concatenate(list(parts))
     return values[np.isfinite(values)]
 
 

@@ -72,15 +72,14 @@ def _over(times: Parts, values: Mapping[str, Parts], states: Sequence[str], widt
                 curvature = _weighted(along, firsts, 2.0 * bent / dot(bent, bent))
                 bends[name].append(np.abs(curvature))
                 curvatures[name].append(curvature / (steps * steps))
-    joined = [
-        {name: np.concatenate(parts) for name, parts in kind.items()} for kind in (means, slopes, curvatures, bends)
-    ]
+    kinds = (means, slopes, curvatures, bends)
+    joined = [{name: np.concatenate(parts) for name, parts in kind.items()} for kind in kinds]
     is_there = np.logical_and.reduce([np.isfinite(array) for kind in joined for array in kind.values()])
     kept = np.flatnonzero(is_there)
     if len(kept) < LIMITS.least_rows:
         return None
-    of = [{name: array[kept] for name, array in kind.items()} for kind in joined]
-    return LocalSlopes(*of, np.concatenate(numbers)[kept], max(1, width // every))
+    a, b, c, d = ({name: array[kept] for name, array in kind.items()} for kind in joined)
+    return LocalSlopes(a, b, c, d, np.concatenate(numbers)[kept], max(1, width // every))
 
 
 def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> FloatArray:

@@ -65,8 +65,8 @@ def unexplained_remarks(recording: Recording, equations: Mapping[str, Refined], 
         )
     if forcing:
         yield (
-            f"Most of the residuals of the rate of {forcing} is a wave in time of period {period:.3g} that the states do "
-            f"not follow, as of a forcing; to seek laws that depend on the time, add --inputs {time}."
+            f"Most of the residuals of the rate of {forcing} is a wave in time of period {period:.3g} that the states "
+            f"do not follow, as of a forcing; to seek laws that depend on the time, add --inputs {time}."
         )
     if hidden:
         advice = "measure another quantity" if recording.order == 2 else "measure another quantity, or add --order 2"
@@ -110,7 +110,7 @@ def _explanation(rest: RateResiduals) -> tuple[str | None, float | None]:
         return "runs", None
     if not _is_open(rest):
         return None, None
-    period = _period(rest)
+    period = None if len(rest.variables) == 1 else _period(rest)  # one state alone does not swing in any case
     return ("hidden" if period is None else "forcing"), period
 
 
