@@ -12,7 +12,7 @@ from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.columns
 ROUNDING: Final = 1e-12
-"""Guard: values that differ by less than this share of their distance from another one are one value."""
+"""Guard: values that differ by less than this share of their size are one value."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,11 @@ def _fill_value(values: FloatArray) -> FillValue | None:
     if len(unique) <= LIMITS.few_values:
         return None
     gaps = np.diff(unique)
-    for end, gap, others in ((0, gaps[0], unique[-1] - unique[1]), (-1, gaps[-1], unique[-2] - unique[0])):
+    for end, gap, rest in ((0, gaps[0], unique[1:]), (-1, gaps[-1], unique[:-1])):
+        others, size = float(rest[-1] - rest[0]), float(np.max(np.abs(rest)))
         value, count = float(unique[end]), int(counts[end])
         enough = 1 if _is_nines(value) else LIMITS.least_repeats
-        if gap > others > ROUNDING * gap and enough <= count < len(values) // 2:
+        if gap > others > ROUNDING * size and enough <= count < len(values) // 2:
             return FillValue(value, count)
     return None
 

@@ -232,7 +232,7 @@ def _named(relation: Relation, columns: Columns, left: Sequence[str]) -> Finding
         least = min(abs(value) for value in ones.values())
         sign = 1.0 if max(ones.values()) > 0.0 and relation.constant > 0.0 else -1.0
         ones = {name: sign * value / least for name, value in ones.items()}
-        digits = 4 if relation.is_exact else 3
+        digits = 4 if relation.is_exact else 2
         what = f"{_sum(ones, relation.is_exact)} stays {sign * relation.constant / least:.{digits}g} {how}"
     else:
         what = f"'{relation.name}' is {_text(relation)} {how}"
@@ -249,7 +249,7 @@ def _text(relation: Relation) -> str:
 
 def _sum(coefficients: Mapping[str, float], is_exact: bool) -> str:
     """Return a sum of columns as people write it, what is added before what is taken off."""
-    digits, text = 4 if is_exact else 3, ""
+    digits, text = 4 if is_exact else 2, ""
     for name, value in sorted(coefficients.items(), key=lambda pair: pair[1] < 0.0):
         size = f"{abs(value):.{digits}g}"
         term = name if size == "1" else f"{size}*{name}"
