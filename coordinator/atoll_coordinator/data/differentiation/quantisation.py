@@ -30,7 +30,8 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     values = values[:: max(1, len(values) // SETTINGS.rows.most)]
     unique = np.unique(values)
     if len(unique) < LIMITS.fewest_values:
-        return _few_levels(unique) if has_few_levels(parts) else None
+        is_switched = len(unique) == 2  # and has no derivative, which is said where it is differentiated
+        return _few_levels(unique) if has_few_levels(parts) and not is_switched else None
     decimal, binary = _decimal_rounding(unique), _binary_rounding(unique)
     step = _common_step(unique, max(decimal.step, 0.0 if binary is None else binary.step))
     roundings = [decimal, *(rounding for rounding in (binary, step) if rounding is not None)]
