@@ -187,15 +187,13 @@ def _beginning(
 
 def _trajectories(model: Model, files: list[str]) -> list[Mapping[str, FloatArray]]:
     """Return the measured columns of files, trajectory by trajectory, read as the result's own were."""
+    from atoll_coordinator.data.columns.examination import examine
     from atoll_coordinator.data.reading.files import read_table
-    from atoll_coordinator.data.roles.roles import assign_roles
-    from atoll_coordinator.data.trajectories.measurements import take_measurements
-    from atoll_core.config import DataConfig
+    from atoll_core.config import DataConfig, JobConfig
 
     config = DataConfig.model_validate(model.result.data_settings)
     table = read_table([Path(file) for file in files], config)
-    roles, config = assign_roles(table, config)
-    measured = take_measurements(table, roles, config)
+    measured = examine(table, JobConfig(data=config)).measurements
     return [{name: column[first:last] for name, column in measured.columns.items()} for first, last in measured.ranges]
 
 

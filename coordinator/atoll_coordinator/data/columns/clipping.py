@@ -53,9 +53,9 @@ def _runs(part: FloatArray) -> Iterator[tuple[float, tuple[int, int]]]:
     """Yield the value and the half-open range of each run of equal values that is long enough."""
     begins = np.flatnonzero(np.concatenate([[True], part[1:] != part[:-1]]))
     ends = np.append(begins[1:], len(part))
-    for first, last in zip(begins.tolist(), ends.tolist(), strict=True):
-        if last - first >= LIMITS.least_run:
-            yield float(part[first]), (first, last)
+    is_long = ends - begins >= LIMITS.least_run
+    for first, last in zip(begins[is_long].tolist(), ends[is_long].tolist(), strict=True):
+        yield float(part[first]), (first, last)
 
 
 def _is_abrupt(part: FloatArray, run: Sequence[int], steep: float) -> bool:

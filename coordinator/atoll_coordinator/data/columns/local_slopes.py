@@ -38,11 +38,12 @@ def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str
     Slopes are those of least squares in the number of the row; steps of the times are taken as even within a window.
     """
     width = LIMITS.least_window
+    noises = {name: _noise(values[name]) for name in states}
     while all(len(part) > width for part in times):
         made = _over(times, values, states, width)
         if made is None:
             return None
-        if all(_is_clear(values[name], made, name, width) for name in states):
+        if all(noises[name] * curvature_gain(width) < LIMITS.clear * middle(made.bends[name]) for name in states):
             return made
         width = 2 * width + 1
     return None
@@ -90,14 +91,11 @@ def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> Floa
     return total
 
 
-def _is_clear(parts: Parts, made: LocalSlopes, name: str, width: int) -> bool:
-    """Say whether half of the curvatures of a state are far larger than noise makes them."""
-    differences = np.concatenate([np.diff(part, 4) for part in parts if len(part) > 4] or [np.zeros(0)])
+def _noise(parts: Parts) -> float:
+    """Return the size of the noise of a state by its fourth differences, infinite where there are none."""
+    differences = np.concatenate([np.diff(part[: LIMITS.most_rows], 4) for part in parts])
     differences = differences[np.isfinite(differences)]
-    if not len(differences):
-        return False
-    noise = math.sqrt(dot(differences, differences) / len(differences)) / _ROOT_70
-    return noise * curvature_gain(width) < LIMITS.clear * middle(made.bends[name])
+    return math.sqrt(dot(differences, differences) / len(differences)) / _ROOT_70 if len(differences) else math.inf
 
 
 def curvature_gain(width: int) -> float:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from atoll_coordinator.data.columns.finding import Columns, Finding
-from atoll_coordinator.data.columns.neighbours import disagreement
+from atoll_coordinator.data.columns.neighbours import disagreement, neighbours
 from atoll_coordinator.data.columns.sums import roughness
 from atoll_coordinator.settings import SETTINGS
 
@@ -39,5 +39,6 @@ def _follows(columns: Columns, name: str) -> bool:
     rows = np.flatnonzero(is_there)[: LIMITS.most_windows]
     if len(rows) < LIMITS.least_rows:
         return False
-    found = disagreement([array[rows] for array in now], after[rows], part[rows], 1)
+    pairs = neighbours([array[rows] for array in now], part[rows], 1)
+    found = None if pairs is None else disagreement(pairs, after[rows])
     return found is not None and found.share < LIMITS.followed

@@ -19,7 +19,7 @@ LIMITS = SETTINGS.columns
 
 @dataclass(frozen=True)
 class Disagreement:
-    """By how much neighbours differ in a response, over `pairs` of them.
+    """By how much neighbours differ in a response.
 
     `share` is the mean square of half the difference over the variance of the response in these rows: near 0 where the
     coordinates decide it, near 1 where they do not. `size` is the same over the variance in all rows.
@@ -27,7 +27,6 @@ class Disagreement:
 
     share: float
     size: float
-    pairs: int
 
     @property
     def is_open(self) -> bool:
@@ -35,26 +34,29 @@ class Disagreement:
         return self.share > LIMITS.open_share and self.size > LIMITS.open_share**2
 
 
-def disagreement(
-    coordinates: Sequence[FloatArray], response: FloatArray, part: IntArray, apart: int
-) -> Disagreement | None:
-    """Return how much neighbours of other passes differ; None where too few rows have one.
+def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) -> tuple[list[int], list[int]] | None:
+    """Return rows and their nearest neighbours in other passes, the nearer half; None where too few rows have one.
 
-    `coordinates` and `response` are (n,), rows in order, `part` (n,) the trajectory of each. Rows fewer than `apart`
-    from each other, or between which the states stay near, are of the same pass.
+    `coordinates` are (n,), rows in order, `part` (n,) the trajectory of each. Rows fewer than `apart` from each other,
+    or between which the states stay near, are of the same pass.
     """
     scaled = [values / math.sqrt(variance(values)) for values in coordinates if variance(values) > 0.0]
-    pairs = [pair for row in range(len(response)) if (pair := _neighbour(scaled, part, row, apart)) is not None]
+    pairs = [pair for row in range(len(part)) if (pair := _neighbour(scaled, part, row, apart)) is not None]
     pairs.sort()
     pairs = pairs[: max(LIMITS.least_pairs, len(pairs) // 2)]
     if len(pairs) < LIMITS.least_pairs or not scaled:
         return None
-    ones, others = response[[one for _, one, _ in pairs]], response[[other for _, _, other in pairs]]
+    return [one for _, one, _ in pairs], [other for _, _, other in pairs]
+
+
+def disagreement(pairs: tuple[list[int], list[int]], response: FloatArray) -> Disagreement | None:
+    """Return how much `neighbours` differ in a response (n,), None where it is constant."""
+    ones, others = response[pairs[0]], response[pairs[1]]
     both = np.concatenate([ones, others])
     about = both - mean(both)
     among, square = dot(about, about), dot(ones - others, ones - others)
-    whole = 2.0 * len(pairs) * variance(response)
-    return Disagreement(square / among, square / whole, len(pairs)) if among > 0.0 and whole > 0.0 else None
+    whole = 2.0 * len(ones) * variance(response)
+    return Disagreement(square / among, square / whole) if among > 0.0 and whole > 0.0 else None
 
 
 def _neighbour(

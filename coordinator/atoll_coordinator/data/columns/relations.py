@@ -72,14 +72,16 @@ def linear_relations(columns: Columns) -> list[Relation]:
     if len(names) > LIMITS.most_compared or (columns.roles.order == 2 and len(names) < 2):
         return []
     rows = np.flatnonzero(np.logical_and.reduce([np.isfinite(columns.whole[name]) for name in names] or [np.zeros(0)]))
-    values = {name: columns.whole[name][rows] for name in names}
+    some = rows[:: -(-len(rows) // LIMITS.most_rows) or 1]
+    values = {name: columns.whole[name][some] for name in names}
+    every = {name: columns.whole[name][rows] for name in names}
     fit = _Basis()
     relations: list[Relation] = []
     for name in names:
         spread = variance(values[name])
         if len(rows) <= len(fit.names) + LIMITS.few_values or not spread > 0.0:
             continue
-        found = fit.relation(name, values, math.sqrt(spread))
+        found = fit.relation(name, values, every, math.sqrt(spread))
         if found is None:
             fit.add(name, values[name])
         else:
@@ -115,8 +117,13 @@ class _Basis:
                 rest = rest - share * unit
         return shares, rest
 
-    def relation(self, name: str, values: Mapping[str, FloatArray], deviation: float) -> Relation | None:
-        """Return how a column is made of those of the basis, None where it is not."""
+    def relation(
+        self, name: str, values: Mapping[str, FloatArray], every: Mapping[str, FloatArray], deviation: float
+    ) -> Relation | None:
+        """Return how a column is made of those of the basis, None where it is not.
+
+        `values` are those of some rows, `every` those of all, in which an exact relation holds.
+        """
         shares, rest = self._projected(values[name])
         residual = math.sqrt(variance(rest)) / deviation
         if not self.names or residual > SETTINGS.inference.part:
@@ -125,22 +132,27 @@ class _Basis:
             other: sum(share * own[place] for share, own in zip(shares, self._makings, strict=True))
             for place, other in enumerate(self.names)
         }
-        return _exact(name, coefficients, values, deviation) or _noisy(name, coefficients, values, deviation, rest)
+        return _exact(name, coefficients, values, every, deviation) or _noisy(
+            name, coefficients, values, deviation, rest
+        )
 
 
 def _exact(
-    name: str, coefficients: Mapping[str, float], values: Mapping[str, FloatArray], deviation: float
+    name: str,
+    coefficients: Mapping[str, float],
+    values: Mapping[str, FloatArray],
+    every: Mapping[str, FloatArray],
+    deviation: float,
 ) -> Relation | None:
     """Return the relation if it holds in every row to within the rounding of what was written."""
-    kept = _without_small(coefficients, values, SETTINGS.common.negligible * deviation) or coefficients
-    for terms in (kept, coefficients):
-        tolerance = 2.0 * _step(values[name]) + sum(
-            2.0 * abs(factor) * _step(values[other]) for other, factor in terms.items()
-        )
-        if tolerance > SETTINGS.common.negligible * deviation:
+    least = SETTINGS.common.negligible * deviation
+    for terms in (_without_small(coefficients, values, least) or coefficients, coefficients):
+        steps = [abs(factor) * _step(values[other]) for other, factor in terms.items()]
+        tolerance = 2.0 * (_step(values[name]) + sum(steps))
+        if tolerance > least:
             return None
-        rest = values[name] - _combined(terms, values)
-        constant = mean(rest)
+        rest = every[name] - _combined(terms, every)
+        constant = mean(values[name] - _combined(terms, values))
         if float(np.max(np.abs(rest - constant))) <= tolerance:
             sizes = [abs(mean(values[other])) / math.sqrt(variance(values[other])) for other in (*terms, name)]
             is_zero = abs(constant) <= tolerance * (1.0 + max(sizes))

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from atoll_coordinator.data.columns.finding import Columns, Finding
 from atoll_coordinator.data.columns.local_slopes import LocalSlopes, local_slopes
-from atoll_coordinator.data.columns.neighbours import Disagreement, disagreement
+from atoll_coordinator.data.columns.neighbours import Disagreement, disagreement, neighbours
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -45,6 +45,7 @@ def disagreements(slopes: LocalSlopes, columns: Columns) -> tuple[list[Disagreem
     curvatures = [slopes.curvatures[name] for name in states]
 
     def differ(coordinates: list[FloatArray], responses: list[FloatArray]) -> list[Disagreement | None]:
-        return [disagreement(coordinates, response, slopes.part, slopes.apart) for response in responses]
+        pairs = neighbours(coordinates, slopes.part, slopes.apart)
+        return [None if pairs is None else disagreement(pairs, response) for response in responses]
 
     return differ(positions, velocities), differ([*positions, *velocities], curvatures)

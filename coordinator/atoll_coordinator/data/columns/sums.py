@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 
@@ -34,8 +35,9 @@ def roughness(parts: Sequence[FloatArray]) -> float:
 
     It is 1 for white noise, and small for what is smooth: 1 - cos(2 pi / n) for a wave of n rows.
     """
-    steps = np.concatenate([np.diff(part) for part in parts])
-    values = np.concatenate(list(parts))
+    begin = [part[: SETTINGS.columns.most_rows] for part in parts]
+    steps = np.concatenate([np.diff(part) for part in begin])
+    values = np.concatenate(begin)
     steps, values = steps[np.isfinite(steps)], values[np.isfinite(values)]
     spread = variance(values)
     return 0.5 * dot(steps, steps) / (max(1, len(steps)) * spread) if spread > 0.0 else 0.0

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.columns.neighbours import disagreement
+from atoll_coordinator.data.columns.neighbours import disagreement, neighbours
 from atoll_coordinator.data.recording import Recording, Trajectory
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.settings import SETTINGS
@@ -144,7 +144,8 @@ def _is_open(rest: RateResiduals) -> bool:
     """Say whether rows of other passes with nearly the same states have other residuals."""
     every = max(1, len(rest.residuals) // SETTINGS.columns.most_windows)
     coordinates = [np.ascontiguousarray(row[::every]) for row in rest.variables]
-    found = disagreement(coordinates, rest.residuals[::every], rest.run[::every], rest.span // every + 1)
+    pairs = neighbours(coordinates, rest.run[::every], rest.span // every + 1)
+    found = None if pairs is None else disagreement(pairs, rest.residuals[::every])
     return found is not None and found.is_open
 
 
