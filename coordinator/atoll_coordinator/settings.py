@@ -123,7 +123,7 @@ class ColumnSettings:
     rows_per_column: int = 10
     """Rows for each column of a relation that holds up to noise: with fewer, a pattern in residuals is not seen."""
     most_rows: int = 20_000
-    """Rows over which sums are taken; of more, some that are evenly spread, or the first ones where neighbours count."""
+    """Rows over which sums are taken; of more, some that are spread evenly, or the first where neighbours count."""
     digits_read: int = 500
     """Values of a column whose digits are looked at."""
     least_rows: int = 30

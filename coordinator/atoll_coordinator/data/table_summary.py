@@ -14,9 +14,9 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 
 
-def describe(table: Table, config: JobConfig) -> str:
-    """Return lines on files, how they were read, trajectories, rows, time, columns, what is known beforehand, and what
-    the columns say themselves.
+def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:
+    """Return lines on files, how they were read, trajectories, rows, time, columns, what is known beforehand, and where it
+    `has_warnings`, what the columns say themselves.
 
     Raises UsageError where options or what is known beforehand cannot be used, DataError where the measurements cannot.
     """
@@ -38,7 +38,7 @@ def describe(table: Table, config: JobConfig) -> str:
     lines += [f"{role}: {', '.join(_with_unit(name, units) for name in names)}" for role, names in named if names]
     if measurements.group_names:
         lines.append(f"constants may differ between {len(measurements.group_names)} groups of trajectories")
-    warnings = [f"warning: {finding.sentence}" for finding in examination.findings]
+    warnings = [f"warning: {finding.sentence}" for finding in examination.findings if has_warnings]
     return "\n".join([*lines, *_prior(resolved, roles), *warnings])
 
 

@@ -51,7 +51,7 @@ def check_data(options: argparse.Namespace) -> Iterator[Finding]:
     try:
         request = request_of(argparse.Namespace(**{**vars(parse(["submit", *options.data])), **given}))
         table = read_table([Path(name) for name in options.data], request.config.data)
-        text = describe(table, request.config)
+        text = describe(table, request.config, has_warnings=False)
         examined = examine(table, request.config)
     except (DataError, UsageError) as error:
         yield problem("data", error)
