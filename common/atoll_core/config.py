@@ -115,6 +115,9 @@ class DataConfig(Frozen):
     sheet: str | None = Field(
         default=None, description="sheet of an Excel workbook; the first with a table unless named"
     )
+    missing_values: tuple[float, ...] = Field(
+        default=(), description="numbers that stand for missing values, which are dropped, such as -9999"
+    )
 
 
 class SpaceConfig(Frozen):

@@ -92,13 +92,66 @@ class QuantisationSettings:
     """When values count as multiples of a step."""
 
     fewest_values: int = 8
-    """With fewer distinct values a step is chance as often as not."""
+    """With fewer distinct values a step is chance as often as not, unless many rows repeat them."""
     written_steps: float = 3.0
     """Differences of at most so many steps of the last digit are those of writing numbers down."""
     shares_of_least: tuple[int, ...] = (1, 2, 3)
     """The step is the least difference of two values, or one of these shares of it."""
     improbable: float = 1e-6
     """Probability below which what is seen in many values, or between many rows, is not chance."""
+
+
+@dataclass(frozen=True)
+class ColumnSettings:
+    """What columns say before anything is searched."""
+
+    few_values: int = 8
+    """With so many distinct values or fewer, an end of the range is one of the levels, and a relation of columns one of
+    chance."""
+    least_repeats: int = 2
+    """Rows that hold a value which stands for a missing one: a measured one is not met twice so far out."""
+    least_run: int = 3
+    """Equal rows after another that are a stretch: two may be a turn that was rounded."""
+    steep_steps: float = 10.0
+    """Steps beside a clipped stretch are more than so many steps of the values. About a smooth turn a parabola stays
+    within one of them for m rows and moves by 2.7 (m = 3) or less in the rows beside; a flat turn (of the fourth power)
+    by 7."""
+    most_clipped: int = 4
+    """Where there are more than so many clipped values for each other one, nothing is left to go by."""
+    most_compared: int = 100
+    """Columns that are compared by least squares: time grows with their square."""
+    rows_per_column: int = 10
+    """Rows for each column of a relation that holds up to noise: with fewer, a pattern in residuals is not seen."""
+    most_rows: int = 20_000
+    """Rows over which sums are taken; of more, some that are spread evenly, or the first where neighbours count."""
+    digits_read: int = 500
+    """Values of a column whose digits are looked at."""
+    least_rows: int = 30
+    """Rows without which correlations and neighbours are not looked at."""
+    significant: float = 3.0
+    """Standard errors beyond which something counts as seen (p = 0.003)."""
+    jumps: float = 0.75
+    """Mean square steps over twice the variance from which on rows jump: a wave has fewer than five rows a period then,
+    1 - cos(2 pi / 5) = 0.69."""
+    followed: float = 0.1
+    """Share of the variance of the next row that its neighbours leave, at most, if rows are steps of a map."""
+    most_positions: int = 4
+    """States for which neighbours are sought: of more, no row comes near another in their space and velocities."""
+    least_window: int = 5
+    """Rows of the shortest window with a curvature and something left."""
+    most_windows: int = 400
+    """Windows that are compared with each other: time grows with their square."""
+    clear: float = 0.3
+    """Noise of curvatures, as a share of their median size, below which they are compared. With half of it, of 128
+    tables of full states one was taken for positions, with this none; of 128 of positions 71 were recognised."""
+    near: float = 0.1
+    """Distance of neighbours, in standard deviations of each coordinate."""
+    least_pairs: int = 20
+    """Pairs of neighbours without which nothing is said."""
+    open_share: float = 0.5
+    """Share of a variance that neighbours leave from which on something else decides."""
+    closed_share: float = 0.1
+    """Share of a variance that neighbours leave up to which nothing else decides."""
 
 
 @dataclass(frozen=True)
@@ -386,6 +439,7 @@ class Settings:
     robustness: RobustnessSettings = RobustnessSettings()
     interpolation: InterpolationSettings = InterpolationSettings()
     quantisation: QuantisationSettings = QuantisationSettings()
+    columns: ColumnSettings = ColumnSettings()
     rows: RowSettings = RowSettings()
     effort: EffortSettings = EffortSettings()
     spread: SpreadSettings = SpreadSettings()

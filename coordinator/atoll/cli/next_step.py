@@ -13,6 +13,21 @@ from atoll_core.command_line import duration
 _OPTION: Final = re.compile(r"--(robust|stochastic)\b")
 """Options that the reason of a verdict or a warning proposes, and which take no value."""
 
+_ADDED: Final = re.compile(
+    r"\badd --(missing-value|hold|order|per-trajectory|inputs|states)(?: ('[^']*'|[^\s;,.]\S*?))?(?=[;,.]?(?:\s|$))"
+)
+"""Options with their values that a warning says to add: what the columns themselves say."""
+
+_WHY: Final = {
+    "missing-value": "a number that stands for missing values was taken as measured",
+    "hold": "the inputs seem to be constant between rows",
+    "order": "the same values are passed with different velocities",
+    "per-trajectory": "the trajectories seem to differ in a constant",
+    "inputs": "a column, or the time, seems to act from outside",
+    "states": "the columns determine each other",
+}
+"""The options that are proposed, the most useful first, and what for."""
+
 _NOT_STOCHASTIC: Final = ("order", "target", "derivatives", "only", "robust", "weights", "offsets")
 """Settings that exclude ``--stochastic``."""
 
@@ -37,7 +52,8 @@ def next_step(result: Result, folder: Path, words: Sequence[str], program: str =
         return None
     else:
         proposal = (
-            _again_with_option(result, words)
+            _again_with_columns(result, words)
+            or _again_with_option(result, words)
             or _again_for_longer(result, words)
             or _again_with_operators(result, words)
             or _with_result(result, str(folder))
@@ -58,6 +74,18 @@ def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None
     fitting = f"--{free[0]}"
     why = "some measurements look like outliers" if fitting == "--robust" else "noise may be part of the law"
     return [*_elsewhere(words), fitting], why
+
+
+def _again_with_columns(result: Result, words: Sequence[str]) -> _Proposal | None:
+    """Propose what a warning says of the columns, unless every equation is good; of missing values in any case."""
+    added = {match[1]: match[2] for sentence in reversed(result.warnings) for match in _ADDED.finditer(sentence)}
+    is_good = all(equation.verdict in ("exact", "good") for equation in result.equations)
+    for option, why in _WHY.items():
+        if option in added and not (is_good and option != "missing-value"):
+            flag, value = f"--{option}", [*shlex.split(added[option] or "")]
+            before = _elsewhere(words)
+            return [*(before if option == "missing-value" else _without(before, flag)), flag, *value], why
+    return None
 
 
 def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:

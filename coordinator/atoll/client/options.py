@@ -76,6 +76,11 @@ def number(value: object, field: Field) -> float:
     raise UsageError("%s must be a number such as 1e-4, but %r was given", field, value)
 
 
+def several_numbers(value: object, field: Field) -> tuple[float, ...]:
+    """Return numbers, of one or a list of them."""
+    return tuple(number(part, field) for part in _several(value))
+
+
 def seconds(value: object, field: Field) -> float:
     """Return the seconds of ``90``, ``60s``, ``10m`` or ``1.5h``."""
     with contextlib.suppress(argparse.ArgumentTypeError):
@@ -237,6 +242,10 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("offsets", "data.offsets", names, "x", "states measured up to an offset, fitted for each trajectory"),
         Option("sheet", "data.sheet", text, "NAME", "sheet of an Excel workbook (default: the first with a table)"),
         Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
+        Option(
+            "missing_value", "data.missing_values", several_numbers, "-9999",
+            "a number that stands for a missing value, which is dropped", is_repeatable=True,
+        ),
         Option("robust", "data.robust", switch, None, "smooth so that outliers lose their weight"),
         Option(
             "stochastic", "data.stochastic", switch, None,

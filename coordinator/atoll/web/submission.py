@@ -17,7 +17,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.reading.workbooks import check_sheet
 from atoll_coordinator.data.recording import Preparation, Recording, Trajectory
-from atoll_coordinator.data.roles.roles import Roles, assign_roles
+from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
@@ -60,8 +60,8 @@ class Submission:
 
     def outlined(self) -> dict[str, Any]:
         """Return how the file was read and what would be searched, as plain data."""
-        roles, _ = assign_roles(self.table, self.config.data)
-        plan = outline(self.table, self.config).as_dict()
+        planned = outline(self.table, self.config)
+        plan, roles = planned.as_dict(), planned.roles
         angles = {angle.column: "degrees" if angle.degrees else "radians" for angle in roles.angles}
         units = plan["units"]
         assert isinstance(units, dict)

@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from atoll_coordinator.data.columns.examination import examine
 from atoll_coordinator.data.prior_knowledge import resolve_equations
-from atoll_coordinator.data.roles.roles import Roles, assign_roles
+from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
@@ -29,7 +30,10 @@ class EquationOutline:
 
 @dataclass(frozen=True)
 class Outline:
-    """What a job would search in a table: names of `files`, how they were read, number of rows, equations, settings."""
+    """What a job would search in a table: names of `files`, how they were read, number of rows, equations, settings.
+
+    `roles` are those of the columns, `warnings` what the columns say themselves.
+    """
 
     files: tuple[str, ...]
     read_as: str
@@ -38,6 +42,8 @@ class Outline:
     units: dict[str, str]
     equations: tuple[EquationOutline, ...]
     config: JobConfig
+    roles: Roles
+    warnings: tuple[str, ...] = ()
 
     def as_text(self) -> str:
         """Return lines on what would be searched, and when the search would end."""
@@ -65,6 +71,7 @@ class Outline:
                 {key: list(value) if isinstance(value, tuple) else value for key, value in vars(equation).items()}
                 for equation in self.equations
             ],
+            "warnings": list(self.warnings),
             "config": self.config.model_dump(mode="json", exclude_defaults=True),
         }
 
@@ -74,13 +81,15 @@ def outline(table: Table, config: JobConfig) -> Outline:
 
     Raises UsageError where options or what is known beforehand cannot be used, DataError where the columns cannot.
     """
-    roles, options = assign_roles(table, config.data)
+    examination = examine(table, config)
+    roles, options = examination.roles, examination.options
     symbols = assign_symbols(roles.variables)
     resolved, names = resolve_equations(config.model_copy(update={"data": options}), roles, symbols)
     stated_units = {**dict(zip(table.names, table.units, strict=True)), **options.units}
     units = {name: unit for name, unit in stated_units.items() if unit and name in roles.used}
     equations = tuple(_equation(resolved, roles, name, tuple(symbols.values())) for name in names)
-    return Outline(table.files, table.read_as, table.rows, roles.time, units, equations, resolved)
+    warnings = tuple(finding.sentence for finding in examination.findings)
+    return Outline(table.files, table.read_as, table.rows, roles.time, units, equations, resolved, roles, warnings)
 
 
 def _equation(config: JobConfig, roles: Roles, name: str, symbols: Sequence[str]) -> EquationOutline:

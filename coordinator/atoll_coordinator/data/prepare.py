@@ -1,19 +1,19 @@
 """From a raw table to the regression problems of a job: the stages of preparation, in order. Pure.
 
-Roles of columns, checks, trajectories; smoothing and differentiation, and once more where gaps in the times split
-trajectories, or where there are far more rows than the states' time scales need; selection of rows; the `Dataset` of
-the search and the recording. A stochastic process is not smoothed.
+Roles of columns, checks, trajectories, what the columns say themselves; smoothing and differentiation, and once more
+where gaps in the times split trajectories, or where there are far more rows than the states' time scales need;
+selection of rows; the `Dataset` of the search and the recording. A stochastic process is not smoothed.
 """
 
 from dataclasses import replace
 
 from atoll_coordinator.data.assembly.datasets import assemble_differentiated, assemble_given
+from atoll_coordinator.data.columns.examination import Examination, examine
 from atoll_coordinator.data.differentiation.derivatives import Differentiation
 from atoll_coordinator.data.differentiation.held_inputs import estimate_driven_states
 from atoll_coordinator.data.increments.targets import assemble_process
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
-from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
 from atoll_coordinator.data.row_selection.row_means import average_oversampled_rows, estimates_of_means
 from atoll_coordinator.data.row_selection.selected_rows import (
@@ -23,8 +23,7 @@ from atoll_coordinator.data.row_selection.selected_rows import (
     thin_searched_rows,
 )
 from atoll_coordinator.data.trajectories.gaps import split_at_gaps
-from atoll_coordinator.data.trajectories.measurements import take_measurements
-from atoll_core.config import DataConfig, JobConfig
+from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 
 
@@ -33,16 +32,17 @@ def prepare(table: Table, config: JobConfig) -> Preparation:
 
     Raises UsageError where options contradict each other, DataError where the measurements cannot be used.
     """
-    roles, options = assign_roles(table, config.data)
+    examination = examine(table, config)
+    roles, options = examination.roles, examination.options
     units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if unit} | options.units
     role_values = (roles.time, roles.states, roles.velocities, roles.inputs, roles.target, roles.order)
     source = Source(table.digest, table.files, table.rows, units, *role_values, table.read_as)
-    return replace(_prepare(table, config, roles, options), source=source)
+    return replace(_prepare(examination, config), source=source)
 
 
-def _prepare(table: Table, config: JobConfig, roles: Roles, options: DataConfig) -> Preparation:
+def _prepare(examination: Examination, config: JobConfig) -> Preparation:
+    roles, options, measurements = examination.roles, examination.options, examination.measurements
     symbols = assign_symbols(roles.variables)
-    measurements = take_measurements(table, roles, options)
     _, equations = resolve_equations(config.model_copy(update={"data": options}), roles, symbols)
 
     if options.stochastic:

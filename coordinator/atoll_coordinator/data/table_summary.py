@@ -4,22 +4,24 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from atoll_coordinator.data.columns.examination import examine
 from atoll_coordinator.data.prior_knowledge import resolve_equations
-from atoll_coordinator.data.roles.roles import Roles, assign_roles
+from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.roles.symbols import assign_symbols
-from atoll_coordinator.data.trajectories.measurements import Measurements, take_measurements
+from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 
 
-def describe(table: Table, config: JobConfig) -> str:
-    """Return lines on files, how they were read, trajectories, rows, time, columns and what is known beforehand.
+def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:
+    """Return lines on files, how they were read, trajectories, rows, time, columns, what is known beforehand, and where it
+    `has_warnings`, what the columns say themselves.
 
     Raises UsageError where options or what is known beforehand cannot be used, DataError where the measurements cannot.
     """
-    roles, options = assign_roles(table, config.data)
-    measurements = take_measurements(table, roles, options)
+    examination = examine(table, config)
+    roles, options, measurements = examination.roles, examination.options, examination.measurements
     config = config.model_copy(update={"data": options})
     resolved, _ = resolve_equations(config, roles, assign_symbols(roles.variables))
     units = {**dict(zip(table.names, table.units, strict=True)), **options.units}
@@ -36,7 +38,8 @@ def describe(table: Table, config: JobConfig) -> str:
     lines += [f"{role}: {', '.join(_with_unit(name, units) for name in names)}" for role, names in named if names]
     if measurements.group_names:
         lines.append(f"constants may differ between {len(measurements.group_names)} groups of trajectories")
-    return "\n".join([*lines, *_prior(resolved, roles)])
+    warnings = [f"warning: {finding.sentence}" for finding in examination.findings if has_warnings]
+    return "\n".join([*lines, *_prior(resolved, roles), *warnings])
 
 
 def _prior(config: JobConfig, roles: Roles) -> list[str]:

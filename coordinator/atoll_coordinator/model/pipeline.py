@@ -23,6 +23,7 @@ from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.inference.group_constants import summarize_groups
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.inference.target_evidence import target_evidence
+from atoll_coordinator.model.inference.unexplained import unexplained_remarks
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement, Simulation
 from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
@@ -126,7 +127,12 @@ def _refined(
         model = None if selected is None else summarized(selected)
     if selected is not None and model is not None:
         shown = {name: equation.program for name, equation in model.equations.items()}
-        remarks = (*stochastic_remarks(preparation.recording, model.simulation), *operator_remarks(selected, shown))
+        time = "t" if preparation.source is None else preparation.source.time or "t"
+        remarks = (
+            *stochastic_remarks(preparation.recording, model.simulation),
+            *operator_remarks(selected, shown),
+            *unexplained_remarks(preparation.recording, model.equations, time),
+        )
         left_out = {name: programs for name, programs in candidates.items() if name not in model.equations}
         alone = _by_regression(preparation, config, left_out, deadline)
         return replace(

@@ -43,22 +43,23 @@ def check_data(options: argparse.Namespace) -> Iterator[Finding]:
         return
     from atoll.cli.options.parser import parse
     from atoll.cli.request import request_of
+    from atoll_coordinator.data.columns.examination import examine
     from atoll_coordinator.data.reading.files import read_table
-    from atoll_coordinator.data.roles.roles import assign_roles
     from atoll_coordinator.data.table_summary import describe
-    from atoll_coordinator.data.trajectories.measurements import take_measurements
 
     given = {name: value for name, value in vars(options).items() if name != "verb"}
     try:
         request = request_of(argparse.Namespace(**{**vars(parse(["submit", *options.data])), **given}))
         table = read_table([Path(name) for name in options.data], request.config.data)
-        text = describe(table, request.config)
-        remarks = take_measurements(table, *assign_roles(table, request.config.data)).warnings
+        text = describe(table, request.config, has_warnings=False)
+        examined = examine(table, request.config)
     except (DataError, UsageError) as error:
         yield problem("data", error)
         return
     yield fine("data", text)
-    for remark in remarks:
+    for found in examined.findings:
+        yield Finding("data", "warning", found.found, found.advice)
+    for remark in examined.measurements.warnings[len(examined.findings) :]:
         yield Finding("data", "warning", remark, "check that this is what you mean")
 
 

@@ -188,15 +188,14 @@ def _beginning(
 
 def _trajectories(model: Model, files: list[str]) -> list[ReadColumns]:
     """Return the measured columns of files, trajectory by trajectory, read as the result's own were."""
+    from atoll_coordinator.data.columns.examination import examine
     from atoll_coordinator.data.reading.files import read_table
-    from atoll_coordinator.data.roles.roles import assign_roles
-    from atoll_coordinator.data.trajectories.measurements import take_measurements
-    from atoll_core.config import DataConfig
+    from atoll_core.config import DataConfig, JobConfig
 
     config = DataConfig.model_validate(model.result.data_settings)
     table = read_table([Path(file) for file in files], config)
-    roles, config = assign_roles(table, config)
-    measured = take_measurements(table, roles, config)
+    examination = examine(table, JobConfig(data=config))
+    roles, measured = examination.roles, examination.measurements
     unwrapped: dict[str, Sequence[FloatArray]] = dict(zip(roles.inputs, measured.inputs, strict=True))
     if measured.trajectories is not None:
         unwrapped |= measured.trajectories.states

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.data.columns.levels import has_few_levels
 from atoll_coordinator.data.differentiation.interpolation import predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Quantisation
@@ -29,7 +30,8 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     values = values[:: max(1, len(values) // SETTINGS.rows.most)]
     unique = np.unique(values)
     if len(unique) < LIMITS.fewest_values:
-        return None
+        is_switched = len(unique) == 2  # and has no derivative, which is said where it is differentiated
+        return _few_levels(unique) if has_few_levels(parts) and not is_switched else None
     decimal, binary = _decimal_rounding(unique), _binary_rounding(unique)
     step = _common_step(unique, max(decimal.step, 0.0 if binary is None else binary.step))
     roundings = [decimal, *(rounding for rounding in (binary, step) if rounding is not None)]
@@ -48,6 +50,17 @@ def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
     errors, gains = predict_left_out([signal.measured for signal in signals])
     largest = np.max(np.abs(errors) / gains, axis=0)
     return bool(np.any(largest < SETTINGS.common.negligible * quantisation.error))
+
+
+def _few_levels(values: FloatArray) -> Quantisation:
+    """Return the step of a few values (ascending): their least distance, if all are multiples, else of their decimals.
+
+    That no value in between was met in so many rows says that there is no finer step.
+    """
+    least = float(np.diff(values).min())
+    multiples = (values - values[0]) / least
+    is_even = float(np.abs(multiples - np.round(multiples)).max()) <= SETTINGS.common.negligible
+    return Quantisation("steps", least, least / _ROOT_12) if is_even else _decimal_rounding(values)
 
 
 def _decimal_rounding(values: FloatArray) -> Quantisation:

@@ -26,7 +26,9 @@ def stochastic_remarks(recording: Recording, simulation: Simulation | None) -> l
     Without a simulation that is what was measured: of a process, hardly a model can be simulated.
     """
     walking = [
-        state for index, state in enumerate(recording.states) if _walks(*_residuals(recording, simulation, index))
+        state
+        for index, state in enumerate(recording.states)
+        if _walks(*_residuals(recording, simulation, index), _rounding(recording, index))
     ]
     if not walking:
         return []
@@ -57,8 +59,19 @@ def _residuals(
     ]
 
 
-def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> bool:
-    """Tell whether residuals grow like a walk that leaves a tenth of the state's variance behind in a trajectory."""
+def _rounding(recording: Recording, index: int) -> float:
+    """Return the variance of what rounding left of a state; such errors stay the same from row to row, and so walk."""
+    quantisation = recording.smoothing[index].quantisation if index < len(recording.smoothing) else None
+    return 0.0 if quantisation is None else quantisation.error**2
+
+
+def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], rounding: float) -> bool:
+    """Tell whether residuals grow like a walk that leaves a tenth of the state's variance behind in a trajectory.
+
+    Not where they are no larger than errors of rounding, whose variance is given.
+    """
+    if residuals and float(np.nanvar(np.concatenate(residuals))) <= SETTINGS.inference.excess**2 * rounding:
+        return False
     values, rows = np.concatenate(measured), max(map(len, residuals), default=0)
     if rows <= SETTINGS.process.fewest_steps:
         return False

@@ -119,7 +119,7 @@ def test_a_velocity_keeps_out_of_the_way_of_a_column_of_its_name():
 
 def test_awkward_names_get_symbols():
     columns = oscillator(50)
-    columns = {"t": columns["t"], "lambda": columns["x"], "v w": columns["y"], "θ": columns["x"] + columns["y"]}
+    columns = {"t": columns["t"], "lambda": columns["x"], "v w": columns["y"], "θ": columns["x"] * columns["y"]}
     dataset = prepared(columns)
     assert dataset.names == ("lambda_", "v_w", "θ")
     assert dataset.symbols == {"lambda": "lambda_", "v w": "v_w", "θ": "θ"}

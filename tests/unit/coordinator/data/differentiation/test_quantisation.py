@@ -48,6 +48,19 @@ def test_values_that_differ_by_rounding_alone_are_one_value(rows_a_period):
     assert find_quantisation([-np.sin(phases)]) is None
 
 
+@pytest.mark.parametrize(("levels", "step"), [(1.0, 1.0), (0.5, 2.0)])
+def test_few_values_in_many_rows_show_a_step(levels, step):
+    quantisation = find_quantisation([np.round(levels * 2.0 * np.sin(TIMES)) / levels])
+    assert (quantisation.kind, quantisation.step) == ("steps", step)
+
+
+@pytest.mark.parametrize(
+    "values", [np.round(2.0 * np.sin(TIMES[::20])), np.tile([1.0, 0.5, -0.5, -1.0, -0.5, 0.5], 30), TIMES > 7.0]
+)
+def test_few_rows_a_wave_in_step_with_them_and_a_switch_show_none(values):
+    assert find_quantisation([np.asarray(values, np.float64)]) is None
+
+
 def signal_of(values):
     return Signal(0.1 * np.arange(float(len(values))), np.asarray(values, dtype=np.float64))
 

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.recording import Recording, Trajectory
+from atoll_coordinator.data.recording import Quantisation, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.refinement import Simulated, Simulation
 
@@ -40,3 +42,11 @@ def test_errors_of_measurement_and_what_a_model_misses_do_not(seed: int, slope: 
 def test_errors_of_a_solver_do_not_though_they_add_up() -> None:
     wave = 2.0 * np.sin(TIMES)
     assert stochastic_remarks(recording(wave + 1e-4 * walk(1)), simulation(wave)) == []
+
+
+def test_errors_of_rounding_do_not_though_they_stay_from_row_to_row() -> None:
+    wave = 0.8 * np.sin(0.05 * TIMES) + 0.001 * walk(0)
+    rounded = recording(np.round(wave))
+    smoothing = Smoothing("x", "loess", 0.3, 0.4, 9, 3, quantisation=Quantisation("steps", 1.0, 1.0 / 12.0**0.5))
+    assert stochastic_remarks(replace(rounded, smoothing=(smoothing,)), simulation(wave)) == []
+    assert stochastic_remarks(rounded, simulation(wave)) != []

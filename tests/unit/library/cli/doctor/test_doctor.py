@@ -256,6 +256,17 @@ def test_a_data_file_is_described_as_submit_would_take_it() -> None:
     assert list(check_data(options())) == []
 
 
+def test_what_columns_say_is_a_warning(tmp_path: Path) -> None:
+    file = tmp_path / "copied.csv"
+    rows = [f"{row},{row**2 % 37},{row**2 % 37}" for row in range(30)]
+    file.write_text("\n".join(["t,x,z", *rows]))
+    described, warning = check_data(options(str(file)))
+    assert (described.grade, warning.grade) == ("fine", "warning")
+    assert "states: x" in described.found.splitlines()
+    assert "'z' is x in every row" in warning.found
+    assert "--states x,z" in warning.advice
+
+
 def test_data_that_cannot_be_used_is_a_problem_with_the_readers_words(tmp_path: Path) -> None:
     file = tmp_path / "bad.csv"
     file.write_text("t,x\n0,1\n0,2\n0,3\n")

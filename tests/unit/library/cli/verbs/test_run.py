@@ -47,6 +47,20 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
 
 
+def test_a_dry_run_says_what_the_columns_say(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = [f"{row},{value},{-9999 if row in (3, 9) else row}" for row, value in enumerate([1.0, 1.5, 2.5, 4.5] * 5)]
+    Path("a.csv").write_text("\n".join(["t,x,y", *rows]))
+    assert main(["run", "a.csv", "--dry-run", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert "warning: 2 rows hold -9999 in 'y'" in printed.err
+    assert "add --missing-value -9999." in json.loads(printed.out)["warnings"][0]
+    assert main(["run", "a.csv", "--dry-run", "--missing-value", "-9999"]) == 0
+    assert "-9999" not in capsys.readouterr().err
+
+
 def test_a_dry_run_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.csv").write_text("t,x\n0,1\n1,two\n")
     assert main(["run", str(tmp_path / "a.csv"), "--dry-run"]) == 2

@@ -1,0 +1,173 @@
+"""What the rates tell of what an equation leaves out: constants of runs, a forcing in time, a hidden state. Pure.
+
+The residuals of a rate are the derivatives estimated from the data minus those of the equation at the smoothed states.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.data.columns.neighbours import disagreement, neighbours
+from atoll_coordinator.data.recording import Recording, Trajectory
+from atoll_coordinator.model.refinement import Refined
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray, IntArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
+
+_FEWEST_RUNS: Final = 3
+"""Trajectories by which a constant of each is told from one wrong run."""
+_HALF: Final = 0.5
+"""Share of the residuals' variance that is most of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class RateResiduals:
+    """Residuals of the rate of one state (n,), their times and trajectories, and the variables at these rows (V, n).
+
+    `rates` are those of the equation; values of the states were smoothed over `span` rows.
+    """
+
+    residuals: FloatArray
+    rates: FloatArray
+    times: FloatArray
+    run: IntArray
+    variables: FloatArray
+    span: int
+
+    @property
+    def rows(self) -> float:
+        """How many independent numbers there are, about: smoothing joins the rows of half a span."""
+        return max(1.0, 2.0 * len(self.residuals) / max(2, self.span))
+
+
+def unexplained_remarks(recording: Recording, equations: Mapping[str, Refined], time: str = "t") -> Iterator[str]:
+    """Yield a sentence for what most of the residuals of equations that are not good follow."""
+    found: dict[str, list[str]] = {}
+    period = 0.0
+    for place, state in enumerate(recording.states):
+        equation = equations.get(state)
+        if equation is None or equation.grade in ("exact", "good") or recording.groups:
+            continue
+        rest = rate_residuals(recording, place, equation.program)
+        kind, wave = (None, None) if rest is None else _explanation(rest)
+        if kind is not None:
+            found.setdefault(kind, []).append(f"'{state}'")
+        period = period or wave or 0.0
+    runs, forcing, hidden = (" and ".join(found.get(kind, ())) for kind in ("runs", "forcing", "hidden"))
+    if runs:
+        yield (
+            f"Most of the residuals of the rate of {runs} is a constant of each trajectory, as where the trajectories "
+            "differ in a constant of the law; to let them, add --per-trajectory."
+        )
+    if forcing:
+        yield (
+            f"Most of the residuals of the rate of {forcing} is a wave in time of period {period:.3g} that the states "
+            f"do not follow, as of a forcing; to seek laws that depend on the time, add --inputs {time}."
+        )
+    if hidden:
+        advice = "measure another quantity" if recording.order == 2 else "measure another quantity, or add --order 2"
+        yield (
+            f"The same measured states go on with different rates of {hidden}, far beyond noise, as where a state is "
+            f"hidden or acts with a delay; {advice}."
+        )
+
+
+def rate_residuals(recording: Recording, place: int, program: Program) -> RateResiduals | None:
+    """Return the residuals of the rate of one state, None where they are not far larger than their errors."""
+    parts = [part for part in recording.trajectories if not part.held_out and part.rates is not None]
+    if not parts or len(recording.smoothing) <= place:
+        return None
+    variables = np.concatenate([_variables(part, recording.order) for part in parts], axis=1)
+    measured = np.concatenate([part.rates[place] for part in parts if part.rates is not None])
+    errors = np.concatenate([part.rate_errors[place] for part in parts if part.rate_errors is not None])
+    times = np.concatenate([part.times for part in parts])
+    run = np.concatenate([np.full(len(part.times), number, np.int64) for number, part in enumerate(parts)])
+    with np.errstate(all="ignore"):
+        rates = values_of(program, variables) + np.zeros(len(times))
+    kept = np.flatnonzero(np.isfinite(errors) & np.isfinite(rates) & np.isfinite(measured))
+    if len(kept) < SETTINGS.columns.least_rows:
+        return None
+    kept = kept[errors[kept] <= SETTINGS.rows.over_median_uncertainty * float(np.median(errors[kept]))]
+    residuals = measured[kept] - rates[kept]
+    if not float(np.mean(residuals**2)) > 2.0 * float(np.mean(errors[kept] ** 2)):
+        return None
+    span = recording.smoothing[place].span or SETTINGS.checks.min_rows
+    return RateResiduals(residuals, rates[kept], times[kept], run[kept], variables[:, kept], span)
+
+
+def _variables(part: Trajectory, order: int) -> FloatArray:
+    rows = [part.smoothed, part.slopes, part.inputs] if order == 2 else [part.smoothed, part.inputs]
+    return np.concatenate(rows, axis=0)
+
+
+def _explanation(rest: RateResiduals) -> tuple[str | None, float | None]:
+    """Return what most of the residuals follow, and the period of a forcing."""
+    if _differ_by_run(rest):
+        return "runs", None
+    if not _is_open(rest):
+        return None, None
+    period = None if len(rest.variables) == 1 else _period(rest)  # one state alone does not swing in any case
+    return ("hidden" if period is None else "forcing"), period
+
+
+def _differ_by_run(rest: RateResiduals) -> bool:
+    """Say whether an addend, or a factor, of each run explains most of the residuals, and not by chance (F test)."""
+    from scipy.special import fdtrc
+
+    runs = int(np.max(rest.run)) + 1
+    if runs < _FEWEST_RUNS:
+        return False
+    for column in (np.ones(len(rest.rates)), rest.rates):
+        whole = _left(rest.residuals, column)
+        left = sum(_left(rest.residuals[rest.run == run], column[rest.run == run]) for run in range(runs))
+        free = rest.rows - runs
+        if free < 1.0 or not 0.0 <= left < (1.0 - _HALF) * whole:
+            continue
+        ratio = (whole - left) / (runs - 1) / max(left / free, 1e-300)
+        if fdtrc(runs - 1, free, ratio) < SETTINGS.inference.improbable:
+            return True
+    return False
+
+
+def _left(values: FloatArray, column: FloatArray) -> float:
+    """Return the sum of squares that a multiple of the column leaves."""
+    square = float(np.sum(column * column))
+    factor = float(np.sum(column * values)) / square if square > 0.0 else 0.0
+    return float(np.sum((values - factor * column) ** 2))
+
+
+def _is_open(rest: RateResiduals) -> bool:
+    """Say whether rows of other passes with nearly the same states have other residuals."""
+    every = max(1, len(rest.residuals) // SETTINGS.columns.most_windows)
+    coordinates = [np.ascontiguousarray(row[::every]) for row in rest.variables]
+    pairs = neighbours(coordinates, rest.run[::every], rest.span // every + 1)
+    found = None if pairs is None else disagreement(pairs, rest.residuals[::every])
+    return found is not None and found.is_open
+
+
+def _period(rest: RateResiduals) -> float | None:
+    """Return the period of a wave in time that explains most of the residuals, None where there is none.
+
+    Least squares by frequency (Lomb 1976), up to four rows a period; two periods were measured at least.
+    """
+    length = float(np.max(rest.times) - np.min(rest.times))
+    steps = np.diff(rest.times)
+    step = float(np.median(steps[steps > 0.0]))
+    residuals = rest.residuals - float(np.mean(rest.residuals))
+    whole, best, period = float(np.sum(residuals**2)), math.inf, 0.0
+    for frequency in np.arange(2.0, length / (4.0 * step), 0.25).tolist():
+        phases = (2.0 * math.pi * frequency / length) * rest.times
+        waves = np.stack([np.cos(phases), np.sin(phases)])
+        gram, right = waves @ waves.T, waves @ residuals
+        determinant = gram[0, 0] * gram[1, 1] - gram[0, 1] ** 2
+        if not determinant > 0.0:
+            continue
+        explained = gram[1, 1] * right[0] ** 2 - 2.0 * gram[0, 1] * right[0] * right[1] + gram[0, 0] * right[1] ** 2
+        left = whole - float(explained / determinant)
+        if left < best:
+            best, period = left, length / frequency
+    return period if best < (1.0 - _HALF) * whole else None
