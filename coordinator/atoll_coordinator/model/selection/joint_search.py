@@ -14,7 +14,7 @@ from atoll_coordinator.model.criteria import is_function
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
-from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
+from atoll_coordinator.model.structure.moves.extensions import extensions, further_terms, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.settings import SETTINGS, Rounds
 from atoll_core.expression.program import Program
@@ -164,8 +164,7 @@ def search_locally(
     def around(equation: int, program: Program) -> Iterator[Program]:
         name = task.variables[equation]
         operators, columns = task.operators(name), task.columns(name)
-        scales = [size if column in columns else 0.0 for column, size in enumerate(task.sizes)]
-        longer = extensions(program, scales, operators) if has_room else ()
+        longer = extensions(program, task.sizes_for(name), operators) if has_room else ()
         yield from promising(program, (*longer, *neighbours(program, columns, operators)))
 
     def beyond(equation: int, program: Program) -> Iterator[Program]:
@@ -184,6 +183,24 @@ def search_locally(
         best = _restarted(comparison, descent, best, equation, lists[equation])
     best = exchange(comparison, best, lists)
     return reduce_all(comparison, best)
+
+
+def search_terms(task: ModellingTask, comparison: ModelComparison, best: FittedModel, until: int) -> FittedModel:
+    """Return the end of the descent from the best system by one term more or less in one equation.
+
+    Each is fitted along the trajectories, begun from the system as it is, until the estimator's work is `until`. All
+    terms are tried, however little room the residuals seem to leave: the constants of a system make up for a term that
+    is missing as far as they can, so that noise hides the pattern that is left.
+    """
+
+    def around(equation: int, program: Program) -> Iterator[Program]:
+        name = task.variables[equation]
+        longer = further_terms(program, task.sizes_for(name), task.operators(name))
+        return filter(task.may_be_shown, longer)
+
+    equations = [index for index, _ in enumerate(best.programs) if index not in comparison.fixed]
+    end = LocalSearch(comparison, around, until, is_thorough=False).improve(best, equations)
+    return end if end is best else reduce_all(comparison, end)
 
 
 def reduce_all(comparison: ModelComparison, best: FittedModel) -> FittedModel:

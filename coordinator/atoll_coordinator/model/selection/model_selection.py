@@ -3,15 +3,16 @@
 Laws by sparse regression that stand at the noise level come first, then what searches of targets without noise have
 converged to; then fronts, sums by pursuit, all that the search handed on and libraries of terms, each stage only where
 the one before leaves something to explain. The best systems of the pool are searched around, in pieces as long as
-trajectories can be simulated; last come sums that say about what the best system does, and operators with which no
-search begins.
+trajectories can be simulated; then come sums that say about what the best system does, and operators with which no
+search begins. Last, where there is noise, each equation gains or loses one term at a time.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from atoll_coordinator.model.selection.joint_search import combine, exchange, reduce_all, search_locally
+from atoll_coordinator.model.selection.comparison import FittedModel
+from atoll_coordinator.model.selection.joint_search import combine, exchange, reduce_all, search_locally, search_terms
 from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
 from atoll_coordinator.model.selection.pool import CandidatePool
 from atoll_coordinator.model.selection.proposals import (
@@ -34,7 +35,7 @@ from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS
 from atoll_core.expression.operators import BY_NAME
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, structure
 
 
 def select_model(task: ModellingTask) -> SelectedModel | None:
@@ -44,9 +45,9 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     task = with_laws(task)
     by_laws = select_by_laws(task) or select_without_wrong_law(task)
     if by_laws is not None:
-        return by_laws
+        return with_other_terms(by_laws)
     selection = search_in_pieces(*collect_pool(task))
-    return None if selection is None else with_further_operators(with_sums_like(selection))
+    return None if selection is None else with_other_terms(with_further_operators(with_sums_like(selection)))
 
 
 def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
@@ -154,6 +155,31 @@ def with_sums_like(selection: SelectedModel) -> SelectedModel:
         return selection
     best = reduce_all(comparison, best)
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+
+
+def with_other_terms(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by terms that noise has hidden or made up, see `search_terms`.
+
+    The errors of measurement are taken anew from what each better system leaves. Without noise the stages before have
+    missed none, and a term could describe what coarse steps of the integration err by; laws by derivatives among many
+    variables can do without none, and have been chosen from all terms.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    is_of_rates = any(laws and laws[0].is_of_rates for laws in task.laws.values())
+    if task.is_nearly_clean or task.solver is not None or is_of_rates or comparison.is_exact(best):
+        return selection
+    until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures(best)}
+    while not task.is_over:
+        other = search_terms(task, comparison, best, until)
+        if _structures(other) in seen:
+            break
+        seen.add(_structures(other))
+        best = comparison.calibrate(comparison.fit_beside(other, other.programs) or other)
+    return selection if best is selection.model else replace(selection, model=best)
+
+
+def _structures(model: FittedModel) -> tuple[bytes, ...]:
+    return tuple(map(structure, model.programs))
 
 
 def with_further_operators(selection: SelectedModel) -> SelectedModel:

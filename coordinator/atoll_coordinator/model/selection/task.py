@@ -122,6 +122,11 @@ class ModellingTask:
         sizes = dict(zip(measurements.variables, measurements.sizes.tolist(), strict=True))
         return [sizes[name] for name in self.dataset.names]
 
+    def sizes_for(self, variable: str) -> list[float]:
+        """Return the size of each variable of the dataset; 0 of those that the equation of `variable` may not use."""
+        columns = self.columns(variable)
+        return [size if column in columns else 0.0 for column, size in enumerate(self.sizes)]
+
     @cached_property
     def comparison(self) -> ModelComparison:
         """The one over these, for all that is tried with pieces of this length: nothing is fitted twice."""
