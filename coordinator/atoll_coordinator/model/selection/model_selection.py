@@ -12,7 +12,14 @@ from dataclasses import replace
 from functools import partial
 
 from atoll_coordinator.model.selection.comparison import FittedModel
-from atoll_coordinator.model.selection.joint_search import combine, exchange, reduce_all, search_locally, search_terms
+from atoll_coordinator.model.selection.joint_search import (
+    combine,
+    exchange,
+    recalibrated,
+    reduce_all,
+    search_locally,
+    search_terms,
+)
 from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
 from atoll_coordinator.model.selection.pool import CandidatePool
 from atoll_coordinator.model.selection.proposals import (
@@ -170,11 +177,11 @@ def with_other_terms(selection: SelectedModel) -> SelectedModel:
         return selection
     until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures(best)}
     while not task.is_over:
-        other = search_terms(task, comparison, best, until)
+        other = search_terms(task, comparison, best, selection.lists, until)
         if _structures(other) in seen:
             break
         seen.add(_structures(other))
-        best = comparison.calibrate(comparison.fit_beside(other, other.programs) or other)
+        best = recalibrated(comparison, other, [selection.model])
     return selection if best is selection.model else replace(selection, model=best)
 
 

@@ -1,5 +1,7 @@
 """The last stage of the selection: under noise each equation gains or loses one term at a time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,15 @@ def test_a_missing_term_is_found_where_the_residuals_seem_to_leave_no_room(monke
     before = selected(("y", "-2.1*x"), noise=0.2)
     monkeypatch.setattr(ModelComparison, "room", lambda *_: 0.0)
     assert terms(with_other_terms(before)) == [{"y"}, {"x", "y"}]
+
+
+def test_an_equation_with_functions_gives_way_to_a_sum_of_products_and_stays_its_rival():
+    before = selected(("y", "1.4*sin(5.0 - 1.5*x) - 0.3*y"), noise=0.2)
+    before = replace(before, lists=[[SWING.parsed("y")], [SWING.parsed("-1.5*x")]])
+    after = with_other_terms(before)
+    assert terms(after) == [{"y"}, {"x", "y"}]
+    kept = {SWING.text(model.programs[1]) for (equation, _), model in after.comparison.tried.items() if equation == 1}
+    assert any("sin" in text for text in kept)
 
 
 def test_the_shortest_description_stays_itself():
