@@ -7,10 +7,12 @@ trajectories can be simulated; then come sums that say about what the best syste
 search begins. Last, where there is noise, each equation gains or loses one term at a time.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
+from atoll_coordinator.model.selection.alternatives import fit_guesses
 from atoll_coordinator.model.selection.comparison import FittedModel
 from atoll_coordinator.model.selection.joint_search import (
     combine,
@@ -50,11 +52,11 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     if task.recording.offsets:
         task = replace(task, piece=task.longest)
     task = with_laws(task)
-    by_laws = select_by_laws(task) or select_without_wrong_law(task)
-    if by_laws is not None:
-        return with_other_terms(by_laws)
-    selection = search_in_pieces(*collect_pool(task))
-    return None if selection is None else with_other_terms(with_further_operators(with_sums_like(selection)))
+    selection = select_by_laws(task) or select_without_wrong_law(task)
+    if selection is None:
+        selection = search_in_pieces(*collect_pool(task))
+        selection = None if selection is None else with_further_operators(with_sums_like(selection))
+    return None if selection is None else with_other_terms(with_guesses(selection))
 
 
 def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
@@ -162,6 +164,26 @@ def with_sums_like(selection: SelectedModel) -> SelectedModel:
         return selection
     best = reduce_all(comparison, best)
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+
+
+def with_guesses(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by the user's guesses, one at a time or all together.
+
+    They are fitted along the trajectories whatever became of them in the search, which judges by derivatives.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    guesses = [task.candidates[name].fitted_guesses for name in task.variables]
+    if not any(guesses):
+        return selection
+    together = [given[0] if given else own for given, own in zip(guesses, best.programs, strict=True)]
+    models = [comparison.fit_beside(best, together), comparison.fit_model(together)]
+    models += [model for index, _ in enumerate(guesses) for model in fit_guesses(selection, index)]
+    known = [model for model in models if model is not None and math.isfinite(model.nats)]
+    shortest = min(known, key=lambda model: model.nats, default=best)
+    if shortest.nats > best.nats - SETTINGS.selection.least_gain:
+        return selection
+    shortest = reduce_all(comparison, shortest)
+    return replace(selection, model=recalibrated(comparison, shortest, [best]))
 
 
 def with_other_terms(selection: SelectedModel) -> SelectedModel:
