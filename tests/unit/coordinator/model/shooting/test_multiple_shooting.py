@@ -485,7 +485,7 @@ def test_a_fit_that_blows_up_from_noise_below_zero_begins_where_the_state_has_it
     fit = estimator.fit(system_of([law], ("x",), ("x",)), length, 40, starts)
     assert fit is not None
     assert sign * fit.starts[0, 0] > 0.0
-    assert fit.system.values == pytest.approx([0.8, 0.1], rel=0.3)
+    assert fit.system.values == pytest.approx([0.8, 0.1], rel=0.5)
 
 
 def test_a_state_that_may_be_of_either_sign_begins_where_it_was_measured():
