@@ -35,6 +35,7 @@ from atoll_coordinator.model.selection.proposals import (
 from atoll_coordinator.model.selection.shortcut import (
     excess_without,
     fit_laws_together,
+    laws_in_short_pieces,
     select_by_laws,
     with_laws,
     without,
@@ -54,9 +55,25 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     task = with_laws(task)
     selection = select_by_laws(task) or select_without_wrong_law(task)
     if selection is None:
+        begun = laws_in_short_pieces(task) if task.is_limited else None
         selection = search_in_pieces(*collect_pool(task))
         selection = None if selection is None else with_further_operators(with_sums_like(selection))
+        if begun is not None and task.is_over:
+            selection = _shorter(begun, selection)
     return None if selection is None else with_other_terms(with_guesses(selection))
+
+
+def _shorter(begun: SelectedModel, selection: SelectedModel | None) -> SelectedModel:
+    """Return what a search that time has cut short began with, or what it came to if that is the shorter description.
+
+    The search may have come no further than to some members of the fronts. Both are fitted to the same pieces.
+    """
+    if selection is None:
+        return begun
+    if begun.task.deadline is not None:
+        begun.task.deadline.begin_last_stage()
+    other = begun.comparison.fit_model(selection.model.programs)
+    return begun if other is None or begun.model.nats < other.nats else selection
 
 
 def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:

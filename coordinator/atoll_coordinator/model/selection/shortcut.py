@@ -15,8 +15,9 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.joint_search import fit_jointly
+from atoll_coordinator.model.selection.joint_search import exchange, fit_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.piece_lengths import in_stretches
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
@@ -52,6 +53,33 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     if all(task.laws.values()):
         return selection if selection.is_like_noise else None
     return selection if selection.comparison.is_exact(selection.model) else None
+
+
+def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
+    """Return the best system of laws that stand at the noise level; None unless every variable has one or is known.
+
+    What time may cut short begins with it: it takes little more than a fit. Other than in `select_by_laws`, laws may be
+    of few rows, and other programs may describe these about as well.
+    """
+    if task.recording.groups:
+        return None
+    lists = [
+        [task.known[name]] if name in task.known else [law.program for law in standing_laws(task, name)]
+        for name in task.variables
+    ]
+    if not all(lists):
+        return None
+    begun = _begun(replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1])), lists)
+    if begun is None:
+        return None
+    best = exchange(begun.comparison, begun.comparison.calibrate(begun.model), lists)
+    return replace(begun, model=best, lists=lists)
+
+
+def standing_laws(task: ModellingTask, name: str) -> list[Law]:
+    """Return the laws of one variable, the best first, if that one leaves noise alone."""
+    laws = [law for law in task.laws.get(name, ()) if task.may_be_shown(law.program)]
+    return laws if laws and laws[0].excess <= SETTINGS.inference.excess else []
 
 
 def without(task: ModellingTask, name: str) -> ModellingTask:
@@ -116,8 +144,8 @@ def _programs(task: ModellingTask, name: str) -> list[Program]:
     if name in task.known:
         return [task.known[name]]
     converged = task.converged(name)
-    laws = [law for law in task.laws[name] if task.may_be_shown(law.program)]
-    if not laws or not laws[0].is_tested or not laws[0].excess <= SETTINGS.inference.excess:
+    laws = standing_laws(task, name)
+    if not laws or not laws[0].is_tested:
         return [] if converged is None else [converged]
     programs = [law.program for law in laws]
     if converged is not None and structure_length(converged) < structure_length(programs[0]):

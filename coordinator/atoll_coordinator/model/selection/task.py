@@ -67,6 +67,11 @@ class ModellingTask:
         return self.deadline is not None and self.deadline.is_over
 
     @property
+    def is_limited(self) -> bool:
+        """Whether time may be over before nothing new is left to be tried."""
+        return self.deadline is not None and self.deadline.seconds is not None
+
+    @property
     def is_nearly_clean(self) -> bool:
         """Whether the independent errors of all states are too small to hide a term of a law."""
         return all(smoothing.relative_noise < SETTINGS.selection.least_noise for smoothing in self.recording.smoothing)
