@@ -66,14 +66,20 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
 def _shorter(begun: SelectedModel, selection: SelectedModel | None) -> SelectedModel:
     """Return what a search that time has cut short began with, or what it came to if that is the shorter description.
 
-    The search may have come no further than to some members of the fronts. Both are fitted to the same pieces.
+    The search may have come no further than to some members of the fronts. Both are fitted to the same pieces. What it
+    came to is compared with all that it began with, since it may not have come to its rivals.
     """
     if selection is None:
         return begun
     if begun.task.deadline is not None:
         begun.task.deadline.begin_last_stage()
     other = begun.comparison.fit_model(selection.model.programs)
-    return begun if other is None or begun.model.nats < other.nats else selection
+    if other is None or begun.model.nats < other.nats:
+        return begun
+    rounds = ((SETTINGS.effort.brief_steps, SETTINGS.effort.beam),)
+    for equation, programs in enumerate(begun.lists):
+        selection.comparison.narrow_down(selection.model, equation, programs, rounds, most=math.inf)
+    return selection
 
 
 def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:

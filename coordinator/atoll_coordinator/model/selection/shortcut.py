@@ -17,7 +17,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.joint_search import exchange, fit_jointly
+from atoll_coordinator.model.selection.joint_search import combine, exchange, fit_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.piece_lengths import in_stretches
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
@@ -33,7 +33,9 @@ and initial states lose the share g^4 of their double precision, here to 1e-4.""
 
 
 def with_laws(task: ModellingTask) -> ModellingTask:
-    """Return the task with the laws of sparse regression of each variable that is sought."""
+    """Return the task with the laws of sparse regression of each variable that is sought, if it has none yet."""
+    if task.laws:
+        return task
     others = {name: task.candidates[name].programs for name in task.variables}
     preparation = Preparation(task.dataset, task.recording)
     laws_by_name = find_all_laws(preparation, task.config, others, task.among_many, task.spread)
@@ -69,11 +71,12 @@ def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     ]
     if not all(lists):
         return None
-    begun = _begun(replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1])), lists)
+    short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
+    begun = combine(short.comparison, lists)
     if begun is None:
         return None
-    best = exchange(begun.comparison, begun.comparison.calibrate(begun.model), lists)
-    return replace(begun, model=best, lists=lists)
+    best = exchange(short.comparison, short.comparison.calibrate(begun), lists)
+    return SelectedModel(short, short.comparison, best, lists)
 
 
 def standing_laws(task: ModellingTask, name: str) -> list[Law]:
