@@ -226,7 +226,6 @@ def recalibrated(comparison: ModelComparison, best: FittedModel, others: Sequenc
     """
     tried = sorted(comparison.tried.items(), key=lambda item: item[1].nats)
     best = comparison.calibrate(comparison.fit_beside(best, best.programs) or best)
-    rounds = (SETTINGS.effort.rounds[0], (SETTINGS.effort.brief_steps, SETTINGS.effort.beam))
     for equation, own in enumerate(best.programs):
         if equation in comparison.fixed:
             continue
@@ -235,8 +234,23 @@ def recalibrated(comparison: ModelComparison, best: FittedModel, others: Sequenc
         distinct = {structure(program): program for program in reversed(programs)}
         distinct.pop(structure(own), None)
         nearest = list(reversed(distinct.values()))[: SETTINGS.effort.kept]
-        comparison.narrow_down(best, equation, nearest, rounds, most=math.inf)
+        compare_rivals(comparison, best, equation, nearest)
     return best
+
+
+def compare_rivals(
+    comparison: ModelComparison, best: FittedModel, equation: int, programs: Sequence[Program]
+) -> None:  # fmt: skip
+    """Fit programs in the place of one equation, and remember the best; the first without needless constants.
+
+    With constants that it can do without, a rival is taken for an elaboration.
+    """
+    effort = SETTINGS.effort
+    rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
+    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
+    for rival in comparison.narrow_down(best, equation, programs, rounds, most=math.inf)[: effort.rounds[1][1]]:
+        pruned = descent.prune(rival, equation)
+        comparison.tried[equation, structure(pruned.programs[equation])] = pruned
 
 
 def reduce_all(comparison: ModelComparison, best: FittedModel) -> FittedModel:

@@ -16,6 +16,7 @@ from atoll_coordinator.model.selection.alternatives import fit_guesses
 from atoll_coordinator.model.selection.comparison import FittedModel
 from atoll_coordinator.model.selection.joint_search import (
     combine,
+    compare_rivals,
     exchange,
     recalibrated,
     reduce_all,
@@ -59,7 +60,7 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
         selection = search_in_pieces(*collect_pool(task))
         selection = None if selection is None else with_further_operators(with_sums_like(selection))
         if begun is not None and task.is_over:
-            selection = _shorter(begun, selection)
+            return with_guesses(_shorter(begun, selection))
     return None if selection is None else with_other_terms(with_guesses(selection))
 
 
@@ -76,9 +77,8 @@ def _shorter(begun: SelectedModel, selection: SelectedModel | None) -> SelectedM
     other = begun.comparison.fit_model(selection.model.programs)
     if other is None or begun.model.nats < other.nats:
         return begun
-    rounds = ((SETTINGS.effort.brief_steps, SETTINGS.effort.beam),)
     for equation, programs in enumerate(begun.lists):
-        selection.comparison.narrow_down(selection.model, equation, programs, rounds, most=math.inf)
+        compare_rivals(selection.comparison, selection.model, equation, programs)
     return selection
 
 
@@ -226,6 +226,9 @@ def with_other_terms(selection: SelectedModel) -> SelectedModel:
         if _structures(other) in seen:
             break
         seen.add(_structures(other))
+        if task.is_over:  # its rivals could not be compared again
+            best = other
+            break
         best = recalibrated(comparison, other, [selection.model])
     return selection if best is selection.model else replace(selection, model=best)
 

@@ -17,7 +17,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.joint_search import combine, exchange, fit_jointly
+from atoll_coordinator.model.selection.joint_search import combine, compare_rivals, exchange, fit_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.piece_lengths import in_stretches
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
@@ -26,6 +26,7 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.product_laws import find_all_laws
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
+from atoll_core.expression.writing.shortest import shortest
 
 _LEAST_SIZE: Final = 1e-4
 """Errors are taken to be so large, at least. They grow to the root of that, g-fold; the normal equations of constants
@@ -66,7 +67,7 @@ def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     if task.recording.groups:
         return None
     lists = [
-        [task.known[name]] if name in task.known else [law.program for law in standing_laws(task, name)]
+        [task.known[name]] if name in task.known else [shortest(law.program) for law in standing_laws(task, name)]
         for name in task.variables
     ]
     if not all(lists):
@@ -76,6 +77,12 @@ def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     if begun is None:
         return None
     best = exchange(short.comparison, short.comparison.calibrate(begun), lists)
+    descent = LocalSearch(short.comparison, lambda *_: iter(()), short.comparison.estimator.work)
+    sought = [equation for equation in range(len(lists)) if equation not in short.comparison.fixed]
+    for equation in sought:
+        best = descent.prune(best, equation)
+    for equation in sought:
+        compare_rivals(short.comparison, best, equation, lists[equation])
     return SelectedModel(short, short.comparison, best, lists)
 
 
