@@ -194,11 +194,11 @@ def contenders_table(
 ) -> list[str]:
     """Return the contenders, the one shown first, by how much longer a description they are; nothing for one alone.
 
-    At most `most` others are listed; of the rest their number.
+    At most `most` others are listed, and all guesses; of the rest their number.
     """
     if len(candidates) < 2:
         return []
-    shown = candidates if most is None else candidates[: most + 1]
+    shown = [one for place, one in enumerate(candidates) if most is None or place <= most or one.origin == "guess"]
     is_held_out = any(candidate.held_out_r2 is not None for candidate in shown)
     unseen = "cross-validated" if any(candidate.cross_validated for candidate in shown) else "held out"
     heads = ("contender", "nats", "R2", *((unseen,) if is_held_out else ()), "size", "origin", "expression")

@@ -10,7 +10,7 @@
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -25,10 +25,12 @@ from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.inference.target_evidence import target_evidence
 from atoll_coordinator.model.inference.unexplained import unexplained_remarks
 from atoll_coordinator.model.inference.verdict import judge
-from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refined, Refinement, Simulation
+from atoll_coordinator.model.refinement import LawsByGroup, Member, Pools, Refined, Refinement, Simulation
 from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
+from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
 from atoll_coordinator.model.selection.model_selection import operator_remarks, select_model
+from atoll_coordinator.model.selection.shortcut import standing_laws, with_laws
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.stochastic.process_choice import ProcessChoice
@@ -117,10 +119,10 @@ def _refined(
     settled = _by_regression(preparation, config, converged, deadline)
     threads = usable_cores(os.environ)[0] if batches is None else batches.threads
     with spreading(batches, threads, deadline) as spread:
-        task = ModellingTask(
+        task = with_laws(ModellingTask(
             preparation.dataset, preparation.recording, config, candidates, settled, spread, deadline=deadline,
             among_many=laws,
-        )  # fmt: skip
+        ))  # fmt: skip
         selected = select_model(task)
         deadline.begin_last_stage()
         summarized = summarize_groups if preparation.recording.groups else summarize
@@ -143,6 +145,8 @@ def _refined(
         )
     unsettled = {name: programs for name, programs in candidates.items() if name not in converged}
     rest = _by_regression(preparation, config, unsettled, deadline)
+    if deadline.has_cut_short:
+        rest |= _by_laws(task, [name for name in unsettled if name not in task.known])
     warnings = (NOT_SIMULATED, *stochastic_remarks(preparation.recording, None))
     return Refinement({**settled, **rest}, warnings=warnings)
 
@@ -168,6 +172,22 @@ def _has_converged(preparation: Preparation, config: JobConfig, name: str, candi
     target = problem.target
     limit = target.convergence_error(config.budget.target_error)
     return not target.is_noisy and any(member.error <= limit for member in candidates.front)
+
+
+def _by_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
+    """Return the equations of variables that have a law by regression at the noise level, of these `names`.
+
+    What is shown of a front that no trajectories have judged describes the derivatives best, with whatever terms.
+    """
+    equations = {}
+    for name in names:
+        problem, loss = task.dataset.problem(name), task.config.evolution.loss
+        members = [Member(law.program, *errors_on(problem, law.program, loss)) for law in standing_laws(task, name)[:1]]
+        equation = fit_equation(problem, task.config, members, deadline=task.deadline)
+        if equation is not None:
+            member = task.candidates[name].member_of(equation.program)
+            equations[name] = replace(equation, member=member, origin="library" if member is None else "front")
+    return equations
 
 
 def _by_regression(

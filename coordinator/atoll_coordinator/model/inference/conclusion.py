@@ -61,7 +61,7 @@ from atoll_coordinator.model.shooting.variance import estimate_variance
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.unit_coefficients import (
     ExplicitCoefficients,
@@ -132,7 +132,8 @@ class Final:
         """Return where a program came from, before its constants were made simple."""
         if self.task.variables[equation] in self.task.known:
             return "known"
-        return self.origins[equation].get(form(program), "descent")
+        origins = self.origins[equation]
+        return origins.get(form(program)) or origins.get(structure(program), "descent")
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,7 +110,7 @@ def chaos(known: refinement.Chaos | None) -> Chaos | None:
 
 
 def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> tuple[Candidate, ...]:
-    """Return the equations that were compared with the one shown, itself first, then the best."""
+    """Return the equations that were compared with the one shown, itself first, then the best, and all guesses."""
     printable = [alternative for alternative in alternatives if tree_size(alternative.program) <= PRINTABLE_SIZE]
     ordered = sorted(printable, key=lambda alternative: (not alternative.is_shown, alternative.nats))
     return tuple(
@@ -124,7 +124,8 @@ def candidates(alternatives: Sequence[Alternative], dataset: Dataset) -> tuple[C
             origin=alternative.origin,
             selected=alternative.is_shown,
         )
-        for alternative in ordered[:MOST_CANDIDATES]
+        for place, alternative in enumerate(ordered)
+        if place < MOST_CANDIDATES or alternative.origin == "guess"
     )
 
 

@@ -191,6 +191,8 @@ def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list
 def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
     """Return what came closest with another equation for one variable, distinct in function, the closest first.
 
+    The user's guesses are among them, however far behind they are.
+
     Programs of the same misfit say the same in other words unless they differ beside the measured curves, also where
     groups have constants of their own. The same form with other constants is the same equation, unless they fit better.
     """
@@ -207,10 +209,11 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
         ((SETTINGS.effort.steps, SETTINGS.effort.kept),),
         most=math.inf,
     )
+    guesses = fit_guesses(selection, index)
     distinct_models, functions = [best], [values_of(best.programs[index], inputs)]
     forms = {form_of(best.programs[index])}
     shorter = best.nats - SETTINGS.selection.least_gain
-    for model in comparison.distinct([best, *near], index)[1:]:
+    for model in comparison.distinct([best, *guesses, *near], index)[1:]:
         form = form_of(model.programs[index])
         if form in forms and model.nats > shorter:
             continue
@@ -222,7 +225,28 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
             forms.add(form)
             functions.append(values)
             distinct_models.append(model)
-    return distinct_models[1 : SETTINGS.effort.beam + 1]
+    others = sorted(distinct_models[1:], key=lambda model: model.nats)
+    beyond = (model for model in others[SETTINGS.effort.beam :] if any(model is guess for guess in guesses))
+    return [*others[: SETTINGS.effort.beam], *beyond]
+
+
+def fit_guesses(selection: SelectedModel, index: int) -> list[FittedModel]:
+    """Return the user's guesses for one equation, each fitted along the trajectories, all other equations as they are.
+
+    Every guess begins from the fit of the selection, and once more from its own constants and the smoothed states: far
+    from the selection the one may fail, in long pieces the other. One that fails twice cannot be simulated.
+    """
+    comparison, best, steps = selection.comparison, selection.model, SETTINGS.effort.steps
+    fitted = []
+    for guess in selection.task.candidates[selection.task.variables[index]].fitted_guesses:
+        programs = [*best.programs[:index], guess, *best.programs[index + 1 :]]
+        models = [comparison.fit_beside(best, programs, steps), comparison.fit_model(programs, steps)]
+        known = [model for model in models if model is not None and math.isfinite(model.nats)]
+        if known:
+            model = min(known, key=lambda model: model.nats)
+            comparison.tried[index, structure(guess)] = model
+            fitted.append(model)
+    return fitted
 
 
 def _agreeing(selection: SelectedModel, index: int) -> list[Program]:

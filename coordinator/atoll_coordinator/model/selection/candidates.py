@@ -6,7 +6,7 @@ They are ranked by the variable's trajectories alone, the other states as smooth
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import compress
 from typing import Final
 
@@ -42,6 +42,11 @@ class CandidateSet:
         """All programs but a known one: front, runners-up, guesses."""
         return [*(member.program for member in self.front), *self.runners_up, *self.guesses]
 
+    @cached_property
+    def fitted_guesses(self) -> tuple[Program, ...]:
+        """The guesses in their shortest writing, which has no constants that stand in for one another."""
+        return tuple(map(shortest, self.guesses))
+
     @property
     def nearest(self) -> list[Program]:
         """The front, guesses, and the smallest of the runners-up, two for each member of the front."""
@@ -50,15 +55,17 @@ class CandidateSet:
     def origins(self, compared: Sequence[Program]) -> dict[bytes, Origin]:
         """Return by structure where programs come from, the first origin counts; `compared` are all candidates.
 
+        A guess is one also where the search, which begins with it, has it on its front.
+
         A program of none of these structures was made of them by leaving out, adding or changing parts.
         """
         programs: dict[Origin, Sequence[Program]] = {
+            "guess": self.guesses,
             "front": [member.program for member in self.front],
             "runner-up": self.runners_up,
-            "guess": self.guesses,
             "library": compared if len(compared) > 1 else (),
         }
-        origins: dict[bytes, Origin] = {}
+        origins: dict[bytes, Origin] = {structure(guess): "guess" for guess in self.fitted_guesses}
         for origin, members in programs.items():
             for program in members:
                 origins.setdefault(form(program), origin)

@@ -14,10 +14,11 @@ from atoll_coordinator.model.criteria import is_function
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
-from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
+from atoll_coordinator.model.structure.moves.extensions import extensions, further_terms, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.settings import SETTINGS, Rounds
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, structure
+from atoll_core.expression.writing.expansion import expand_program
 
 
 def fit_jointly(
@@ -164,8 +165,7 @@ def search_locally(
     def around(equation: int, program: Program) -> Iterator[Program]:
         name = task.variables[equation]
         operators, columns = task.operators(name), task.columns(name)
-        scales = [size if column in columns else 0.0 for column, size in enumerate(task.sizes)]
-        longer = extensions(program, scales, operators) if has_room else ()
+        longer = extensions(program, task.sizes_for(name), operators) if has_room else ()
         yield from promising(program, (*longer, *neighbours(program, columns, operators)))
 
     def beyond(equation: int, program: Program) -> Iterator[Program]:
@@ -184,6 +184,73 @@ def search_locally(
         best = _restarted(comparison, descent, best, equation, lists[equation])
     best = exchange(comparison, best, lists)
     return reduce_all(comparison, best)
+
+
+def search_terms(
+    task: ModellingTask, comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]], until: int
+) -> FittedModel:
+    """Return the end of the descent from the best system by one term more or less in one equation.
+
+    Each is fitted along the trajectories, begun from the system as it is, until the estimator's work is `until`. All
+    terms are tried, however little room the residuals seem to leave: the constants of a system make up for a term that
+    is missing as far as they can, so that noise hides the pattern that is left. The expanded sum itself is tried as
+    well: each of its terms can go, or lose its coefficient. Where an equation has functions, the
+    best of its candidates (`lists`) without any is another beginning: no single term leads from the one to the other.
+    """
+
+    def around(equation: int, program: Program) -> Iterator[Program]:
+        name = task.variables[equation]
+        expansion = expand_program(program)
+        expanded = (
+            () if expansion is None or structure(expansion.program) == structure(program) else (expansion.program,)
+        )
+        longer = further_terms(program, task.sizes_for(name), task.operators(name))
+        return filter(task.may_be_shown, (*expanded, *longer))
+
+    equations = [index for index, _ in enumerate(best.programs) if index not in comparison.fixed]
+    descent = LocalSearch(comparison, around, until, is_thorough=False)
+    end = descent.improve(best, equations)
+    for equation in equations if lists else ():
+        if _kind(end.programs[equation]):
+            end = _restarted(comparison, descent, end, equation, lists[equation])
+    return end if end is best else reduce_all(comparison, end)
+
+
+def recalibrated(comparison: ModelComparison, best: FittedModel, others: Sequence[FittedModel]) -> FittedModel:
+    """Return the best system by the errors of measurement that it leaves; what came closest is compared again by these.
+
+    Args:
+        comparison: is calibrated, which makes it forget what it has compared.
+        best: the best system.
+        others: systems whose equations are its rivals as well.
+    """
+    tried = sorted(comparison.tried.items(), key=lambda item: item[1].nats)
+    best = comparison.calibrate(comparison.fit_beside(best, best.programs) or best)
+    for equation, own in enumerate(best.programs):
+        if equation in comparison.fixed:
+            continue
+        programs = [other.programs[equation] for other in others]
+        programs += [model.programs[equation] for (changed, _), model in tried if changed == equation]
+        distinct = {structure(program): program for program in reversed(programs)}
+        distinct.pop(structure(own), None)
+        nearest = list(reversed(distinct.values()))[: SETTINGS.effort.kept]
+        compare_rivals(comparison, best, equation, nearest)
+    return best
+
+
+def compare_rivals(
+    comparison: ModelComparison, best: FittedModel, equation: int, programs: Sequence[Program]
+) -> None:  # fmt: skip
+    """Fit programs in the place of one equation, and remember the best; the first without needless constants.
+
+    With constants that it can do without, a rival is taken for an elaboration.
+    """
+    effort = SETTINGS.effort
+    rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
+    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
+    for rival in comparison.narrow_down(best, equation, programs, rounds, most=math.inf)[: effort.rounds[1][1]]:
+        pruned = descent.prune(rival, equation)
+        comparison.tried[equation, structure(pruned.programs[equation])] = pruned
 
 
 def reduce_all(comparison: ModelComparison, best: FittedModel) -> FittedModel:

@@ -24,15 +24,17 @@ class LocalSearch:
     """Shortens systems until nothing near is shorter, or the estimator's `budget` of work is used up.
 
     What was begun then is finished, unless that takes more than the overdraft beyond. A descent that comes to a system
-    that was tried before ends there.
+    that was tried before ends there. Unless it `is_thorough`, systems on the way lose needless constants only.
     """
 
     def __init__(
-        self, comparison: ModelComparison, around: Around, budget: int, leaps: Around = lambda *_: iter(())
-    ) -> None:
+        self, comparison: ModelComparison, around: Around, budget: int, leaps: Around = lambda *_: iter(()),
+        *, is_thorough: bool = True,
+    ) -> None:  # fmt: skip
         self._comparison = comparison
         self._around = around
         self._leaps = leaps
+        self._shorten = self.reduce if is_thorough else self.prune
         self._budget = budget
         self._explored: Final[dict[tuple[int, tuple[bytes, ...]], float]] = {}
         self._reduced: Final[dict[tuple[int, tuple[bytes, ...]], float]] = {}
@@ -121,7 +123,7 @@ class LocalSearch:
         return True
 
     def _improved(self, model: FittedModel, equation: int) -> FittedModel:
-        best = self.reduce(model, equation)
+        best = self._shorten(model, equation)
         if not self._is_new(self._explored, best, equation):
             return best
         programs = self._around(equation, best.programs[equation])
@@ -134,6 +136,6 @@ class LocalSearch:
         leaps = self._leaps(equation, best.programs[equation])
         near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.effort.rounds[1:], self._until, math.inf)
         return min(
-            [best, *(self.reduce(neighbour, equation) for neighbour in near)],
+            [best, *(self._shorten(neighbour, equation) for neighbour in near)],
             key=lambda model: model.nats + SETTINGS.selection.least_gain * (model is not best),
         )

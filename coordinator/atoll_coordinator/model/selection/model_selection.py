@@ -3,15 +3,26 @@
 Laws by sparse regression that stand at the noise level come first, then what searches of targets without noise have
 converged to; then fronts, sums by pursuit, all that the search handed on and libraries of terms, each stage only where
 the one before leaves something to explain. The best systems of the pool are searched around, in pieces as long as
-trajectories can be simulated; last come sums that say about what the best system does, and operators with which no
-search begins.
+trajectories can be simulated; then come sums that say about what the best system does, and operators with which no
+search begins. Last, where there is noise, each equation gains or loses one term at a time.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from atoll_coordinator.model.selection.joint_search import combine, exchange, reduce_all, search_locally
+from atoll_coordinator.model.selection.alternatives import fit_guesses
+from atoll_coordinator.model.selection.comparison import FittedModel
+from atoll_coordinator.model.selection.joint_search import (
+    combine,
+    compare_rivals,
+    exchange,
+    recalibrated,
+    reduce_all,
+    search_locally,
+    search_terms,
+)
 from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
 from atoll_coordinator.model.selection.pool import CandidatePool
 from atoll_coordinator.model.selection.proposals import (
@@ -25,6 +36,7 @@ from atoll_coordinator.model.selection.proposals import (
 from atoll_coordinator.model.selection.shortcut import (
     excess_without,
     fit_laws_together,
+    laws_in_short_pieces,
     select_by_laws,
     with_laws,
     without,
@@ -34,7 +46,7 @@ from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS
 from atoll_core.expression.operators import BY_NAME
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, structure
 
 
 def select_model(task: ModellingTask) -> SelectedModel | None:
@@ -42,11 +54,32 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     if task.recording.offsets:
         task = replace(task, piece=task.longest)
     task = with_laws(task)
-    by_laws = select_by_laws(task) or select_without_wrong_law(task)
-    if by_laws is not None:
-        return by_laws
-    selection = search_in_pieces(*collect_pool(task))
-    return None if selection is None else with_further_operators(with_sums_like(selection))
+    selection = select_by_laws(task) or select_without_wrong_law(task)
+    if selection is None:
+        begun = laws_in_short_pieces(task) if task.is_limited else None
+        selection = search_in_pieces(*collect_pool(task))
+        selection = None if selection is None else with_further_operators(with_sums_like(selection))
+        if begun is not None and task.is_over:
+            return with_guesses(_shorter(begun, selection))
+    return None if selection is None else with_other_terms(with_guesses(selection))
+
+
+def _shorter(begun: SelectedModel, selection: SelectedModel | None) -> SelectedModel:
+    """Return what a search that time has cut short began with, or what it came to if that is the shorter description.
+
+    The search may have come no further than to some members of the fronts. Both are fitted to the same pieces. What it
+    came to is compared with all that it began with, since it may not have come to its rivals.
+    """
+    if selection is None:
+        return begun
+    if begun.task.deadline is not None:
+        begun.task.deadline.begin_last_stage()
+    other = begun.comparison.fit_model(selection.model.programs)
+    if other is None or begun.model.nats < other.nats:
+        return begun
+    for equation, programs in enumerate(begun.lists):
+        compare_rivals(selection.comparison, selection.model, equation, programs)
+    return selection
 
 
 def select_without_wrong_law(task: ModellingTask) -> SelectedModel | None:
@@ -154,6 +187,54 @@ def with_sums_like(selection: SelectedModel) -> SelectedModel:
         return selection
     best = reduce_all(comparison, best)
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+
+
+def with_guesses(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by the user's guesses, one at a time or all together.
+
+    They are fitted along the trajectories whatever became of them in the search, which judges by derivatives.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    guesses = [task.candidates[name].fitted_guesses for name in task.variables]
+    if not any(guesses):
+        return selection
+    together = [given[0] if given else own for given, own in zip(guesses, best.programs, strict=True)]
+    models = [comparison.fit_beside(best, together), comparison.fit_model(together)]
+    models += [model for index, _ in enumerate(guesses) for model in fit_guesses(selection, index)]
+    known = [model for model in models if model is not None and math.isfinite(model.nats)]
+    shortest = min(known, key=lambda model: model.nats, default=best)
+    if shortest.nats > best.nats - SETTINGS.selection.least_gain:
+        return selection
+    shortest = reduce_all(comparison, shortest)
+    return replace(selection, model=recalibrated(comparison, shortest, [best]))
+
+
+def with_other_terms(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by terms that noise has hidden or made up, see `search_terms`.
+
+    The errors of measurement are taken anew from what each better system leaves. Without noise the stages before have
+    missed none, and a term could describe what coarse steps of the integration err by; laws by derivatives among many
+    variables can do without none, and have been chosen from all terms.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    is_of_rates = any(laws and laws[0].is_of_rates for laws in task.laws.values())
+    if task.is_nearly_clean or task.solver is not None or is_of_rates or comparison.is_exact(best):
+        return selection
+    until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures(best)}
+    while not task.is_over:
+        other = search_terms(task, comparison, best, selection.lists, until)
+        if _structures(other) in seen:
+            break
+        seen.add(_structures(other))
+        if task.is_over:  # its rivals could not be compared again
+            best = other
+            break
+        best = recalibrated(comparison, other, [selection.model])
+    return selection if best is selection.model else replace(selection, model=best)
+
+
+def _structures(model: FittedModel) -> tuple[bytes, ...]:
+    return tuple(map(structure, model.programs))
 
 
 def with_further_operators(selection: SelectedModel) -> SelectedModel:

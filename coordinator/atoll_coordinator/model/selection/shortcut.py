@@ -15,8 +15,9 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.refinement import Law
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.joint_search import fit_jointly
+from atoll_coordinator.model.selection.joint_search import combine, compare_rivals, exchange, fit_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.piece_lengths import in_stretches
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
@@ -25,6 +26,7 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.sparse.product_laws import find_all_laws
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
+from atoll_core.expression.writing.shortest import shortest
 
 _LEAST_SIZE: Final = 1e-4
 """Errors are taken to be so large, at least. They grow to the root of that, g-fold; the normal equations of constants
@@ -32,7 +34,9 @@ and initial states lose the share g^4 of their double precision, here to 1e-4.""
 
 
 def with_laws(task: ModellingTask) -> ModellingTask:
-    """Return the task with the laws of sparse regression of each variable that is sought."""
+    """Return the task with the laws of sparse regression of each variable that is sought, if it has none yet."""
+    if task.laws:
+        return task
     others = {name: task.candidates[name].programs for name in task.variables}
     preparation = Preparation(task.dataset, task.recording)
     laws_by_name = find_all_laws(preparation, task.config, others, task.among_many, task.spread)
@@ -52,6 +56,40 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
     if all(task.laws.values()):
         return selection if selection.is_like_noise else None
     return selection if selection.comparison.is_exact(selection.model) else None
+
+
+def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
+    """Return the best system of laws that stand at the noise level; None unless every variable has one or is known.
+
+    What time may cut short begins with it: it takes little more than a fit. Other than in `select_by_laws`, laws may be
+    of few rows, and other programs may describe these about as well.
+    """
+    if task.recording.groups:
+        return None
+    lists = [
+        [task.known[name]] if name in task.known else [shortest(law.program) for law in standing_laws(task, name)]
+        for name in task.variables
+    ]
+    if not all(lists):
+        return None
+    short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))
+    begun = combine(short.comparison, lists)
+    if begun is None:
+        return None
+    best = exchange(short.comparison, short.comparison.calibrate(begun), lists)
+    descent = LocalSearch(short.comparison, lambda *_: iter(()), short.comparison.estimator.work)
+    sought = [equation for equation in range(len(lists)) if equation not in short.comparison.fixed]
+    for equation in sought:
+        best = descent.prune(best, equation)
+    for equation in sought:
+        compare_rivals(short.comparison, best, equation, lists[equation])
+    return SelectedModel(short, short.comparison, best, lists)
+
+
+def standing_laws(task: ModellingTask, name: str) -> list[Law]:
+    """Return the laws of one variable, the best first, if that one leaves noise alone."""
+    laws = [law for law in task.laws.get(name, ()) if task.may_be_shown(law.program)]
+    return laws if laws and laws[0].excess <= SETTINGS.inference.excess else []
 
 
 def without(task: ModellingTask, name: str) -> ModellingTask:
@@ -116,8 +154,8 @@ def _programs(task: ModellingTask, name: str) -> list[Program]:
     if name in task.known:
         return [task.known[name]]
     converged = task.converged(name)
-    laws = [law for law in task.laws[name] if task.may_be_shown(law.program)]
-    if not laws or not laws[0].is_tested or not laws[0].excess <= SETTINGS.inference.excess:
+    laws = standing_laws(task, name)
+    if not laws or not laws[0].is_tested:
         return [] if converged is None else [converged]
     programs = [law.program for law in laws]
     if converged is not None and structure_length(converged) < structure_length(programs[0]):

@@ -72,6 +72,11 @@ class ModellingTask:
         return self.deadline is not None and self.deadline.has_cut_short
 
     @property
+    def is_limited(self) -> bool:
+        """Whether time may be over before nothing new is left to be tried."""
+        return self.deadline is not None and self.deadline.seconds is not None
+
+    @property
     def is_nearly_clean(self) -> bool:
         """Whether the independent errors of all states are too small to hide a term of a law."""
         return all(smoothing.relative_noise < SETTINGS.selection.least_noise for smoothing in self.recording.smoothing)
@@ -126,6 +131,11 @@ class ModellingTask:
         measurements = self.compared_measurements
         sizes = dict(zip(measurements.variables, measurements.sizes.tolist(), strict=True))
         return [sizes[name] for name in self.dataset.names]
+
+    def sizes_for(self, variable: str) -> list[float]:
+        """Return the size of each variable of the dataset; 0 of those that the equation of `variable` may not use."""
+        columns = self.columns(variable)
+        return [size if column in columns else 0.0 for column, size in enumerate(self.sizes)]
 
     @cached_property
     def comparison(self) -> ModelComparison:

@@ -383,17 +383,21 @@ class MultipleShooting:
         measurements = self.measurements
         layout = self._layout(length)
         segments = layout.segments
-        if starts is None:
-            starts = np.ascontiguousarray(measurements.smoothed[:, segments[:, 0]].T)
-        starts = self._at_rest(self._with_offsets(starts, len(system.outputs), in_whole=length is None), segments)
+        first = np.ascontiguousarray(measurements.smoothed[:, segments[:, 0]].T) if starts is None else starts
         system = system.with_values(system.values)  # within their bounds
         if errors is None:
             errors = ErrorModel.independent(
                 np.maximum(measurements.noise, 1e-4 * measurements.scales[measurements.observed])
             )
         may_be_stiff = is_stiff or steps > SETTINGS.effort.brief_steps
-        here, method = self._begun(system, layout, starts, errors, may_be_stiff=may_be_stiff)
-        if here is None:
+        here: _Equations | None = None
+        for beginning in self._beginnings(first, segments):
+            with_offsets = self._with_offsets(beginning, len(system.outputs), in_whole=length is None)
+            starts = self._at_rest(with_offsets, segments)
+            here, method = self._begun(system, layout, starts, errors, may_be_stiff=may_be_stiff)
+            if here is not None:
+                break
+        if here is None or starts is None:
             return None
         rounding = self._rounding(segments)
 
@@ -424,6 +428,23 @@ class MultipleShooting:
             made = Innovations(self.measurements.segments(length), self._row_steps, self.measurements.weights)
             known = self._layouts.setdefault(length, made)
         return known
+
+    def _beginnings(self, starts: FloatArray, segments: Ints) -> Iterator[FloatArray]:
+        """Yield initial states to begin from until a system can be integrated: `starts` (G, D or more), then others.
+
+        Noise may carry a first value below zero, where many laws blow up, growth among them. So a state that has one
+        sign from some row of its piece to the end has that sign in the second beginning, where it is as in that row.
+        """
+        yield starts
+        signed, bounds = starts.copy(), self.measurements.bounds
+        pieces = np.searchsorted(bounds[:, 0], segments[:, 0], "right") - 1
+        for group, (first, end) in enumerate(zip(segments[:, 0].tolist(), bounds[pieces, 1].tolist(), strict=True)):
+            for state, values in enumerate(self.measurements.smoothed[:, first:end]):
+                lasting = int(np.flatnonzero(values * values[-1] <= 0.0).max(initial=-1)) + 1
+                if lasting < len(values) and starts[group, state] * values[-1] <= 0.0:
+                    signed[group, state] = values[lasting]
+        if not np.array_equal(signed, starts):
+            yield signed
 
     def _at_rest(self, starts: FloatArray, segments: Ints) -> FloatArray:
         """Return initial states, 0 of the states that rest."""

@@ -43,6 +43,34 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     yield from replace_each(program, nodes, operators, lambda index: _joined(index, scales, sizes[index]))
 
 
+def further_terms(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:
+    """Yield the sums of `program` and one more term, collected; each structure once, linear terms first.
+
+    With variables v and w and a constant c, a term is c v, then c, then c v w. The constant makes it small next to the
+    program, whatever the units.
+
+    Args:
+        program: over as many variables as there are `scales`.
+        scales: the size of each variable; 0 for those that may not be used.
+        operators: codes of operators that may be brought in.
+    """
+    nodes = _with_own_leaves(program.nodes())
+    root, size = len(nodes) - 1, _sizes(nodes, scales)[-1]
+    terms = list(_terms(root, scales, size))
+    yield from replace_each(program, nodes, operators, lambda index: terms if index == root else ())
+
+
+def _terms(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
+    """Yield the sums of a node of that size and a small term."""
+    little = SETTINGS.common.negligible * size
+    leaves: list[tuple[Expression, float]] = [((VARIABLE, v), scale) for v, scale in enumerate(scales) if scale > 0.0]
+    yield from ((ADD, node, (MULTIPLY, little / scale, leaf)) for leaf, scale in leaves)
+    yield (ADD, node, little)
+    for place, (leaf, scale) in enumerate(leaves):
+        for partner, partner_scale in leaves[: place + 1]:
+            yield (ADD, node, (MULTIPLY, little / (scale * partner_scale), (MULTIPLY, leaf, partner)))
+
+
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
     """Yield the few programs that take more steps of a fit to show what they are worth, collected; each structure once.
 

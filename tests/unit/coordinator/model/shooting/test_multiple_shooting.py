@@ -17,6 +17,7 @@ from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleSho
 from atoll_coordinator.model.shooting.system import system_of, variable_program
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import constant_places
+from atoll_core.expression.text.parsing import from_infix
 from tests.batches import ScatteredBatches
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import (
@@ -462,3 +463,34 @@ def test_little_work_is_not_given_away():
     batches = ScatteredBatches(3)
     MultipleShooting(lotka(), 1e-4, spread=Spread(batches)).fit(system(LOTKA, *FAR), 10, 40)
     assert not batches.calls
+
+
+GROWTH = Known(("x",), lambda _, z: [0.8 * z[0] - 0.1 * z[0] ** 2])
+BELOW = {0: -0.35, 1: -0.05}
+"""Values of the first rows as noise may leave them; the law runs away from there."""
+
+
+@pytest.mark.parametrize("length", [5, None])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("is_given", [False, True])
+def test_a_fit_that_blows_up_from_noise_below_zero_begins_where_the_state_has_its_lasting_sign(length, sign, is_given):
+    data = measurements(GROWTH, ([0.2],), np.arange(0.0, 13.0), noise=0.1)
+    smoothed, measured = data.smoothed.copy(), data.measured.copy()
+    for row, value in BELOW.items():
+        smoothed[0, row] = measured[0, row] = value
+    data = replace(data, smoothed=sign * smoothed, measured=sign * measured)
+    estimator = MultipleShooting(data, 1e-6)
+    starts = np.ascontiguousarray(data.smoothed[:, data.segments(length)[:, 0]].T) if is_given else None
+    law = from_infix("0.5*x - 0.05*x*x" if sign > 0.0 else "0.5*x + 0.05*x*x", GROWTH.names)
+    fit = estimator.fit(system_of([law], ("x",), ("x",)), length, 40, starts)
+    assert fit is not None
+    assert sign * fit.starts[0, 0] > 0.0
+    assert fit.system.values == pytest.approx([0.8, 0.1], rel=0.5)
+
+
+def test_a_state_that_may_be_of_either_sign_begins_where_it_was_measured():
+    data = measurements(SWING, ([-0.3, 1.0],), np.linspace(0.0, 6.0, 40), noise=0.01)
+    fit = MultipleShooting(data, 1e-6).fit(
+        system_of([SWING.parsed(text) for text in ("y", "-2.0*x - 0.3*y")], SWING.names, SWING.states), None, 40
+    )
+    assert fit.starts[0] == pytest.approx([-0.3, 1.0], abs=0.05)

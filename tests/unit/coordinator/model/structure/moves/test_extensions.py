@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.structure.moves.extensions import extensions, leaps
+from atoll_coordinator.model.structure.moves.extensions import extensions, further_terms, leaps
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, ARITY, BY_NAME, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT
@@ -72,6 +72,18 @@ def test_every_kind_of_part_is_tried():
     )  # fmt: skip
     for text in wanted:
         assert any(_is_near(text, other) for other in made), text
+
+
+def test_further_terms_are_linear_first_then_a_constant_then_products_of_two():
+    made = [shown(longer) for longer in further_terms(parsed("2.0*x*x*y"), [1.0, 1.0], ALL)]
+    for text, longer in zip(("x", "y", "1", "x*x", "x*y", "y*y"), made, strict=True):
+        assert _is_near(f"2.0*x*x*y + 0.002*{text}", longer)
+
+
+def test_further_terms_have_the_variables_and_operators_that_are_allowed_and_are_of_no_structure_known():
+    assert len(list(further_terms(parsed("x"), [1.0, 0.0], ALL))) == 3
+    assert len(list(further_terms(parsed("2.0*x"), [1.0, 0.0], ALL))) == 2
+    assert not list(further_terms(parsed("x"), [1.0, 1.0], [MULTIPLY]))
 
 
 def _is_near(text, other):
