@@ -27,7 +27,7 @@ from benchmarks.harness.jobs import table_of_columns
 from benchmarks.harness.tables import grouped
 from benchmarks.noise.data import Case, Key
 from benchmarks.noise.judging import EquationOutcome, Outcome, search
-from benchmarks.noise.tables import line, miss
+from benchmarks.noise.tables import by_grade, line, miss
 
 OURS: Final = "atoll"
 CONFIDENT: Final = ("exact", "good")
@@ -190,6 +190,7 @@ def show(outcomes: Sequence[Outcome]) -> None:
     for name, those in grouped(outcomes, lambda outcome: outcome.key.system).items():
         say(map_of(name, those))
         say(asked(name, those) + "\n")
+    say(by_grade(outcomes) + "\n")
     say("\n".join([*wrong(outcomes), f'{len(wrong(outcomes))} wrong "exact" or "good"']))
 
 

@@ -1,4 +1,4 @@
-"""Tables of systems of the corpus, whose motions depend on their states alone: limits of time, rates, strong noise."""
+"""Tables of systems of the corpus, for limits of time, sampling rates and strong noise."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,14 +14,14 @@ from benchmarks.harness.solving import DivergedError
 from benchmarks.judging.generalisation import foretold
 from benchmarks.noise.data import Path
 from benchmarks.verdicts import groups, targets
-from benchmarks.verdicts.drawn import FRESH, Drawn, Foretold, with_errors
+from benchmarks.verdicts.drawn import FRESH, Drawn, Predictions, with_errors
 
 FULL: Final = "without"
 LIMITED: Final = "limited"
 """Variants of a table: without a limit of time, and with one."""
 
 FACTORS: Final = ("1", "3", "10", "30")
-"""Variants of a motion: how many times as fast it is sampled."""
+"""Variants of a trajectory: how many times as fast it is sampled."""
 
 SLOWEST_ROWS: Final = 60
 SLOWEST_HZ: Final = 20.0
@@ -49,7 +49,7 @@ def draw_limited(seed: int, _variant: str = "") -> Drawn:
 
 
 def draw_at_rate(seed: int, variant: str = "1") -> Drawn:
-    """Return the motion of a seed, `variant` times as many rows in the same time."""
+    """Return the trajectory of a seed, with `variant` times as many rows in the same time."""
     rng = np.random.default_rng([seed, 106])
     name = SAMPLED[seed % len(SAMPLED)]
     if name == "motor":
@@ -78,7 +78,7 @@ def _noisy(
     (measured,), _ = with_errors([clean], level, digits, rng)
     return Drawn(
         kind, {"t": times, **dict(zip(system.states, measured.T, strict=True))}, (), {"": dict(system.truths)}, columns,
-        lambda: smallest_t(system, [start], [times], [clean], [measured]), Foretelling(system.states, paths),
+        lambda: smallest_t(system, [start], [times], [clean], [measured]), PathPredictions(system.states, paths),
     )  # fmt: skip
 
 
@@ -94,14 +94,14 @@ def _trajectory(
                 raise
 
 
-class Foretelling:
+class PathPredictions:
     """R² by state of a model along fresh trajectories; a copy of a state begins where that does."""
 
     def __init__(self, states: Sequence[str], paths: Sequence[Path]) -> None:
         """Judge by `paths`, whose states are `states`."""
         self._states, self._paths = tuple(states), tuple(paths)
 
-    def __call__(self, models: Mapping[str, Mapping[str, str | None]]) -> Foretold:
+    def __call__(self, models: Mapping[str, Mapping[str, str | None]]) -> Predictions:
         """Return R² of the model of the only group, nan where there is nothing to judge by."""
         texts = {state: models[""].get(state) for state in self._states}
         r2 = foretold(texts, self._paths) if self._paths else dict.fromkeys(texts, math.nan)
@@ -127,5 +127,5 @@ def _with_copy(level: float, rng: np.random.Generator) -> Drawn:
     return Drawn(
         f"copy, {share:.0%}", {"t": times, **dict(zip(names, measured.T, strict=True))}, (), {"": dict(both.truths)},
         {**columns, "z": clean[:, 0]}, lambda: smallest_t(both, [start], [times], [clean], [measured[:, :2]]),
-        Foretelling(names, paths),
+        PathPredictions(names, paths),
     )  # fmt: skip

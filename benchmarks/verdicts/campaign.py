@@ -1,7 +1,7 @@
 """All tables of the campaigns one after the other, each as the command line would hand it over."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,7 @@ from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.verdicts import few_rows, groups, inputs, targets
 from benchmarks.verdicts.autonomous import FACTORS, FULL, LIMITED, draw_at_rate, draw_limited, draw_noisy
 from benchmarks.verdicts.drawn import Drawn
-from benchmarks.verdicts.judging import End, Key, Outcome, judge
+from benchmarks.verdicts.judging import End, Key, Outcome, judge, numbers_of, values_of
 from benchmarks.verdicts.tables import line
 
 LIMITS_S: Final = (1.0, 60.0)
@@ -88,7 +88,13 @@ def limit_of(key: Key, journal: Journal[Outcome]) -> float:
 
 def judge_again(wanted: Sequence[Key], journal: Journal[Outcome]) -> None:
     """Judge the answers that the journal has by the present rules and tables."""
-    campaign.judge_again(wanted, journal, lambda key, old, answer: replace(old, equations=judge(table_of(key), answer)))
+
+    def again(key: Key, old: Outcome, answer: Mapping[str, Any]) -> Outcome:
+        drawn = table_of(key)
+        numbers, values = numbers_of(drawn, answer), values_of(drawn)
+        return replace(old, equations=judge(drawn, answer), numbers=numbers, values=values)
+
+    campaign.judge_again(wanted, journal, again)
 
 
 def request(text: str, words: Sequence[str], folder: Path, name: str = "table.csv") -> Request:
@@ -102,16 +108,17 @@ def _one(searches: Searches, key: Key, limit: float | None, patience_s: float) -
     drawn = table_of(key)
     words = (*drawn.words, *(("--max-time", f"{limit:g}") if limit else ()))
     with TemporaryDirectory() as folder:
-        asked = asked_of(searches, key.title, lambda: request(drawn.csv(), words, Path(folder)), patience_s)
+        asked = run_job(searches, key.title, lambda: request(drawn.csv(), words, Path(folder)), patience_s)
     outcome = Outcome(
         key, drawn.kind, drawn.rows, asked.end, asked.sentence, judge(drawn, asked.result), asked.seconds, limit,
-        is_cut(asked.result), asked.result.get("digest"),
+        is_cut(asked.result), asked.result.get("digest"), numbers_of(drawn, asked.result),
+        values_of(drawn),
     )  # fmt: skip
     return outcome, asked.result or None
 
 
 @dataclass(frozen=True)
-class Asked:
+class JobEnd:
     """What came of one job: its result.json, empty where there is none, and how it ended."""
 
     result: dict[str, Any]
@@ -120,7 +127,7 @@ class Asked:
     seconds: float
 
 
-def asked_of(searches: Searches, name: str, request: Callable[[], Request], patience_s: float) -> Asked:
+def run_job(searches: Searches, name: str, request: Callable[[], Request], patience_s: float) -> JobEnd:
     """Read the files of a request and run its job; raises AtollError where a process of the service has ended."""
     begun = time.monotonic()
     result: dict[str, Any] = {}
@@ -137,7 +144,7 @@ def asked_of(searches: Searches, name: str, request: Callable[[], Request], pati
     except AtollError as error:
         searches.check()  # without a coordinator no job is to blame
         end, sentence = "late", str(error)
-    return Asked(result, end, sentence, time.monotonic() - begun)
+    return JobEnd(result, end, sentence, time.monotonic() - begun)
 
 
 def is_cut(result: dict[str, Any]) -> bool:

@@ -29,7 +29,7 @@ from benchmarks.harness.campaign import Answer, Service, journal_of, judge_again
 from benchmarks.harness.command_line import option, positive, program, workers
 from benchmarks.judging.forms import judge_form
 from benchmarks.judging.rules import Kind
-from benchmarks.verdicts.campaign import asked_of
+from benchmarks.verdicts.campaign import run_job
 from benchmarks.verdicts.judging import NO_MODEL, End
 
 LIST: Final = "cases.json"
@@ -56,7 +56,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Shown:
+class CaseEquation:
     """One equation that came back: its verdict and whether that is right; `form` is None where no truth is known."""
 
     variable: str
@@ -74,7 +74,7 @@ class CaseOutcome:
     key: str
     end: End
     sentence: str
-    equations: tuple[Shown, ...]
+    equations: tuple[CaseEquation, ...]
     seconds: float
 
     @property
@@ -101,18 +101,22 @@ def cases_of(folder: Path) -> list[Case]:
         raise DataError(f"{path} is no list of cases: {str(error).splitlines()[0]}") from error
 
 
-def judged(case: Case, columns: Columns, result: Mapping[str, Any]) -> tuple[Shown, ...]:
+def judged(case: Case, columns: Columns, result: Mapping[str, Any]) -> tuple[CaseEquation, ...]:
     """Judge the equations of a result.json; `columns` (R,) are those of the table, over which forms are compared."""
-    return tuple(_shown(case, columns, equation) for equation in result.get("equations", ()))
+    equations = result.get("equations", ())
+    missing = set(case.truth or ()) - {equation["variable"] for equation in equations}
+    return tuple(
+        _shown(case, columns, equation) for equation in (*equations, *({"variable": name} for name in sorted(missing)))
+    )
 
 
-def _shown(case: Case, columns: Columns, equation: Mapping[str, Any]) -> Shown:
+def _shown(case: Case, columns: Columns, equation: Mapping[str, Any]) -> CaseEquation:
     variable, text, grade = equation["variable"], equation.get("expression"), equation.get("verdict") or NO_MODEL
     truth = (case.truth or {}).get(variable)
-    form = None if truth is None else _form(text, truth, columns)
+    form: Kind | None = None if truth is None else "none" if text is None else _form(text, truth, columns)
     is_listed = case.verdicts is None or grade in case.verdicts
     is_wrong = grade in CONFIDENT and form not in (None, "right")
-    return Shown(variable, text, grade, equation.get("reason"), form, is_listed and not is_wrong)
+    return CaseEquation(variable, text, grade, equation.get("reason"), form, is_listed and not is_wrong)
 
 
 def _form(text: str | None, truth: str, columns: Columns) -> Kind:
@@ -171,7 +175,7 @@ def main(options: Namespace) -> int:
 
     def do(service: Service, name: str) -> tuple[CaseOutcome, Answer]:
         case = cases[name]
-        asked = asked_of(service(), name, lambda: case.request(options.data), options.limit)
+        asked = run_job(service(), name, lambda: case.request(options.data), options.limit)
         equations = judged(case, columns_of(case, options.data), asked.result) if asked.result else ()
         return CaseOutcome(name, asked.end, asked.sentence, equations, asked.seconds), asked.result or None
 

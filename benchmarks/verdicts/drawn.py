@@ -13,22 +13,22 @@ from benchmarks.corpus.cases import LEAST_T
 from benchmarks.first_hour.cases import FEWEST_ROWS
 from benchmarks.first_hour.tables import Columns
 from benchmarks.harness.solving import DivergedError
-from benchmarks.verdicts.motion import Course, Texts, foretold, known, solved, with_numbers
+from benchmarks.verdicts.simulation import Run, Texts, least_t, prediction_r2, simulate, with_numbers
 
 Laws = Mapping[str, str | None]
 """Right-hand sides by variable of an equation, None for one that has no law."""
 
-Foretold = Mapping[str, tuple[float, float]]
+Predictions = Mapping[str, tuple[float, float]]
 """R² by variable from other initial states, and beyond what was measured: twice as long, or at other x values. It is
 -inf where a model cannot be simulated, nan where nothing is to be judged by."""
 
-Foretell = Callable[[Mapping[str, Mapping[str, str | None]]], Foretold]
+Predict = Callable[[Mapping[str, Mapping[str, str | None]]], Predictions]
 """R² of models by group."""
 
 Value = TypeVar("Value")
 
 FRESH: Final = 4
-"""Fresh motions that a model is judged by."""
+"""Runs from other initial states by which a model is judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class Drawn:
     """One table. `columns` are what the file has, in its order; `texts` are columns of words, written before these.
 
     `laws` has the laws by group, "" where there are no groups, over the names of `clean`: the columns (R,) without
-    errors, with velocities where these are sought. `identify` computes `t`, `foretell` is None where nothing can be
-    foretold.
+    errors, with velocities where these are sought. `identify` computes `t`, `predict` is None where nothing can be
+    predicted.
     """
 
     kind: str
@@ -46,7 +46,7 @@ class Drawn:
     laws: Mapping[str, Laws]
     clean: Columns = field(default_factory=dict)
     identify: Callable[[], Mapping[str, float]] = dict
-    foretell: Foretell | None = None
+    predict: Predict | None = None
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @cached_property
@@ -58,6 +58,11 @@ class Drawn:
     def rows(self) -> int:
         """Rows of the table."""
         return len(next(iter(self.columns.values())))
+
+    @property
+    def runs(self) -> int:
+        """Runs of the table; 0 where rows have no time."""
+        return 0 if "--target" in self.words else len(set(self.texts["run"])) if "run" in self.texts else 1
 
     def is_identified(self, variable: str) -> bool:
         """Whether the data tell the law from others: enough rows, and no constant that may be zero."""
@@ -106,35 +111,35 @@ def nice_step(value: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Motions of one law, and the fresh ones by which a model of them is judged.
+    """Runs of one law, and the fresh ones by which a model of them is judged.
 
     `texts` has the law over names of constants; `states` those that are written in the file; with `order` 2 the second
     half of the texts are velocities, and equations are sought for the positions.
     """
 
     texts: Texts
-    courses: Sequence[Course]
-    fresh: Sequence[Course]
+    runs: Sequence[Run]
+    fresh: Sequence[Run]
     states: tuple[str, ...]
     own: tuple[str, ...] = ()
     order: int = 1
 
     def solutions(self) -> list[FloatArray]:
-        """Return the states (n, S) of each course; raises DivergedError."""
-        return [solved(with_numbers(self.texts, course.constants), course) for course in self.courses]
+        """Return the states (n, S) of each run; raises DivergedError."""
+        return [simulate(with_numbers(self.texts, run.constants), run) for run in self.runs]
 
     def clean(self, solutions: Sequence[FloatArray]) -> Columns:
         """Return all states and inputs (R,) without errors."""
         columns = dict(zip(self.texts, np.concatenate(solutions).T, strict=True))
         inputs = {
-            name: np.array([course.inputs[name](time) for course in self.courses for time in course.times.tolist()])
-            for name in self.courses[0].inputs
+            name: np.array([run.inputs[name](time) for run in self.runs for time in run.times.tolist()])
+            for name in self.runs[0].inputs
         }
         return {**columns, **inputs}
 
     def laws(self) -> dict[str, Laws]:
         """Return the laws with numbers by group and by variable of an equation."""
-        return {course.group: self._by_variable(with_numbers(self.texts, course.constants)) for course in self.courses}
+        return {run.group: self._by_variable(with_numbers(self.texts, run.constants)) for run in self.runs}
 
     def _by_variable(self, states: Mapping[str, Value]) -> dict[str, Value]:
         """Return what belongs to states by the variables whose equations theirs are."""
@@ -149,29 +154,29 @@ class Measured:
 
     def t(self, errors: FloatArray) -> dict[str, float]:
         """Return by variable how well the least known constant can be known with errors of the states in the file."""
-        least = known(self.texts, self.courses, dict(zip(self.states, errors.tolist(), strict=True)), self.own)
+        least = least_t(self.texts, self.runs, dict(zip(self.states, errors.tolist(), strict=True)), self.own)
         return self._by_variable(least)
 
-    def foretell(self, models: Mapping[str, Mapping[str, str | None]]) -> Foretold:
-        """Return R² by variable along the fresh motions, and along the same ones when they last twice as long."""
+    def predict(self, models: Mapping[str, Mapping[str, str | None]]) -> Predictions:
+        """Return R² by variable along the fresh runs, and along the same ones lasting twice as long."""
         whole = {group: self._whole(model) for group, model in models.items()}
         return {
             variable: (near, far)
             for (variable, near), far in zip(
                 self._r2(whole, self.fresh).items(),
-                self._r2(whole, [_longer(course) for course in self.fresh]).values(),
+                self._r2(whole, [_longer(run) for run in self.fresh]).values(),
                 strict=True,
             )
         }
 
-    def _r2(self, whole: Mapping[str, Texts], courses: Sequence[Course]) -> dict[str, float]:
+    def _r2(self, whole: Mapping[str, Texts], runs: Sequence[Run]) -> dict[str, float]:
         if any(not text for model in whole.values() for text in model.values()):
             return self._by_variable(dict.fromkeys(self.texts, -math.inf))
         try:
-            true = [solved(with_numbers(self.texts, course.constants), course) for course in courses]
+            true = [simulate(with_numbers(self.texts, run.constants), run) for run in runs]
         except DivergedError:
             return self._by_variable(dict.fromkeys(self.texts, math.nan))
-        r2 = foretold(whole, courses, true)
+        r2 = prediction_r2(whole, runs, true)
         return r2 if self.order == 1 else {variable: r2[variable] for variable in self._by_variable(r2)}
 
     def _whole(self, model: Mapping[str, str | None]) -> dict[str, str]:
@@ -183,7 +188,7 @@ class Measured:
         }
 
 
-def _longer(course: Course) -> Course:
-    """Return a motion that lasts twice as long."""
-    times = course.times
-    return replace(course, times=np.concatenate([times, times[-1] + (times[1:] - times[0])]))
+def _longer(run: Run) -> Run:
+    """Return the run, lasting twice as long."""
+    times = run.times
+    return replace(run, times=np.concatenate([times, times[-1] + (times[1:] - times[0])]))

@@ -9,7 +9,7 @@ from benchmarks.first_hour.tables import drawn as without_law
 from benchmarks.harness.solving import DivergedError
 from benchmarks.verdicts.drawn import FRESH, Drawn, Measured, nice_step, rounded, with_errors
 from benchmarks.verdicts.laws import LAWS, Law
-from benchmarks.verdicts.motion import Course
+from benchmarks.verdicts.simulation import Run
 
 CONTROL: Final = "no law"
 KINDS: Final = (*LAWS, CONTROL)
@@ -46,10 +46,10 @@ def _control(rows: int, digits: int, seed: int) -> Drawn:
 def _measured(kind: str, law: Law, rows: int, level: float, digits: int, rng: np.random.Generator) -> Drawn:
     constants = law.draw_constants(rng)
     times = _times(law.draw_duration(constants, rng), rows, rng)
-    course = Course(constants, law.draw_start(constants, rng), times)
-    measured = Measured(law.equations, [course], [], law.measured, order=law.order)
+    run = Run(constants, law.draw_start(constants, rng), times)
+    measured = Measured(law.equations, [run], [], law.measured, order=law.order)
     (states,) = measured.solutions()
-    whole = Measured(law.equations, [course], fresh(course, states, rng), law.measured, order=law.order)
+    whole = Measured(law.equations, [run], fresh(run, states, rng), law.measured, order=law.order)
     kept = states[:, [place for place, state in enumerate(law.equations) if state in law.measured]]
     (noisy,), errors = with_errors([kept], level, digits, rng)
     columns = {"t": times, **dict(zip(law.measured, noisy.T, strict=True))}
@@ -61,7 +61,7 @@ def _measured(kind: str, law: Law, rows: int, level: float, digits: int, rng: np
         whole.laws(),
         whole.clean([states]),
         lambda: whole.t(errors),
-        whole.foretell,
+        whole.predict,
     )
 
 
@@ -73,11 +73,11 @@ def _times(duration: float, rows: int, rng: np.random.Generator) -> FloatArray:
     return np.arange(rows, dtype=np.float64) * nice_step(duration / (rows - 1))
 
 
-def fresh(course: Course, states: FloatArray, rng: np.random.Generator) -> list[Course]:
-    """Return motions from other initial states between the least and the largest of the states (n, S)."""
+def fresh(run: Run, states: FloatArray, rng: np.random.Generator) -> list[Run]:
+    """Return runs from other initial states between the least and the largest of the states (n, S)."""
     low, high = states.min(axis=0), states.max(axis=0)
     return [
-        Course(course.constants, tuple(rng.uniform(low, high).tolist()), course.times, course.inputs, course.is_held,
-               course.group)
+        Run(run.constants, tuple(rng.uniform(low, high).tolist()), run.times, run.inputs, run.is_held,
+               run.group)
         for _ in range(FRESH)
     ]  # fmt: skip

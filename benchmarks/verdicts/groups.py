@@ -15,7 +15,7 @@ from benchmarks.harness.solving import DivergedError
 from benchmarks.verdicts.drawn import Drawn, Laws, Measured, nice_step, with_errors
 from benchmarks.verdicts.few_rows import fresh
 from benchmarks.verdicts.laws import COOLING, DECAY, ENZYME, LOGISTIC, OSCILLATOR, PREY, Law
-from benchmarks.verdicts.motion import CONSTANT, Course, Input
+from benchmarks.verdicts.simulation import CONSTANT, Input, Run
 
 KINDS: Final = ("group", "own", "shared", "unsaid", "group", "motor")
 FROM: Final = {"decay": DECAY, "cooling": COOLING, "logistic": LOGISTIC, "oscillator": OSCILLATOR, "enzyme": ENZYME,
@@ -49,7 +49,7 @@ def _runs(kind: str, name: str, law: Law, level: float, rng: np.random.Generator
     times = np.arange(rows, dtype=np.float64) * nice_step(law.draw_duration(constants, rng) / (rows - 1))
     own = () if kind == "shared" else (str(rng.choice([*constants])),)
     factors = rng.permutation(_APART)[:number]
-    courses: list[Course] = []
+    runs: list[Run] = []
     strains: list[str] = []
     for group in range(number):
         changed = {
@@ -57,18 +57,18 @@ def _runs(kind: str, name: str, law: Law, level: float, rng: np.random.Generator
         }
         for _ in range(int(rng.integers(1, 3)) if kind == "group" else 1):
             strains.append(f"s{group}")
-            title = {"group": strains[-1], "own": f"r{len(courses)}", "unsaid": f"r{len(courses)}"}.get(kind, "")
-            courses.append(Course(changed, law.draw_start(changed, rng), times, group=title))
-    measured = Measured(law.equations, courses, [], law.measured, own)
+            title = {"group": strains[-1], "own": f"r{len(runs)}", "unsaid": f"r{len(runs)}"}.get(kind, "")
+            runs.append(Run(changed, law.draw_start(changed, rng), times, group=title))
+    measured = Measured(law.equations, runs, [], law.measured, own)
     solutions = measured.solutions()
-    others = [one for course, states in zip(courses, solutions, strict=True) for one in fresh(course, states, rng)[:2]]
-    whole = Measured(law.equations, courses, others, law.measured, own)
+    others = [one for run, states in zip(runs, solutions, strict=True) for one in fresh(run, states, rng)[:2]]
+    whole = Measured(law.equations, runs, others, law.measured, own)
     noisy, errors = with_errors(solutions, level, 4, rng)
     columns = {
-        "t": np.concatenate([times] * len(courses)),
+        "t": np.concatenate([times] * len(runs)),
         **dict(zip(law.measured, np.concatenate(noisy).T, strict=True)),
     }
-    labels = {"run": [f"r{number}" for number in range(len(courses)) for _ in range(rows)]}
+    labels = {"run": [f"r{number}" for number in range(len(runs)) for _ in range(rows)]}
     words = ["--trajectory", "run"]
     if kind == "group":
         labels["strain"] = [strain for strain in strains for _ in range(rows)]
@@ -79,7 +79,7 @@ def _runs(kind: str, name: str, law: Law, level: float, rng: np.random.Generator
         laws = {group: _without_own(law.equations, own, texts) for group, texts in laws.items()}
     return Drawn(
         f"{kind}: {name}, {level:.0%}", columns, tuple(words), laws, whole.clean(solutions), lambda: whole.t(errors),
-        whole.foretell, labels,
+        whole.predict, labels,
     )  # fmt: skip
 
 
@@ -100,8 +100,8 @@ def motor(rate: float, rng: np.random.Generator) -> Drawn:
     for number, (group, mass) in enumerate([*masses.items()] * 2):
         inertia = 0.004 + mass * 0.09
         constants = {"k1": mass * 9.81 * 0.3 / inertia, "k2": 0.012 / inertia, "k3": 0.05 / inertia}
-        runs.append(Course(constants, (0.4 * (number - 1.5), 0.0), times, {"u": _voltage(rng)}, group=group))
-    others = [Course(run.constants, (float(rng.uniform(-0.5, 0.5)), 0.0), times, {"u": _voltage(rng)}, group=run.group)
+        runs.append(Run(constants, (0.4 * (number - 1.5), 0.0), times, {"u": _voltage(rng)}, group=group))
+    others = [Run(run.constants, (float(rng.uniform(-0.5, 0.5)), 0.0), times, {"u": _voltage(rng)}, group=run.group)
               for run in runs]  # fmt: skip
     measured = Measured(MOTOR, runs, others, ("th",), ("k1", "k2", "k3"), 2)
     solutions = measured.solutions()
@@ -112,7 +112,7 @@ def motor(rate: float, rng: np.random.Generator) -> Drawn:
              "mass": [run.group for run in runs for _ in times]}  # fmt: skip
     words = ("--trajectory", "run", "--group", "mass", "--inputs", "u", "--order", "2")
     return Drawn(f"motor, {rate:g} Hz", columns, words, measured.laws(), clean, lambda: measured.t(np.array([0.004])),
-                 measured.foretell, texts)  # fmt: skip
+                 measured.predict, texts)  # fmt: skip
 
 
 def _voltage(rng: np.random.Generator) -> Input:

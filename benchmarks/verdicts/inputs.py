@@ -12,7 +12,7 @@ from atoll.client.options import OPTIONS
 from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.solving import DivergedError
 from benchmarks.verdicts.drawn import FRESH, Drawn, Measured, with_errors
-from benchmarks.verdicts.motion import Course, Input
+from benchmarks.verdicts.simulation import Input, Run
 
 LAWS: Final = {
     "first order": ({"x": "-k1*x + k2*u"}, {"k1": (0.3, 1.2), "k2": (0.5, 2.5)}),
@@ -49,12 +49,12 @@ def _driven(name: str, is_held: bool, level: float, variant: str, rng: np.random
     step = float(f"{rng.uniform(0.1, 0.5) if is_held else period / rng.uniform(*A_PERIOD):.2g}")
     times = np.arange(rows, dtype=np.float64) * step
 
-    def course() -> Course:
+    def run() -> Run:
         start = tuple(float(f"{value:.3g}") for value in rng.uniform(0.2, 2.0, len(texts)))
-        return Course(constants, start, times, {"u": _held(rng, times) if is_held else _smooth(rng, period)}, is_held)
+        return Run(constants, start, times, {"u": _held(rng, times) if is_held else _smooth(rng, period)}, is_held)
 
-    runs = [course()]
-    measured = Measured(texts, runs, [course() for _ in range(FRESH)], tuple(texts))
+    runs = [run()]
+    measured = Measured(texts, runs, [run() for _ in range(FRESH)], tuple(texts))
     solutions = measured.solutions()
     clean = measured.clean(solutions)
     (noisy,), errors = with_errors(solutions, level, None if level else 6, rng)
@@ -62,7 +62,7 @@ def _driven(name: str, is_held: bool, level: float, variant: str, rng: np.random
     words = ("--inputs", "u", *(("--hold", "u") if variant == "hold" else ()))
     how = "held" if is_held else "smooth"
     return Drawn(f"{how}: {name}, {level:.0%}", columns, words, measured.laws(), clean, lambda: measured.t(errors),
-                 measured.foretell)  # fmt: skip
+                 measured.predict)  # fmt: skip
 
 
 def _smooth(rng: np.random.Generator, period: float) -> Input:

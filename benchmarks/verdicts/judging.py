@@ -1,6 +1,6 @@
-"""How one job came out: the form of each equation, whether it foretells, its verdict, and whether that is false.
+"""How one job came out: the form of each equation, whether it predicts, its verdict, and whether that is false.
 
-"Exact" is false where the form is not the law's; "good" where the form is not the law's and the state is not foretold
+"Exact" is false where the form is not the law's; "good" where the form is not the law's and the state is not predicted
 from other initial states (R² at most 0.9), which is what it promises (ADR 0037). Where there is no law both are false.
 """
 
@@ -15,7 +15,7 @@ from benchmarks.harness.tables import GRADES
 from benchmarks.judging.forms import judge_form
 from benchmarks.judging.generalisation import is_foretold
 from benchmarks.judging.rules import Kind
-from benchmarks.verdicts.drawn import Drawn, Foretold
+from benchmarks.verdicts.drawn import Drawn, Predictions
 
 End = Literal["done", "refused", "broke", "late"]
 
@@ -61,12 +61,12 @@ class EquationOutcome:
         return self.form == "right"
 
     @property
-    def is_foretold(self) -> bool:
+    def is_predicted(self) -> bool:
         """Whether it predicts from other initial states."""
         return is_foretold(self.r2)
 
     @property
-    def is_bold(self) -> bool:
+    def is_wrong_beyond(self) -> bool:
         """Whether it is relied on, has another form, predicts from other initial states, but not beyond."""
         is_wrong = self.grade in CONFIDENT and not self.is_right and not self.is_false
         return is_wrong and self.beyond is not None and not is_foretold(self.beyond)
@@ -77,14 +77,15 @@ class EquationOutcome:
         if self.grade not in CONFIDENT or self.is_right:
             return False
         is_open = self.law is not None and self.r2 is None
-        return self.grade == "exact" or not (self.is_foretold or is_open)
+        return self.grade == "exact" or not (self.is_predicted or is_open)
 
 
 @dataclass(frozen=True)
 class Outcome:
     """One job. ``refused``: the data or options were, with a sentence; ``late``: it was cancelled.
 
-    `limit` is its --max-time, None without; `is_cut`: that ended the search or the choice of equations.
+    `limit` is its --max-time, None without; `is_cut`: that ended the search or the choice of equations. `numbers` counts
+    fitted constants and initial values, `values` the measured values of the states or the target.
     """
 
     key: Key
@@ -97,6 +98,13 @@ class Outcome:
     limit: float | None = None
     is_cut: bool = False
     digest: str | None = None
+    numbers: int = 0
+    values: int = 0
+
+    @property
+    def is_saturated(self) -> bool:
+        """Whether the model has as many fitted numbers as the table has values."""
+        return self.numbers >= self.values > 0
 
 
 def judge(drawn: Drawn, result: Mapping[str, Any]) -> tuple[EquationOutcome, ...]:
@@ -106,8 +114,29 @@ def judge(drawn: Drawn, result: Mapping[str, Any]) -> tuple[EquationOutcome, ...
         group: {variable: _text(shown.get(variable, {}), group) for variable in _variables(shown, laws)}
         for group, laws in drawn.laws.items()
     }
-    r2: Foretold = {} if drawn.foretell is None or not shown else drawn.foretell(models)
+    r2: Predictions = {} if drawn.predict is None or not shown else drawn.predict(models)
     return tuple(_equation(drawn, variable, shown.get(variable, {}), models, r2) for variable in _judged(drawn))
+
+
+def numbers_of(drawn: Drawn, result: Mapping[str, Any]) -> int:
+    """Return how many numbers were fitted: constants, those of each group, and initial values; 0 without a model."""
+    equations = [equation for equation in result.get("equations", ()) if equation.get("expression") is not None]
+    states = len(equations) * (2 if "--order" in drawn.words else 1)
+    return sum(map(_constants, equations)) + states * drawn.runs if equations else 0
+
+
+def _constants(equation: Mapping[str, Any]) -> int:
+    groups = equation.get("groups") or ()
+    if not groups:
+        return len(equation.get("constants") or ())
+    lists = [group.get("constants") or () for group in groups]
+    shared = sum(bool(constant.get("shared")) for constant in lists[0])
+    return shared + sum(not constant.get("shared") for constants in lists for constant in constants)
+
+
+def values_of(drawn: Drawn) -> int:
+    """Return how many values of states, or of the target, the table has."""
+    return drawn.rows * len(_judged(drawn))
 
 
 def _judged(drawn: Drawn) -> tuple[str, ...]:
@@ -129,7 +158,7 @@ def _text(equation: Mapping[str, Any], group: str) -> str | None:
 
 def _equation(
     drawn: Drawn, variable: str, equation: Mapping[str, Any], models: Mapping[str, Mapping[str, str | None]],
-    r2: Foretold,
+    r2: Predictions,
 ) -> EquationOutcome:  # fmt: skip
     laws = {group: laws[variable] for group, laws in drawn.laws.items()}
     forms = [_form(drawn, models[group][variable], law) for group, law in laws.items()]

@@ -1,4 +1,4 @@
-"""Laws of textbooks that short tables are drawn from, and how long each is watched.
+"""Laws of textbooks that short tables are drawn from, and how long each is measured.
 
 Laws of the second order have velocities whose names end in ``_dot``. Initial values are in units of a constant where
 one is named. The duration is in units of the reciprocal of what `rate` makes of the constants.
@@ -17,7 +17,7 @@ Box = tuple[float, float, str | None]
 
 @dataclass(frozen=True)
 class Law:
-    """Right-hand sides over constants, their ranges, initial values and duration of a motion."""
+    """Right-hand sides over constants, their ranges, initial values and duration of a run."""
 
     equations: Mapping[str, str]
     constants: Mapping[str, tuple[float, float]]
@@ -44,7 +44,7 @@ class Law:
         )
 
     def draw_duration(self, constants: Constants, rng: np.random.Generator) -> float:
-        """Return how long a motion is watched."""
+        """Return how long a run is measured."""
         return float(rng.uniform(*self.duration)) / self.rate(constants)
 
 

@@ -19,10 +19,12 @@ MOST_FALSE: Final = 0.02
 LONGEST: Final = 110
 
 HEADS: Final = (
-    "tables", "broke, late", "refused", "equations", "exact", "false", "good", "false", "wrong beyond",
-    "doubtful, none", "identified", "of these right", "right, doubted", "cut", "s: median, most",
+    "tables", "broke, late", "refused", "equations", "exact", "false", "good", "false", "other form", "wrong beyond",
+    "saturated", "doubtful, none", "identified", "of these right", "right, doubted", "cut", "s: median, most",
 )  # fmt: skip
-"""``wrong beyond``: relied on, of another form, right from other initial states but not beyond what was measured."""
+"""Of "exact" and "good" equations together: ``other form`` than the law's; of these ``wrong beyond`` what was measured,
+although they predict from other initial states; ``saturated``: of models with as many numbers as the table has values.
+"""
 
 Pair = tuple[Outcome, EquationOutcome]
 TableOf = Callable[[Key], Drawn]
@@ -74,7 +76,9 @@ def _row(title: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         str(sum(one.is_false for one in exact)),
         str(len(good)),
         str(sum(one.is_false for one in good)),
-        str(sum(one.is_bold for one in equations)),
+        str(sum(not one.is_right for one in (*exact, *good))),
+        str(sum(one.is_wrong_beyond for one in equations)),
+        str(sum(one.grade in CONFIDENT for outcome, one in _pairs(outcomes) if outcome.is_saturated)),
         str(len(equations) - len(exact) - len(good)),
         str(len(identified)),
         str(len(right)),

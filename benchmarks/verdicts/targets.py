@@ -12,8 +12,8 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 from benchmarks.first_hour.tables import Columns
 from benchmarks.judging.errors import error_on, values_on
-from benchmarks.verdicts.drawn import Drawn, Foretold, rounded
-from benchmarks.verdicts.motion import CONSTANT, with_numbers
+from benchmarks.verdicts.drawn import Drawn, Predictions, rounded
+from benchmarks.verdicts.simulation import CONSTANT, with_numbers
 
 TARGET: Final = "y"
 ROWS: Final = (5, 40)
@@ -70,13 +70,13 @@ def draw(seed: int, _variant: str = "") -> Drawn:
     error = float(np.hypot(spread, step))
     points, beyond = (_points(columns, wider, rng) for wider in (0.0, BEYOND))
 
-    def foretell(models: Mapping[str, Mapping[str, str | None]]) -> Foretold:
+    def predict(models: Mapping[str, Mapping[str, str | None]]) -> Predictions:
         text = models[""].get(TARGET)
         return {TARGET: (_r2(text, law, points), _r2(text, law, beyond))}
 
     return Drawn(
         f"{name}, {level:.0%}", {**columns, TARGET: values}, ("--target", TARGET), {"": {TARGET: law}}, columns,
-        lambda: {TARGET: _t(curve.text, constants, columns, error)}, foretell,
+        lambda: {TARGET: _t(curve.text, constants, columns, error)}, predict,
     )  # fmt: skip
 
 

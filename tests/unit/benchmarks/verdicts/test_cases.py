@@ -33,6 +33,13 @@ def test_a_verdict_is_right_where_it_is_listed_and_what_is_relied_on_is_the_trut
     assert (shown.form, shown.is_allowed) == (form, is_allowed)
 
 
+def test_a_truth_whose_equation_is_missing_is_not_found() -> None:
+    case = Case("a.csv", "", {"x": "-0.5*x", "y": "-y"}, ("good",))
+    shown = judged(case, COLUMNS, equation("-0.4*x", "good"))
+    assert [(one.variable, one.form, one.is_allowed) for one in shown] == [("x", "right", True), ("y", "none", False)]
+    assert CaseOutcome("a.csv", "done", "", shown, 1.0).found == "no"
+
+
 def test_without_verdicts_and_truth_any_result_is_right_but_there_must_be_one() -> None:
     shown = judged(Case("a.csv"), COLUMNS, equation("x**9", "good"))
     done, refused = (CaseOutcome("a.csv", end, "", those, 1.0) for end, those in (("done", shown), ("refused", ())))

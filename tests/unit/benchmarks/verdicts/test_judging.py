@@ -11,7 +11,7 @@ from benchmarks.verdicts import few_rows, groups, targets
 from benchmarks.verdicts.autonomous import FULL, LIMITED
 from benchmarks.verdicts.campaign import is_cut, limit_of
 from benchmarks.verdicts.drawn import Drawn
-from benchmarks.verdicts.judging import EquationOutcome, Key, Outcome, judge
+from benchmarks.verdicts.judging import EquationOutcome, Key, Outcome, judge, numbers_of, values_of
 from benchmarks.verdicts.tables import by_kind, cases, is_as_promised, limits, line, rates, summary
 
 DECAY = few_rows.draw(9)
@@ -49,8 +49,8 @@ def test_exact_is_false_where_the_form_is_not_right() -> None:
 def test_a_model_that_is_wrong_beyond_what_was_measured_is_counted_apart() -> None:
     text = f"{DOSES.laws['']['y']} + exp(40.0*(x - 5.9))"
     bold = shown(DOSES, "good", y=text)
-    assert (bold.is_false, bold.is_bold) == (False, True)
-    assert not shown(DOSES, "good", y=str(DOSES.laws[""]["y"])).is_bold
+    assert (bold.is_false, bold.is_wrong_beyond) == (False, True)
+    assert not shown(DOSES, "good", y=str(DOSES.laws[""]["y"])).is_wrong_beyond
 
 
 def test_without_a_law_whatever_is_relied_on_is_false() -> None:
@@ -77,12 +77,43 @@ def test_the_form_must_be_right_in_each_group() -> None:
         judge(drawn, result)
 
 
+def test_numbers_are_constants_of_each_group_and_initial_values() -> None:
+    drawn = groups.draw(1)
+    own, shared = {"shared": False}, {"shared": True}
+    rows = [{"group": group, "expression": "x", "constants": [own, shared]} for group in drawn.laws]
+    result = {"equations": [{"variable": "x", "expression": "x", "constants": [own, shared], "groups": rows}]}
+    assert (len(rows), drawn.runs, numbers_of(drawn, result)) == (3, 3, 3 + 1 + 3)
+    assert numbers_of(DOSES, {"equations": [{"variable": "y", "expression": "x", "constants": [own] * 4}]}) == 4
+    assert numbers_of(few_rows.draw(5), {"equations": [{"variable": "x", "expression": "x", "constants": [own]}]}) == 3
+    assert (numbers_of(DECAY, {}), values_of(DECAY), values_of(few_rows.draw(7))) == (0, DECAY.rows, 24)
+
+
 def test_a_summary_counts_false_verdicts_and_right_laws_that_are_doubted() -> None:
     doubted, false = shown(DECAY, "doubtful", x="-0.24*x"), shown(DECAY, "good", x="-0.1*x - 3.0")
-    outcomes = [outcome(doubted), outcome(false, Key("few-rows", 18), limit=30.0, is_cut=True)]
+    outcomes = [outcome(doubted), outcome(false, Key("few-rows", 18), limit=30.0, is_cut=True, numbers=9, values=9)]
     heads, counts = (row.split() for row in (summary(outcomes).splitlines()[0], summary(outcomes).splitlines()[-1]))
     assert len(heads) >= 10
-    assert counts == ["few-rows", "2", "0", "0", "2", "0", "0", "1", "1", "0", "1", "2", "1", "1", "1", "2.0,", "2"]
+    assert counts == [
+        "few-rows",
+        "2",
+        "0",
+        "0",
+        "2",
+        "0",
+        "0",
+        "1",
+        "1",
+        "1",
+        "0",
+        "1",
+        "1",
+        "2",
+        "1",
+        "1",
+        "1",
+        "2.0,",
+        "2",
+    ]
     assert "decay" in by_kind(outcomes)
     said = "\n".join(cases(outcomes))
     assert "FALSE good: few-rows 18" in said

@@ -12,7 +12,7 @@ from benchmarks.verdicts.autonomous import FACTORS, draw_at_rate
 from benchmarks.verdicts.campaign import CAMPAIGNS, keys, request, table_of
 from benchmarks.verdicts.drawn import Drawn, Measured, nice_step, rounded
 from benchmarks.verdicts.judging import Key, judge
-from benchmarks.verdicts.motion import Course, foretold, known, solved
+from benchmarks.verdicts.simulation import Run, least_t, prediction_r2, simulate
 
 TABLES = [
     Key("few-rows", 0), Key("few-rows", 5), Key("few-rows", 7), Key("targets", 3), Key("targets", 11),
@@ -50,7 +50,7 @@ def test_the_laws_are_right_and_foretell(key: Key) -> None:
     if key.campaign == "limits":
         result["equations"] += [{"variable": "z", "expression": drawn.laws[""]["x"], "verdict": "good"}]
     for equation in judge(drawn, result):
-        assert (equation.form, equation.is_false, equation.is_bold) == ("right", False, False)
+        assert (equation.form, equation.is_false, equation.is_wrong_beyond) == ("right", False, False)
         assert equation.r2 == pytest.approx(1.0, abs=1e-4)
 
 
@@ -106,39 +106,39 @@ def test_the_seed_of_each_campaign_gives_a_table() -> None:
 
 def test_held_inputs_are_held_between_rows() -> None:
     times = np.array([0.0, 0.5, 1.0])
-    course = Course({}, (1.0,), times, {"u": lambda time: 2.0 if time < 0.25 else 0.0}, is_held=True)
-    states = solved({"x": "u - x"}, course)[:, 0]
+    run = Run({}, (1.0,), times, {"u": lambda time: 2.0 if time < 0.25 else 0.0}, is_held=True)
+    states = simulate({"x": "u - x"}, run)[:, 0]
     half = 2.0 - np.exp(-0.5)
     assert states == pytest.approx([1.0, half, half * np.exp(-0.5)])
 
 
 def test_r2_is_that_of_the_model_of_each_group() -> None:
     times = np.linspace(0.0, 2.0, 9)
-    courses = [Course({}, (1.0,), times, group=group) for group in ("a", "b")]
+    runs = [Run({}, (1.0,), times, group=group) for group in ("a", "b")]
     models = {"a": {"x": "-x"}, "b": {"x": "-2.0*x"}}
     true = [np.exp(-times)[:, None], np.exp(-2.0 * times)[:, None]]
-    assert foretold(models, courses, true)["x"] == pytest.approx(1.0)
-    assert foretold({"a": models["a"], "b": models["a"]}, courses, true)["x"] < 0.9
-    assert foretold({"a": {"x": "x**3 + 9.0"}, "b": models["b"]}, courses, true)["x"] == -np.inf
+    assert prediction_r2(models, runs, true)["x"] == pytest.approx(1.0)
+    assert prediction_r2({"a": models["a"], "b": models["a"]}, runs, true)["x"] < 0.9
+    assert prediction_r2({"a": {"x": "x**3 + 9.0"}, "b": models["b"]}, runs, true)["x"] == -np.inf
 
 
 def test_a_constant_is_known_by_the_errors_and_the_rows() -> None:
-    course = Course({"k1": 0.5}, (1.0,), np.linspace(0.0, 4.0, 9))
-    small, large = (known({"x": "-k1*x"}, [course], {"x": error})["x"] for error in (0.01, 0.02))
+    run = Run({"k1": 0.5}, (1.0,), np.linspace(0.0, 4.0, 9))
+    small, large = (least_t({"x": "-k1*x"}, [run], {"x": error})["x"] for error in (0.01, 0.02))
     assert small == pytest.approx(2.0 * large)
-    times, decay = course.times, np.exp(-0.5 * course.times)
+    times, decay = run.times, np.exp(-0.5 * run.times)
     effects = np.column_stack([-0.5 * times * decay, decay]) / 0.01
     assert small == pytest.approx(1.0 / np.sqrt(np.linalg.inv(effects.T @ effects)[0, 0]), rel=1e-2)
-    bound = known({"x": "k1*x*(1.0 - k2)"}, [Course({"k1": 0.5, "k2": 2.0}, (1.0,), times)], {"x": 0.01})
+    bound = least_t({"x": "k1*x*(1.0 - k2)"}, [Run({"k1": 0.5, "k2": 2.0}, (1.0,), times)], {"x": 0.01})
     assert bound["x"] < LEAST_T < small
 
 
 def test_laws_of_second_order_are_those_of_positions() -> None:
-    course = Course({"k1": 4.0}, (1.0, 0.0), np.linspace(0.0, 3.0, 16))
-    spring = Measured({"x": "x_dot", "x_dot": "-k1*x"}, [course], [course], ("x",), order=2)
+    run = Run({"k1": 4.0}, (1.0, 0.0), np.linspace(0.0, 3.0, 16))
+    spring = Measured({"x": "x_dot", "x_dot": "-k1*x"}, [run], [run], ("x",), order=2)
     assert spring.laws() == {"": {"x": "-(4.0)*x"}}
-    assert spring.foretell({"": {"x": "-4.0*x"}})["x"] == pytest.approx((1.0, 1.0))
-    assert spring.foretell({"": {"x": "-9.0*x"}})["x"][0] < 0.9
+    assert spring.predict({"": {"x": "-4.0*x"}})["x"] == pytest.approx((1.0, 1.0))
+    assert spring.predict({"": {"x": "-9.0*x"}})["x"][0] < 0.9
 
 
 def test_values_are_written_as_people_do() -> None:

@@ -1,4 +1,4 @@
-"""Motions with inputs: solutions of laws and of models, R² along fresh ones, and which constants the data identify."""
+"""Runs with inputs: solutions of laws and models, R² along fresh runs, and which constants the data determine."""
 
 import math
 import re
@@ -24,8 +24,8 @@ _REDUNDANT: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """One motion: constants of the law by name, initial state (S,), times (n,), inputs by name, and its group.
+class Run:
+    """One run: constants of the law by name, initial state (S,), times (n,), inputs by name, and its group.
 
     `is_held`: inputs keep the value that they have at a time until the next of `times`.
     """
@@ -46,36 +46,36 @@ def with_numbers(texts: Texts, constants: Mapping[str, float]) -> dict[str, str]
     }
 
 
-def solved(texts: Texts, course: Course, precision: float = 1e-9, evaluations: int = MAX_EVALUATIONS) -> FloatArray:
-    """Return the states (n, S) of a course by right-hand sides without names of constants.
+def simulate(texts: Texts, run: Run, precision: float = 1e-9, evaluations: int = MAX_EVALUATIONS) -> FloatArray:
+    """Return the states (n, S) of a run by right-hand sides without names of constants.
 
     Raises DivergedError where a solution runs away, UsageError where a text is no expression over states and inputs.
     """
-    slopes = field_of([*texts.values()], (*texts, *course.inputs))
-    inputs = tuple(course.inputs.values())
+    slopes = field_of([*texts.values()], (*texts, *run.inputs))
+    inputs = tuple(run.inputs.values())
 
     def rates(state: FloatArray) -> list[float]:
         *values, time = state.tolist()
         return [*slopes([*values, *(one(time) for one in inputs)]), 1.0]
 
-    if course.is_held:
-        return _step_by_step(slopes, inputs, course, precision, evaluations)
-    start = np.array([*course.start, float(course.times[0])])
-    spread = float(course.times[-1] - course.times[0])
+    if run.is_held:
+        return _step_by_step(slopes, inputs, run, precision, evaluations)
+    start = np.array([*run.start, float(run.times[0])])
+    spread = float(run.times[-1] - run.times[0])
     states = solve(
-        rates, start, course.times, limit=LIMIT, most_evaluations=evaluations, begin=float(course.times[0]),
+        rates, start, run.times, limit=LIMIT, most_evaluations=evaluations, begin=float(run.times[0]),
         method="LSODA", rtol=precision, atol=1e-3 * precision, max_step=spread / 40.0,
     )  # fmt: skip
     return states[:, :-1]
 
 
 def _step_by_step(
-    slopes: Callable[[Sequence[float]], list[float]], inputs: Sequence[Input], course: Course, precision: float,
+    slopes: Callable[[Sequence[float]], list[float]], inputs: Sequence[Input], run: Run, precision: float,
     evaluations: int,
 ) -> FloatArray:  # fmt: skip
-    """Return the states of a course whose inputs jump at its times."""
-    rows = [np.array(course.start)]
-    for time, step in zip(course.times.tolist(), np.diff(course.times).tolist(), strict=False):
+    """Return the states of a run whose inputs jump at its times."""
+    rows = [np.array(run.start)]
+    for time, step in zip(run.times.tolist(), np.diff(run.times).tolist(), strict=False):
         held = [one(time) for one in inputs]
 
         def rates(state: FloatArray, held: list[float] = held) -> list[float]:
@@ -89,21 +89,21 @@ def _step_by_step(
     return np.array(rows)
 
 
-def foretold(models: Mapping[str, Texts], courses: Sequence[Course], true: Sequence[FloatArray]) -> dict[str, float]:
-    """Return R² of each state over courses and their true states (n, S), by the model of each course's group.
+def prediction_r2(models: Mapping[str, Texts], runs: Sequence[Run], true: Sequence[FloatArray]) -> dict[str, float]:
+    """Return R² of each state over runs and their true states (n, S), by the model of each run's group.
 
-    It is -inf where a course cannot be simulated or a model is none.
+    It is -inf where a run cannot be simulated or a model is none.
     """
     states = tuple(next(iter(models.values())))
     try:
-        solutions = [solved(models[course.group], course, 1e-7) for course in courses]
+        solutions = [simulate(models[run.group], run, 1e-7) for run in runs]
     except (DivergedError, UsageError):
         return dict.fromkeys(states, -math.inf)
     return dict(zip(states, r_squared([*zip(solutions, true, strict=True)]), strict=True))
 
 
-def known(
-    texts: Texts, courses: Sequence[Course], errors: Mapping[str, float], own: Sequence[str] = ()
+def least_t(
+    texts: Texts, runs: Sequence[Run], errors: Mapping[str, float], own: Sequence[str] = ()
 ) -> dict[str, float]:
     """Return for each state how well the least known constant of its equation can be known: estimate / standard error.
 
@@ -114,17 +114,17 @@ def known(
     measured = [place for place, state in enumerate(texts) if state in errors]
     weights = np.array([1.0 / errors[state] for state in texts if state in errors])
 
-    def values(changed: Sequence[Course]) -> FloatArray:
-        solutions = [solved(with_numbers(texts, course.constants), course) for course in changed]
+    def values(changed: Sequence[Run]) -> FloatArray:
+        solutions = [simulate(with_numbers(texts, run.constants), run) for run in changed]
         return np.concatenate([(states[:, measured] * weights).ravel() for states in solutions])
 
     try:
-        base = values(courses)
+        base = values(runs)
         names, columns = [], []
-        for name, changed in _constants_changed(courses, own):
+        for name, changed in _constants_changed(runs, own):
             names.append(name)
             columns.append((values(changed) - base) / _SHIFT)
-        columns += [(values(changed) - base) / _SHIFT for changed in _starts_changed(texts, courses)]
+        columns += [(values(changed) - base) / _SHIFT for changed in _starts_changed(texts, runs)]
     except DivergedError:
         return dict.fromkeys(texts, 0.0)
     singular, directions = np.linalg.svd(np.array(columns).T, full_matrices=False)[1:]
@@ -137,26 +137,26 @@ def known(
     }
 
 
-def _constants_changed(courses: Sequence[Course], own: Sequence[str]) -> list[tuple[str, list[Course]]]:
-    groups = list(dict.fromkeys(course.group for course in courses))
+def _constants_changed(runs: Sequence[Run], own: Sequence[str]) -> list[tuple[str, list[Run]]]:
+    groups = list(dict.fromkeys(run.group for run in runs))
     changes = []
-    for name in courses[0].constants:
+    for name in runs[0].constants:
         for group in groups if name in own else (None,):
             changed = [
-                replace(course, constants={**course.constants, name: course.constants[name] * (1.0 + _SHIFT)})
-                if group in (None, course.group)
-                else course
-                for course in courses
+                replace(run, constants={**run.constants, name: run.constants[name] * (1.0 + _SHIFT)})
+                if group in (None, run.group)
+                else run
+                for run in runs
             ]
             changes.append((name, changed))
     return changes
 
 
-def _starts_changed(texts: Texts, courses: Sequence[Course]) -> list[list[Course]]:
+def _starts_changed(texts: Texts, runs: Sequence[Run]) -> list[list[Run]]:
     changes = []
-    for number, course in enumerate(courses):
+    for number, run in enumerate(runs):
         for place in range(len(texts)):
-            start = list(course.start)
+            start = list(run.start)
             start[place] += _SHIFT * (abs(start[place]) or 1.0)
-            changes.append([*courses[:number], replace(course, start=tuple(start)), *courses[number + 1 :]])
+            changes.append([*runs[:number], replace(run, start=tuple(start)), *runs[number + 1 :]])
     return changes
