@@ -84,8 +84,8 @@ class EquationOutcome:
 class Outcome:
     """One job. ``refused``: the data or options were, with a sentence; ``late``: it was cancelled.
 
-    `limit` is its --max-time, None without; `is_cut`: that ended the search or the choice of equations. `numbers` counts
-    fitted constants and initial values, `values` the measured values of the states or the target.
+    `limit` is its --max-time, None without; `is_cut`: that ended the search or the choice of equations. `numbers`
+    counts fitted constants and initial values, `values` the measured values of the states or the target.
     """
 
     key: Key
