@@ -167,7 +167,8 @@ def _equation(
     return EquationOutcome(
         variable, next(iter(laws.values())), equation.get("expression"),
         next((form for form in forms if form != "right"), "right"), _known(near),
-        equation.get("verdict") or NO_MODEL, equation.get("reason"), drawn.is_identified(variable), t,
+        equation.get("verdict") or NO_MODEL, equation.get("reason"),
+        None not in laws.values() and drawn.is_identified(variable), t,
         _known(far),
     )  # fmt: skip
 

@@ -58,6 +58,13 @@ def test_without_a_law_whatever_is_relied_on_is_false() -> None:
     assert not shown(RANDOM, "doubtful", x="0.1").is_false
 
 
+def test_runs_that_no_constants_describe_have_no_law_to_identify() -> None:
+    drawn = groups.draw(9)
+    equation = {"variable": "x", "expression": next(iter(groups.draw(4).laws.values()))["x"], "verdict": "good"}
+    (judged,) = judge(drawn, {"equations": [equation]})
+    assert (judged.form, judged.is_identified, judged.is_false) == ("other", False, not judged.is_predicted)
+
+
 def test_a_model_that_cannot_be_simulated_foretells_nothing() -> None:
     assert shown(DECAY, "good", x="x**3 + 9.0").r2 == -float("inf")
     missing = judge(DECAY, {"equations": []})
