@@ -22,7 +22,7 @@ FROM: Final = {"decay": DECAY, "cooling": COOLING, "logistic": LOGISTIC, "oscill
                "prey": PREY}  # fmt: skip
 LEVELS: Final = (0.01, 0.03, 0.0)
 ROWS: Final = (12, 40)
-RATES: Final = (20.0, 100.0, 400.0)
+RATES: Final = (20.0, 100.0, 1000.0)
 """Rows a second of the driven pendulum, which turns in about a second."""
 
 _APART: Final = (0.6, 0.8, 1.25, 1.6)
@@ -57,7 +57,7 @@ def _runs(kind: str, name: str, law: Law, level: float, rng: np.random.Generator
         }
         for _ in range(int(rng.integers(1, 3)) if kind == "group" else 1):
             strains.append(f"s{group}")
-            title = {"group": strains[-1], "own": f"r{len(runs)}", "unsaid": f"r{len(runs)}"}.get(kind, "")
+            title = {"group": strains[-1], "own": f"{len(runs) + 1}", "unsaid": f"{len(runs) + 1}"}.get(kind, "")
             runs.append(Run(changed, law.draw_start(changed, rng), times, group=title))
     measured = Measured(law.equations, runs, [], law.measured, own)
     solutions = measured.solutions()
@@ -68,7 +68,7 @@ def _runs(kind: str, name: str, law: Law, level: float, rng: np.random.Generator
         "t": np.concatenate([times] * len(runs)),
         **dict(zip(law.measured, np.concatenate(noisy).T, strict=True)),
     }
-    labels = {"run": [f"r{number}" for number in range(len(runs)) for _ in range(rows)]}
+    labels = {"run": [f"{number + 1}" for number in range(len(runs)) for _ in range(rows)]}
     words = ["--trajectory", "run"]
     if kind == "group":
         labels["strain"] = [strain for strain in strains for _ in range(rows)]
@@ -108,7 +108,7 @@ def motor(rate: float, rng: np.random.Generator) -> Drawn:
     clean = measured.clean(solutions)
     angles = np.round(clean["th"] + 0.004 * rng.standard_normal(len(clean["th"])), 5)
     columns = {"t": np.concatenate([times] * len(runs)), "th": angles, "u": np.round(clean["u"], 4)}
-    texts = {"run": [f"r{number}" for number in range(len(runs)) for _ in times],
+    texts = {"run": [f"{number + 1}" for number in range(len(runs)) for _ in times],
              "mass": [run.group for run in runs for _ in times]}  # fmt: skip
     words = ("--trajectory", "run", "--group", "mass", "--inputs", "u", "--order", "2")
     return Drawn(f"motor, {rate:g} Hz", columns, words, measured.laws(), clean, lambda: measured.t(np.array([0.004])),

@@ -79,8 +79,8 @@ def test_the_form_must_be_right_in_each_group() -> None:
     rows[-1]["expression"] = "-0.094*x"
     (wrong,) = judge(drawn, result)
     assert (wrong.is_right, wrong.is_false) == (False, True)
-    rows[-1]["group"] = "r9"
-    with pytest.raises(AtollError, match="no group 'r2'"):
+    rows[-1]["group"] = "9"
+    with pytest.raises(AtollError, match="no group '3'"):
         judge(drawn, result)
 
 
