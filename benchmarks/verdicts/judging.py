@@ -12,6 +12,8 @@ from typing import Any, Final, Literal
 from atoll_core.errors import AtollError, UsageError
 from benchmarks.first_hour.outcomes import CONFIDENT
 from benchmarks.harness.tables import GRADES
+from benchmarks.judging.coverage import Covered, covered
+from benchmarks.judging.errors import values_on
 from benchmarks.judging.forms import judge_form
 from benchmarks.judging.generalisation import is_foretold
 from benchmarks.judging.rules import Kind
@@ -41,7 +43,8 @@ class EquationOutcome:
     """One equation: the law (None: there is none), what was shown, its form, R² from other states, and its verdict.
 
     `r2` is -inf where the model cannot be simulated, None where there is nothing to judge by; `beyond` is R² beyond
-    what was measured. `is_identified`: the data tell the law from others.
+    what was measured. `is_identified`: the data tell the law from others. `covered` of the `intervals` (95 %) of the
+    constants of a right equation hold the truth.
     """
 
     variable: str
@@ -54,6 +57,8 @@ class EquationOutcome:
     is_identified: bool
     t: float | None = None
     beyond: float | None = None
+    covered: int = 0
+    intervals: int = 0
 
     @property
     def is_right(self) -> bool:
@@ -110,10 +115,7 @@ class Outcome:
 def judge(drawn: Drawn, result: Mapping[str, Any]) -> tuple[EquationOutcome, ...]:
     """Judge the equations of a result.json, empty where there is none."""
     shown = {equation["variable"]: equation for equation in result.get("equations", ())}
-    models = {
-        group: {variable: _text(shown.get(variable, {}), group) for variable in _variables(shown, laws)}
-        for group, laws in drawn.laws.items()
-    }
+    models = {group: _model(shown, laws, group) for group, laws in drawn.laws.items()}
     r2: Predictions = {} if drawn.predict is None or not shown else drawn.predict(models)
     return tuple(_equation(drawn, variable, shown.get(variable, {}), models, r2) for variable in _judged(drawn))
 
@@ -143,17 +145,18 @@ def _judged(drawn: Drawn) -> tuple[str, ...]:
     return tuple(next(iter(drawn.laws.values())))
 
 
-def _variables(shown: Mapping[str, Any], laws: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*laws, *shown)))
+def _model(shown: Mapping[str, Any], laws: Mapping[str, Any], group: str) -> dict[str, str | None]:
+    """Return the equations of a group, those of the laws first."""
+    variables = dict.fromkeys((*laws, *shown))
+    return {variable: _of_group(shown.get(variable, {}), group).get("expression") for variable in variables}
 
 
-def _text(equation: Mapping[str, Any], group: str) -> str | None:
+def _of_group(equation: Mapping[str, Any], group: str) -> Mapping[str, Any]:
     """Return the equation of a group, the common one where it has none of its own."""
-    groups = {one["group"]: one["expression"] for one in equation.get("groups") or ()}
+    groups: dict[str, Mapping[str, Any]] = {one["group"]: one for one in equation.get("groups") or ()}
     if groups and group and group not in groups:
         raise AtollError(f"the result has no group {group!r}, but {', '.join(groups)}; the table was read differently")
-    text: str | None = groups.get(group, equation.get("expression"))
-    return text
+    return groups.get(group, equation)
 
 
 def _equation(
@@ -164,13 +167,28 @@ def _equation(
     forms = [_form(drawn, models[group][variable], law) for group, law in laws.items()]
     near, far = r2.get(variable, (None, None))
     t = drawn.t.get(variable)
+    form: Kind = next((form for form in forms if form != "right"), "right")
+    intervals = [one for group, law in laws.items() for one in _intervals(drawn, _of_group(equation, group), form, law)]
     return EquationOutcome(
         variable, next(iter(laws.values())), equation.get("expression"),
-        next((form for form in forms if form != "right"), "right"), _known(near),
+        form, _known(near),
         equation.get("verdict") or NO_MODEL, equation.get("reason"),
         None not in laws.values() and drawn.is_identified(variable), t,
-        _known(far),
+        _known(far), sum(one.is_covered for one in intervals), len(intervals),
     )  # fmt: skip
+
+
+def _intervals(drawn: Drawn, equation: Mapping[str, Any], form: Kind, law: str | None) -> list[Covered]:
+    """Return the constants of an equation of the right form that have an interval, beside their true values."""
+    if form != "right" or law is None:
+        return []
+    try:
+        constants = covered(
+            equation["expression"], equation.get("constants") or (), drawn.clean, values_on(law, drawn.clean)
+        )
+    except UsageError:  # too long to be read back with constants that are all different
+        return []
+    return [constant for constant in constants or () if constant.has_interval]
 
 
 def _known(value: float | None) -> float | None:

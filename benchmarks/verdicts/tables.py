@@ -20,10 +20,12 @@ LONGEST: Final = 110
 
 HEADS: Final = (
     "tables", "broke, late", "refused", "equations", "exact", "false", "good", "false", "other form", "wrong beyond",
-    "saturated", "doubtful, none", "identified", "of these right", "right, doubted", "cut", "s: median, most",
+    "saturated", "doubtful, none", "identified", "of these right", "right, doubted", "intervals hold",
+    "cut", "s: median, most",
 )  # fmt: skip
 """Of "exact" and "good" equations together: ``other form`` than the law's; of these ``wrong beyond`` what was measured,
 although they predict from other initial states; ``saturated``: of models with as many numbers as the table has values.
+Of the constants of right equations: in how many 95 % intervals the true value lies.
 """
 
 Pair = tuple[Outcome, EquationOutcome]
@@ -83,6 +85,7 @@ def _row(title: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         str(len(identified)),
         str(len(right)),
         str(sum(one.grade not in CONFIDENT for one in right)),
+        f"{sum(one.covered for one in equations)}/{sum(one.intervals for one in equations)}",
         str(sum(outcome.is_cut for outcome in outcomes)),
         f"{np.median(seconds):.1f}, {max(seconds):.0f}",
     )

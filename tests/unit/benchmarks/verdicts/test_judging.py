@@ -1,5 +1,6 @@
 """Verdicts of drawn tables: which are false, what a summary counts, and what a limit of time or a rate must not do."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -58,6 +59,18 @@ def test_without_a_law_whatever_is_relied_on_is_false() -> None:
     assert not shown(RANDOM, "doubtful", x="0.1").is_false
 
 
+def test_the_intervals_of_right_equations_are_counted_group_by_group() -> None:
+    drawn = groups.draw(1)
+    rows = []
+    for (group, laws), low in zip(drawn.laws.items(), (0.9, 0.9, 1.01), strict=True):
+        rate, level = (float(number) for number in re.findall(r"\d+\.\d+", str(laws["x"])))
+        constants = [{"value": rate, "interval": [low * rate, 1.1 * rate]}, {"value": level, "interval": None}]
+        rows.append({"group": group, "expression": f"{rate}*({level} - x)", "constants": constants})
+    equation = {"variable": "x", "expression": "-x", "verdict": "good", "groups": rows}
+    (judged,) = judge(drawn, {"equations": [equation]})
+    assert (judged.form, judged.covered, judged.intervals) == ("right", 2, 3)
+
+
 def test_runs_that_no_constants_describe_have_no_law_to_identify() -> None:
     drawn = groups.draw(9)
     equation = {"variable": "x", "expression": next(iter(groups.draw(4).laws.values()))["x"], "verdict": "good"}
@@ -99,7 +112,7 @@ def test_a_summary_counts_false_verdicts_and_right_laws_that_are_doubted() -> No
     doubted, false = shown(DECAY, "doubtful", x="-0.24*x"), shown(DECAY, "good", x="-0.1*x - 3.0")
     outcomes = [outcome(doubted), outcome(false, Key("few-rows", 18), limit=30.0, is_cut=True, numbers=9, values=9)]
     counts = " ".join(summary(outcomes).splitlines()[-1].split())
-    assert counts == "few-rows 2 0 0 2 0 0 1 1 1 0 1 1 2 1 1 1 2.0, 2"
+    assert counts == "few-rows 2 0 0 2 0 0 1 1 1 0 1 1 2 1 1 0/0 1 2.0, 2"
     assert "decay" in by_kind(outcomes)
     said = "\n".join(cases(outcomes))
     assert "FALSE good: few-rows 18" in said
