@@ -4,8 +4,6 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import numpy as np
-
 from atoll_core.config import BASE_OPERATORS, JobConfig
 from atoll_core.errors import AtollError
 from benchmarks.corpus.cases import OURS, UNTOLD, Case, Key, make_case
@@ -65,7 +63,7 @@ def _answer_otherwise(key: Key, case: Case) -> dict[str, Any]:
     if key.method == operon_models.OPERON:
         operators = configuration(key, case, None, {}).space.operators or BASE_OPERATORS
         return operon_models.solve(case.table, operators, key.seed)
-    measured = noise.Case(case.table, case.system.truths, case.clean, noise.Path(np.zeros(0), np.zeros((0, 0))))
+    measured = noise.Case(case.table, case.system.truths, case.clean, ())
     return pysindy_models.solve(key.method, key.seed, measured)
 
 

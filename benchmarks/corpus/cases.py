@@ -90,7 +90,7 @@ def make_case(key: Key, *, has_fresh: bool = True) -> Case:
     columns = dict(zip(system.states, np.concatenate(clean).T, strict=True))
     data = {"robust": True} if key.quality.startswith("outliers") else {}
     longest = max(times, key=lambda instants: float(instants[-1]))
-    fresh = _fresh(system, columns, longest, rng) if has_fresh else ()
+    fresh = fresh_paths(system, columns, longest, rng) if has_fresh else ()
     return Case(system, table, columns, fresh, smallest_t(system, starts, times, clean, measured), data)
 
 
@@ -145,7 +145,7 @@ def _times(key: Key, duration: float, rng: np.random.Generator) -> FloatArray:
     return np.linspace(0.0, duration, rows)
 
 
-def _fresh(
+def fresh_paths(
     system: CorpusSystem, columns: Mapping[str, FloatArray], times: FloatArray, rng: np.random.Generator
 ) -> tuple[Path, ...]:
     """Return exact trajectories from initial states evenly drawn in the measured box, as long as they are predictable.

@@ -16,6 +16,7 @@ from benchmarks.harness.record import head
 
 KEPT: Final = (
     "equations", "noise", "simulation", "warnings", "seconds", "search_seconds", "digest", "reason", "symbols",
+    "refining",
 )  # fmt: skip
 """Parts of a result that are kept."""
 

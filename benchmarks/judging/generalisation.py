@@ -100,12 +100,17 @@ def foretold(expressions: Mapping[str, str | None], paths: Sequence[Path]) -> di
     solutions = [simulated(field, path) for path in paths] if len(texts) == len(expressions) else [None]
     if any(states is None for states in solutions):
         return dict.fromkeys(expressions, -math.inf)
-    true = [path.states for path in paths]
-    mean = sum(rows.sum(axis=0) for rows in true) / sum(len(rows) for rows in true)
-    pairs = zip(solutions, true, strict=True)
-    errors = sum(((states - sought) ** 2).sum(axis=0) for states, sought in pairs if states is not None)
-    spread = sum(((rows - mean) ** 2).sum(axis=0) for rows in true)
-    return dict(zip(expressions, (1.0 - errors / np.maximum(spread, 1e-300)).tolist(), strict=True))
+    pairs = [(states, path.states) for states, path in zip(solutions, paths, strict=True) if states is not None]
+    return dict(zip(expressions, r_squared(pairs), strict=True))
+
+
+def r_squared(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> list[float]:
+    """Return R² of each state over pairs (n, S) of predicted and true states: about the mean of all true rows."""
+    mean = sum(true.sum(axis=0) for _, true in pairs) / sum(len(true) for _, true in pairs)
+    errors = sum(((states - true) ** 2).sum(axis=0) for states, true in pairs)
+    spread = sum(((true - mean) ** 2).sum(axis=0) for _, true in pairs)
+    shares: list[float] = (1.0 - errors / np.maximum(spread, 1e-300)).tolist()
+    return shares
 
 
 def is_foretold(r2: float | None) -> bool:

@@ -32,11 +32,14 @@ class Key:
     system: str
     level: float
     seed: int
+    length: float = 0.0
+    """Of a trajectory, in time units; 0: that of the paper."""
 
     @property
     def title(self) -> str:
         """The key as people read it."""
-        return f"{self.system} noise {self.level:g} seed {self.seed}"
+        length = f" length {self.length:g}" if self.length else ""
+        return f"{self.system} noise {self.level:g}{length} seed {self.seed}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +55,13 @@ class Case:
     """What is measured, and what a model is judged by.
 
     `truths` has the right-hand sides by state, in the order of the states; `clean` the values (R,) without noise of
-    every state; `fresh` is a trajectory from initial conditions that were not measured.
+    every state; `fresh` are trajectories from initial conditions that were not measured.
     """
 
     table: Table
     truths: Mapping[str, str]
     clean: Mapping[str, FloatArray]
-    fresh: Path
+    fresh: tuple[Path, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,7 +80,7 @@ def case(key: Key) -> Case:
     noisy = with_noise(clean, key.level, deepcopy(rng))
     table = table_of(Sampled(system.states, (TIMES,) * RUNS, tuple(noisy)))
     columns = dict(zip(system.states, np.concatenate(clean).T, strict=True))
-    return Case(table, system.truth, columns, fresh(key.system, key.seed))
+    return Case(table, system.truth, columns, (fresh(key.system, key.seed),))
 
 
 @lru_cache(maxsize=64)

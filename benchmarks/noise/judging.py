@@ -84,7 +84,7 @@ def outcome(key: Key, case: Case, result: Mapping[str, Any], phases: Mapping[str
     """Judge `result`, the contents of a result.json (parts that a version does not have may be missing)."""
     equations = {equation["variable"]: equation for equation in result["equations"]}
     texts = {name: equations.get(name, {}).get("expression") for name in case.truths}
-    r2 = foretold(texts, [case.fresh])
+    r2 = foretold(texts, case.fresh) if case.fresh else dict.fromkeys(case.truths)
     outcomes = tuple(_equation(key, case, name, equations.get(name, {}), r2[name]) for name in case.truths)
     seconds = float(result.get("seconds") or 0.0)
     return Outcome(key, outcomes, seconds, phases, result.get("digest"), result.get("reason"))

@@ -91,7 +91,7 @@ def test_random_equations_have_ranges_for_their_constants(states):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", QUALITIES)
 def test_every_quality_measures_all_rows(monkeypatch, name, lotka):
-    monkeypatch.setattr(cases, "_fresh", lambda *_: ())
+    monkeypatch.setattr(cases, "fresh_paths", lambda *_: ())
     monkeypatch.setattr(cases, "smallest_t", lambda *_: {})
     case = make_case(dataclasses.replace(KEY, quality=name))
     values = case.table.columns[1:]

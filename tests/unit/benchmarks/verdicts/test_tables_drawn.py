@@ -1,0 +1,147 @@
+"""Drawn tables: equal seeds give equal tables, which the command line reads, and whose laws are right."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.data.reading.files import read_table
+from benchmarks.corpus.cases import LEAST_T
+from benchmarks.verdicts import few_rows, groups, inputs, targets
+from benchmarks.verdicts.autonomous import FACTORS, draw_at_rate
+from benchmarks.verdicts.campaign import CAMPAIGNS, keys, request, table_of
+from benchmarks.verdicts.drawn import Drawn, Measured, nice_step, rounded
+from benchmarks.verdicts.judging import Key, judge
+from benchmarks.verdicts.simulation import Run, least_t, prediction_r2, simulate
+
+TABLES = [
+    Key("few-rows", 0), Key("few-rows", 5), Key("few-rows", 7), Key("targets", 3), Key("targets", 11),
+    Key("groups", 0), Key("groups", 1), Key("groups", 5), Key("inputs", 2), Key("inputs", 3), Key("limits", 1),
+    Key("strong-noise", 2), Key("rates", 4, "3"),
+]  # fmt: skip
+LAWLESS_OR_LONG = (Key("targets", 11), Key("groups", 5), Key("inputs", 3))
+
+
+def result_of(drawn: Drawn, verdict: str = "good") -> dict[str, object]:
+    """Return the result of a job that has found the laws."""
+    first = next(iter(drawn.laws.values()))
+    rows = []
+    for variable, law in first.items():
+        own = [{"group": group, "expression": laws[variable]} for group, laws in drawn.laws.items() if group]
+        rows.append({"variable": variable, "expression": law, "verdict": verdict, "groups": own})
+    return {"equations": rows}
+
+
+@pytest.mark.parametrize("key", TABLES, ids=lambda key: key.title)
+def test_a_seed_gives_one_table_that_the_command_line_reads(key: Key, tmp_path: Path) -> None:
+    drawn = table_of(key)
+    assert drawn.csv() == table_of(key).csv()
+    asked = request(drawn.csv(), (*drawn.words, "--max-time", "5"), tmp_path)
+    read = read_table(asked.files, asked.config.data)
+    assert read.rows == drawn.rows
+    for name, values in drawn.columns.items():
+        assert read.columns[read.names.index(name)] == pytest.approx(values)
+
+
+@pytest.mark.parametrize("key", [key for key in TABLES if key not in LAWLESS_OR_LONG], ids=lambda key: key.title)
+def test_the_laws_are_right_and_foretell(key: Key) -> None:
+    drawn = table_of(key)
+    result = result_of(drawn)
+    if key.campaign == "limits":
+        result["equations"] += [{"variable": "z", "expression": drawn.laws[""]["x"], "verdict": "good"}]
+    for equation in judge(drawn, result):
+        assert (equation.form, equation.is_false, equation.is_wrong_beyond) == ("right", False, False)
+        assert equation.r2 == pytest.approx(1.0, abs=1e-4)
+
+
+def test_other_seeds_give_other_tables() -> None:
+    texts = {few_rows.draw(seed).csv() for seed in range(0, 45, 9)}
+    assert len(texts) == 5
+
+
+def test_tables_of_few_rows_have_eight_laws_and_none_and_levels_of_noise_in_turn() -> None:
+    drawn = [few_rows.draw(seed) for seed in range(27)]
+    assert {one.kind.partition(",")[0].partition(":")[0] for one in drawn} == set(few_rows.KINDS)
+    assert len({one.kind for one in drawn if "no law" not in one.kind}) == 8 * len(few_rows.LEVELS)
+    assert all(5 <= one.rows <= 12 for one in drawn)
+    assert all(one.laws[""] == {"x": None} for one in drawn if "no law" in one.kind)
+
+
+def test_a_third_of_the_targets_has_no_law() -> None:
+    drawn = [targets.draw(seed) for seed in range(24)]
+    lawless = [one for one in drawn if one.laws[""]["y"] is None]
+    assert len(lawless) == 8
+    assert {one.kind for one in lawless} == set(targets.LAWLESS)
+    assert {one.kind.partition(",")[0] for one in drawn if one not in lawless} == set(targets.CURVES)
+    assert all(len(set(one.columns["x"])) == 3 for one in lawless if one.kind == "three x values")
+
+
+def test_runs_whose_constants_differ_unsaid_have_no_law() -> None:
+    drawn = groups.draw(9)
+    assert drawn.kind.startswith("unsaid")
+    assert "--per-trajectory" not in drawn.words
+    laws = [*drawn.laws.values()]
+    assert len(laws) > 1
+    assert all(None in law.values() for law in laws)
+
+
+def test_the_same_motion_is_sampled_at_each_rate() -> None:
+    slow, fast = (draw_at_rate(4, factor).clean["x"] for factor in FACTORS[:2])
+    assert fast[::3] == pytest.approx(slow)
+
+
+def test_an_input_is_said_to_be_held_only_where_it_is_and_the_option_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    for has, number in ((False, 4), (True, 6)):
+        monkeypatch.setattr(inputs, "has_hold", lambda has=has: has)
+        asked = keys(["inputs"], range(4))
+        assert len(asked) == number
+        assert all(key.seed % 2 for key in asked if key.variant == "hold")
+    assert table_of(Key("inputs", 3, "hold")).csv() == table_of(Key("inputs", 3)).csv()
+    assert "--hold" in table_of(Key("inputs", 3, "hold")).words
+
+
+def test_the_seed_of_each_campaign_gives_a_table() -> None:
+    assert set(CAMPAIGNS) == {"few-rows", "targets", "groups", "inputs", "limits", "rates", "strong-noise"}
+
+
+def test_held_inputs_are_held_between_rows() -> None:
+    times = np.array([0.0, 0.5, 1.0])
+    run = Run({}, (1.0,), times, {"u": lambda time: 2.0 if time < 0.25 else 0.0}, is_held=True)
+    states = simulate({"x": "u - x"}, run)[:, 0]
+    half = 2.0 - np.exp(-0.5)
+    assert states == pytest.approx([1.0, half, half * np.exp(-0.5)])
+
+
+def test_r2_is_that_of_the_model_of_each_group() -> None:
+    times = np.linspace(0.0, 2.0, 9)
+    runs = [Run({}, (1.0,), times, group=group) for group in ("a", "b")]
+    models = {"a": {"x": "-x"}, "b": {"x": "-2.0*x"}}
+    true = [np.exp(-times)[:, None], np.exp(-2.0 * times)[:, None]]
+    assert prediction_r2(models, runs, true)["x"] == pytest.approx(1.0)
+    assert prediction_r2({"a": models["a"], "b": models["a"]}, runs, true)["x"] < 0.9
+    assert prediction_r2({"a": {"x": "x**3 + 9.0"}, "b": models["b"]}, runs, true)["x"] == -np.inf
+
+
+def test_a_constant_is_known_by_the_errors_and_the_rows() -> None:
+    run = Run({"k1": 0.5}, (1.0,), np.linspace(0.0, 4.0, 9))
+    small, large = (least_t({"x": "-k1*x"}, [run], {"x": error})["x"] for error in (0.01, 0.02))
+    assert small == pytest.approx(2.0 * large)
+    times, decay = run.times, np.exp(-0.5 * run.times)
+    effects = np.column_stack([-0.5 * times * decay, decay]) / 0.01
+    assert small == pytest.approx(1.0 / np.sqrt(np.linalg.inv(effects.T @ effects)[0, 0]), rel=1e-2)
+    bound = least_t({"x": "k1*x*(1.0 - k2)"}, [Run({"k1": 0.5, "k2": 2.0}, (1.0,), times)], {"x": 0.01})
+    assert bound["x"] < LEAST_T < small
+
+
+def test_laws_of_second_order_are_those_of_positions() -> None:
+    run = Run({"k1": 4.0}, (1.0, 0.0), np.linspace(0.0, 3.0, 16))
+    spring = Measured({"x": "x_dot", "x_dot": "-k1*x"}, [run], [run], ("x",), order=2)
+    assert spring.laws() == {"": {"x": "-(4.0)*x"}}
+    assert spring.predict({"": {"x": "-4.0*x"}})["x"] == pytest.approx((1.0, 1.0))
+    assert spring.predict({"": {"x": "-9.0*x"}})["x"][0] < 0.9
+
+
+def test_values_are_written_as_people_do() -> None:
+    values, error = rounded(np.array([12.3456, -0.004]), 3)
+    assert (values.tolist(), error) == ([12.3, 0.0], pytest.approx(0.1 / np.sqrt(12.0)))
+    assert [nice_step(value) for value in (0.31, 7.0, 1.0, 49.0)] == [0.2, 5.0, 1.0, 20.0]
