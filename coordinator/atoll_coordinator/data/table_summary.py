@@ -15,8 +15,9 @@ from atoll_core.data.table import Table
 
 
 def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:
-    """Return lines on files, how they were read, trajectories, rows, time, columns, what is known beforehand, and where it
-    `has_warnings`, what the columns say themselves.
+    """Return lines on files, how they were read, trajectories, rows, time, columns, what is known beforehand.
+
+    Where it `has_warnings`, what the columns say themselves follows.
 
     Raises UsageError where options or what is known beforehand cannot be used, DataError where the measurements cannot.
     """
