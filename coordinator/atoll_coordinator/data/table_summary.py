@@ -18,6 +18,9 @@ def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> s
     """Return lines on files, how they were read, trajectories, rows, time, columns and what is known beforehand.
 
     Where it `has_warnings`, they have what the columns say themselves.
+    """Return lines on files, how they were read, trajectories, rows, time, columns, what is known beforehand.
+
+    Where it `has_warnings`, what the columns say themselves follows.
 
     Raises UsageError where options or what is known beforehand cannot be used, DataError where the measurements cannot.
     """

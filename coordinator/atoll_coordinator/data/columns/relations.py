@@ -144,13 +144,12 @@ def _exact(
     every: Mapping[str, FloatArray],
     deviation: float,
 ) -> Relation | None:
-    """Return the relation if it holds in every row to within the rounding of what was written."""
+    """Return the relation if it holds in every row to within rounding: of arithmetic, or of what was written."""
     least = SETTINGS.common.negligible * deviation
     for terms in (_without_small(coefficients, values, least) or coefficients, coefficients):
         steps = [abs(factor) * _step(values[other]) for other, factor in terms.items()]
-        tolerance = 2.0 * (_step(values[name]) + sum(steps))
-        if tolerance > least:
-            return None
+        written = 2.0 * (_step(values[name]) + sum(steps))
+        tolerance = written if written <= least else SETTINGS.interpolation.smallest_noise * deviation
         rest = every[name] - _combined(terms, every)
         constant = mean(values[name] - _combined(terms, values))
         if float(np.max(np.abs(rest - constant))) <= tolerance:

@@ -47,6 +47,19 @@ def test_a_state_that_others_make_is_left_out(name, values, text):
     assert said in "\n".join(examination.measurements.warnings)
 
 
+def test_whole_numbers_are_equal_too():
+    columns = {name: values if name == "t" else np.round(5.0 * values) for name, values in prey().items()}
+    examination, said = found({**columns, "twice": 2.0 * columns["x"]})
+    assert "'twice' is 2*x in every row" in said
+    assert examination.roles.states == ("x", "y")
+
+
+def test_whole_numbers_that_differ_by_one_are_not():
+    columns = {name: values if name == "t" else np.round(5.0 * values) for name, values in prey().items()}
+    columns["z"] = columns["x"] + (np.arange(200) % 40 == 0)
+    assert found(columns)[0].roles.states == ("x", "y", "z")
+
+
 def test_a_total_that_stands_first_is_the_one_that_is_left_out():
     columns = noisy(prey(), 0.02)
     examination, _ = found({"t": columns["t"], "total": columns["x"] + columns["y"], **columns})
