@@ -88,6 +88,21 @@ class InterpolationSettings:
 
 
 @dataclass(frozen=True)
+class HeldInputSettings:
+    """How states are differentiated whose inputs are held between rows."""
+
+    degrees: tuple[int, ...] = (1, 2, 3)
+    """Of the polynomials in all variables that tell the errors of slopes; the one that leaves least is taken."""
+    steps_per_term: int = 3
+    """Steps for each term of a polynomial at least: of fifty steps the residual variance is known to a quarter then."""
+    most_steps: int = 2000
+    """Steps that a polynomial is fitted to: the error of a standard deviation is 1.6 % then."""
+    most_noise: float = 0.5
+    """Share of the variance of derivatives that errors may make up: where they are more than the motion, a smoother
+    that crosses jumps tells more."""
+
+
+@dataclass(frozen=True)
 class QuantisationSettings:
     """When values count as multiples of a step."""
 
@@ -438,6 +453,7 @@ class Settings:
     smoothing: SmoothingSettings = SmoothingSettings()
     robustness: RobustnessSettings = RobustnessSettings()
     interpolation: InterpolationSettings = InterpolationSettings()
+    held_inputs: HeldInputSettings = HeldInputSettings()
     quantisation: QuantisationSettings = QuantisationSettings()
     columns: ColumnSettings = ColumnSettings()
     rows: RowSettings = RowSettings()

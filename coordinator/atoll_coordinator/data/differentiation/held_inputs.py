@@ -26,15 +26,7 @@ from atoll_coordinator.data.trajectories.trajectories import Range
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
-_DEGREES: Final = (1, 2, 3)
-"""Of the polynomials in all variables; the one that leaves least tells the errors."""
-_STEPS_PER_TERM: Final = 3
-"""Steps for each term of a polynomial at least: fewer leave too little to tell the errors from."""
-_MOST_STEPS: Final = 2000
-"""Steps that a polynomial is fitted to: the relative error of a standard deviation is 1.6 % then."""
-_MOST_NOISE: Final = 0.5
-"""Share of the variance of derivatives that errors may make up: where they are more than the motion, a smoother that
-crosses jumps tells more."""
+LIMITS: Final = SETTINGS.held_inputs
 _NEIGHBOURS: Final = Smoother(2, 1, 0.0)
 """A line through two neighbouring rows, as a smoother."""
 
@@ -126,7 +118,7 @@ def _is_hidden(estimate: StateEstimate) -> bool:
     if len(known) < SETTINGS.checks.min_rows:
         return True
     error, spread = moments(estimate.total_uncertainty[known])
-    return error * error + spread * spread > _MOST_NOISE * moments(estimate.derivative[known])[1] ** 2
+    return error * error + spread * spread > LIMITS.most_noise * moments(estimate.derivative[known])[1] ** 2
 
 
 def _by_differences(
@@ -149,7 +141,7 @@ def _by_differences(
         for name, values in zip(measurements.roles.inputs, map(np.concatenate, measurements.inputs), strict=True)
     ]
     searched = np.flatnonzero(np.isin(steps, measurements.searched_rows))
-    seen = searched[np.linspace(0, len(searched) - 1, min(len(searched), _MOST_STEPS)).astype(np.int64)]
+    seen = searched[np.linspace(0, len(searched) - 1, min(len(searched), LIMITS.most_steps)).astype(np.int64)]
     estimates = []
     for values, middle, estimate in zip(states, points, smoothed, strict=True):
         slopes = (values[steps + 1] - values[steps]) / lengths
@@ -197,9 +189,9 @@ def _noise(slopes: FloatArray, gains: FloatArray, variables: Sequence[FloatArray
     """
     columns = [(values - mean) / (deviation or 1.0) for values in variables for mean, deviation in [moments(values)]]
     least: float | None = None
-    for degree in _DEGREES:
+    for degree in LIMITS.degrees:
         powers = [power for size in range(degree + 1) for power in combinations_with_replacement(columns, size)]
-        if _STEPS_PER_TERM * len(powers) > len(slopes):
+        if LIMITS.steps_per_term * len(powers) > len(slopes):
             break
         rest, basis = slopes / gains, list[FloatArray]()
         for power in powers:

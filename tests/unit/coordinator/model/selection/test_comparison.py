@@ -455,3 +455,18 @@ def test_what_the_curve_of_an_input_hides_makes_no_equation_longer(input_error, 
     compared = ModelComparison(MultipleShooting(measured, 1e-8), DECAY.names)
     models = [compared.fit_model([DECAY.parsed(text)], 20) for text in ("-0.5*x", "0.002*x*x - 0.5*x")]
     assert min(range(2), key=lambda place: models[place].nats) == wins
+
+
+def test_the_unit_of_a_state_changes_neither_the_fit_nor_the_errors_of_constants():
+    """Competitors, one counted in units of 1e-8: the same residuals and errors over the sizes."""
+    found = []
+    for unit in (1.0, 1e8):
+        known = Known(("x", "y"), lambda t, z, unit=unit: np.array([unit, 1.0]) * LOTKA.rates(t, [z[0] / unit, z[1]]))
+        texts = (f"3.1*x - 2.1*x*y - {1.1 / unit!r}*x*x", f"1.9*y - {1.1 / unit!r}*x*y - 0.9*y*y")
+        measured = measurements(known, [[unit * x, y] for x, y in STARTS], TIMES, noise=(NOISE * unit, NOISE))
+        compared = ModelComparison(MultipleShooting(measured, 1e-8), known.names)
+        model = compared.fit_model([known.parsed(text) for text in texts], 30)
+        errors = np.sqrt(np.diag(covariance(model.fit))) / np.abs(model.fit.system.values)
+        found.append((np.sqrt(model.fit.squares) / measured.scales, errors))
+    for one, other in zip(*found, strict=True):
+        assert other == pytest.approx(one, rel=1e-3)
