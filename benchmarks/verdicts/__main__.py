@@ -3,8 +3,8 @@
 ``python -m benchmarks.verdicts few-rows --seeds 1000-1199 --out FILE.jsonl`` draws the tables of campaigns from seeds,
 hands each over as the command line does, judges what comes back and prints the counts of false verdicts; a file that
 exists is gone on with. ``--show`` prints tables without searching them, ``--only-judge`` judges again what the file
-holds. Returns 1 when anything broke, an "exact" is false, more than 2 % of the "good" of a campaign are, or a verdict
-is better for a limit of time; else 0.
+holds. Returns 1 when anything broke, an "exact" is false, more than 2 % of the "good" of a campaign or 1 % of all are,
+or a verdict is better for a limit of time; else 0. Other models and verdicts at other sampling rates are listed.
 """
 
 import sys

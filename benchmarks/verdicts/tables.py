@@ -151,11 +151,12 @@ def _variants(
 
 
 def is_as_promised(outcomes: Sequence[Outcome]) -> bool:
-    """Tell whether nothing broke, no "exact" is false, and of "good" no more than `MOST_FALSE` of any campaign."""
-    campaigns = grouped(outcomes, lambda outcome: outcome.key.campaign).values()
-    return not any(outcome.end in ("broke", "late") for outcome in outcomes) and all(
-        _false(those, "exact") == 0.0 and _false(those, "good") <= MOST_FALSE for those in campaigns
-    )
+    """Tell whether nothing broke, no "exact" is false, and no more of "good" than `MOST_FALSE` allows."""
+    campaigns = [*grouped(outcomes, lambda outcome: outcome.key.campaign).values()]
+    if any(outcome.end in ("broke", "late") for outcome in outcomes) or _false(outcomes, "exact") > 0.0:
+        return False
+    is_few = len(campaigns) <= 1 or _false(outcomes, "good") <= 0.5 * MOST_FALSE
+    return is_few and all(_false(those, "good") <= MOST_FALSE for those in campaigns)
 
 
 def _false(outcomes: Sequence[Outcome], grade: str) -> float:

@@ -126,6 +126,9 @@ def test_the_promise_is_broken_by_false_verdicts_and_by_what_broke() -> None:
     assert is_as_promised(many)
     assert is_as_promised([*many, outcome(false)])
     assert not is_as_promised([*many[:40], outcome(false)])
+    others = [outcome(good, Key("targets", seed)) for seed in range(60)]
+    assert is_as_promised([*many, *others, outcome(false)])
+    assert not is_as_promised([*many, *others[:20], outcome(false)])
     assert not is_as_promised([*many, outcome(shown(DECAY, "exact", x="-0.1*x - 3.0"))])
     assert not is_as_promised([outcome(good, end="broke", sentence="s")])
 
