@@ -15,9 +15,6 @@ from atoll_core.data.table import Table
 
 
 def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:
-    """Return lines on files, how they were read, trajectories, rows, time, columns and what is known beforehand.
-
-    Where it `has_warnings`, they have what the columns say themselves.
     """Return lines on files, how they were read, trajectories, rows, time, columns, what is known beforehand.
 
     Where it `has_warnings`, what the columns say themselves follows.
