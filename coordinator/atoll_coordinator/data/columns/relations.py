@@ -126,7 +126,7 @@ class _Basis:
         """
         shares, rest = self._projected(values[name])
         residual = math.sqrt(variance(rest)) / deviation
-        if not self.names or residual > SETTINGS.inference.part:
+        if not self.names or residual > LIMITS.alike:
             return None
         coefficients = {
             other: sum(share * own[place] for share, own in zip(shares, self._makings, strict=True))
