@@ -371,7 +371,7 @@ def test_a_trajectory_longer_than_what_is_simulated_at_a_stretch_is_no_chaos(mon
     """Where errors shrink, or grow as slowly as those of a phase do, initial states are of use however long it is."""
     if system is SWING:  # known by its errors alone
         monkeypatch.setattr(conclusion, "_fits_in_whole", lambda _: None)
-    refinement = refined(system, [start], candidates, times=0.03 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
+    refinement = refined(system, [start], candidates, times=0.05 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
     assert SETTINGS.shooting.piece < 700
     assert refinement.chaos is None
 
@@ -465,7 +465,7 @@ def test_what_the_time_did_not_allow_to_try_is_no_doubt(monkeypatch):
         return answers[-1]
 
     monkeypatch.setattr(conclusion, "_fits_in_whole", trial)
-    refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.03 * np.arange(700.0), noise=0.05,
+    refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.05 * np.arange(700.0), noise=0.05,
             config=NOTHING_ELSE)  # fmt: skip
     assert answers == [None]
 
