@@ -76,9 +76,10 @@ def average_oversampled_rows(measurements: Measurements, estimates: Sequence[Sta
     The same object otherwise, and where no state has noise to speak of: then each row is as good as a mean. The mean
     of a state is that of its residuals, added to the smoothed value in the middle: so it has no bias by curvature.
     Where an input changes so fast that means of it would move the states by more than their noise, as where it is
-    switched, blocks are divided, down to single rows, and the states count as not measured there.
+    switched, blocks are divided, down to single rows, and the states count as not measured there. Rows of inputs that
+    are held between rows stay as they are: a mean over a switch is held by no row.
     """
-    count = rows_of_mean(measurements, estimates)
+    count = 1 if measurements.roles.held else rows_of_mean(measurements, estimates)
     while count > 1:
         blocks = _blocks(measurements, estimates, count)
         if sum(part.divided_rows for part in blocks) <= _most_divided(measurements):
