@@ -57,7 +57,7 @@ from atoll_coordinator.model.shooting.error_growth import growth_rate, speed_gro
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import SharedNumber
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.model.shooting.variance import estimate_variance
+from atoll_coordinator.model.shooting.variance import estimate_variances
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
@@ -228,12 +228,12 @@ def state_errors(final: Final) -> dict[str, StateErrors]:
         return {}  # those of the integration, of which nothing is to be said
     bounds = comparison.estimator.measurements.bounds
     rows = np.minimum(comparison.misfit.effective_rows(comparison.squares(fit)), comparison.counts / fit.errors.lengths)
-    errors_by_state = {}
+    errors_by_state, variances = {}, estimate_variances(final.task.recording)
     for index, name in enumerate(final.task.variables):
         share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
         errors_by_state[name] = StateErrors(
             float(np.sqrt(fit.squares[index])),
-            estimate_variance(final.task.recording, final.task.recording.states.index(name)).proportional,
+            variances[final.task.recording.states.index(name)].proportional,
             share,
             1.0 / (1.0 - decay) if share else None,
             float(rows[index]),

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.recording import Recording, Trajectory
-from atoll_coordinator.model.shooting.variance import VarianceModel, estimate_variance
+from atoll_coordinator.model.shooting.variance import VarianceModel, estimate_variances
 from atoll_coordinator.model.thinning import lattice_step
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -198,7 +198,8 @@ def measurements_of(
         inputs.append(_stacked(part.slopes[others] for part in parts))
         slopes.append(_stacked(_gradients(part, others) for part in parts))
     smoothed = np.concatenate(states)
-    variances = [estimate_variance(recording, index) for index in chosen]
+    all_variances = estimate_variances(recording)
+    variances = [all_variances[index] for index in chosen]
     inverse = _inverse_variances(parts, chosen, variances)
     weights = _stacked(_robustness_weights(part, chosen) for part in parts)
     noise = np.array(

@@ -40,19 +40,33 @@ class VarianceModel:
         return np.asarray(_inverse(values / self.rms, self.proportional) / self.mean)
 
 
-def estimate_variance(recording: Recording, state: int) -> VarianceModel:
-    """Return the variances of the errors of a state (index), by the residuals of its smoothing.
+def estimate_variances(recording: Recording) -> list[VarianceModel]:
+    """Return the variances of the errors of each state, by the residuals of its smoothing.
+
+    Errors are proportional where that is the better description by `_EVIDENCE`, of a state alone or of all states
+    together, which were measured in one way as a rule; not of a state that speaks against it.
+    """
+    found = [_estimate(recording, state) for state in range(len(recording.states))]
+    together = sum(evidence for _, evidence in found)
+    return [
+        model if evidence >= _EVIDENCE or (evidence > 0.0 and together >= _EVIDENCE) else VarianceModel()
+        for model, evidence in found
+    ]
+
+
+def _estimate(recording: Recording, state: int) -> tuple[VarianceModel, float]:
+    """Return the best proportional share of one state (index), and the evidence for any: nats over equal errors.
 
     A trajectory along which the state is 0 throughout says nothing. Loess follows the errors of rows at the ends, so
-    that each row counts by the share of its error that is in its residual. Errors are proportional where that is the
-    better description by `_EVIDENCE`, all shares being as likely beforehand. They are not where the state was
-    interpolated, where outliers have lost their weight, or where rows have weights.
+    that each row counts by the share of its error that is in its residual. All proportional shares are as likely
+    beforehand. There is no evidence where the state was interpolated, where outliers have lost their weight, or where
+    rows have weights.
     """
     searched = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     parts = [trajectory for trajectory in searched if np.nan_to_num(trajectory.measured[state]).any()] or searched
     is_given, smoothing = any(part.weights is not None for part in parts), recording.smoothing[state]
     if is_given or smoothing.method != "loess":
-        return VarianceModel()
+        return VarianceModel(), 0.0
     residuals = np.concatenate([part.measured[state] - part.smoothed[state] for part in parts])
     values = np.concatenate([part.smoothed[state] for part in parts])
     shares = np.concatenate([_residual_shares(smoothing, len(part.times)) for part in parts])
@@ -61,7 +75,7 @@ def estimate_variance(recording: Recording, state: int) -> VarianceModel:
     rms, square = float(np.sqrt(np.mean(values**2))), float(np.sum(residuals**2))
     count = float(shares.sum())
     if not (rms > 0.0 and square > 0.0 and count > 0.0):
-        return VarianceModel()
+        return VarianceModel(), 0.0
     gains, models = [], []
     for share in _SHARES:
         inverse = _inverse(values / rms, share)
@@ -70,7 +84,7 @@ def estimate_variance(recording: Recording, state: int) -> VarianceModel:
         models.append(VarianceModel(share, rms, mean, math.sqrt(weighted / mean / square)))
     best = max(range(len(gains)), key=lambda place: gains[place])
     evidence = gains[best] + math.log(sum(math.exp(gain - gains[best]) for gain in gains) / len(gains))
-    return models[best] if evidence >= _EVIDENCE else VarianceModel()
+    return models[best], evidence
 
 
 def _residual_shares(smoothing: Smoothing, rows: int) -> FloatArray:

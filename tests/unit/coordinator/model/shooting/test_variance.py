@@ -5,9 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.shooting.measurements import measurements_of
-from atoll_coordinator.model.shooting.variance import estimate_variance
+from atoll_coordinator.model.shooting.variance import VarianceModel, estimate_variances
+from atoll_core.config import JobConfig
+from tests.unit.coordinator.data.tables import table_of
 from tests.unit.coordinator.model.shooting.made import LOTKA, recording
+
+
+def estimate_variance(rows, state) -> VarianceModel:
+    return estimate_variances(rows)[state]
+
 
 STARTS = [[10.0, 5.0], [6.0, 2.0]]
 TIMES = np.linspace(0.0, 12.0, 200)
@@ -63,3 +71,14 @@ def test_zeros_along_a_whole_trajectory_say_nothing_of_errors():
     assert estimate_variance(replace(rows, trajectories=(rows.trajectories[0], absent)), 0) == estimate_variance(
         replace(rows, trajectories=rows.trajectories[:1]), 0
     )
+
+
+@pytest.mark.parametrize("count", [8, 12, 21])
+def test_few_equal_errors_are_rarely_taken_for_proportional_ones(count):
+    """Loess follows the rows at the ends, where a decay is largest and least: their residuals say little."""
+    times, draw, found = np.linspace(0.0, 6.0, count), np.random.default_rng(3), 0
+    for _ in range(40):
+        values = 2.0 * np.exp(-0.4 * times) + 0.1 * draw.standard_normal(count)
+        prepared = prepare(table_of({"t": times, "x": values}), JobConfig())
+        found += estimate_variance(prepared.recording, 0).proportional > 0.0
+    assert found <= 4
