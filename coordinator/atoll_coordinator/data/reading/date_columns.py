@@ -96,7 +96,8 @@ def _date_of_stamp(cell: str) -> str:
     if is_missing(cell):
         return cell
     seconds, nanoseconds = divmod(int(cell), NANOSECONDS["s"])
-    return f"{datetime.datetime.fromtimestamp(seconds, datetime.UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09}Z"
+    moment = datetime.datetime(1970, 1, 1) + datetime.timedelta(seconds=seconds)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{nanoseconds:09}Z"
 
 
 def _kind(cells: Sequence[str]) -> _Kind | None:

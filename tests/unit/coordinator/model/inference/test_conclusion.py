@@ -252,7 +252,10 @@ def test_what_one_trajectory_cannot_tell_is_said():
     """Of two species that began alike x is y: which of them limits the growth shows where they are not."""
     alike = Known(("x", "y"), lambda _, z: [z[0] * (1.0 - z[0] - 0.5 * z[1]), z[1] * (1.0 - z[1] - 0.5 * z[0])])
     pool = {"x": ("x*(1.0 - 1.5*x)", "x*(1.0 - 1.5*y)"), "y": ("y*(1.0 - 1.5*y)", "y*(1.0 - 1.5*x)")}
-    refinement = refined(alike, ([0.1, 0.1],), pool, times=0.1 * np.arange(100.0), config=JobConfig(space=NO_LIBRARIES))
+    refinement = refined(
+        alike, ([0.1, 0.1],), pool, times=0.1 * np.arange(100.0),
+        config=JobConfig(space=NO_LIBRARIES, data=DataConfig(states=("x", "y"))),
+    )  # fmt: skip
     for equation in refinement.equations.values():
         assert (equation.grade, equation.prediction.is_disputed) == ("doubtful", True)
         x, y = equation.prediction.measure_from.values()
@@ -429,8 +432,8 @@ def test_a_model_of_the_plane_is_not_chaotic_however_fast_errors_grow():
 def test_a_model_of_the_plane_whose_errors_grow_is_tested_along_whole_trajectories(monkeypatch):
     """As in `test_what_is_missing_in_the_long_run_alone_is_a_doubt`, with errors that grow as those of chaos do."""
     monkeypatch.setattr(conclusion, "growth_rate", lambda _: 10.0)
-    slow = Known(("x", "v"), lambda _, z: [z[1], -z[0] - 0.05 * z[1]])
-    times, wrong = 0.002 * np.arange(15_000.0), {"x": ("v",), "v": ("-x",)}
+    slow = Known(("x", "v"), lambda _, z: [z[1], -z[0] - 0.001 * z[1]])
+    times, wrong = 0.06 * np.arange(15_000.0), {"x": ("v",), "v": ("-x",)}
     refinement = refined(slow, [[1.0, 0.0]], wrong, times=times, noise=0.05, config=NOTHING_ELSE)
     assert refinement.chaos is None
     assert all("pieces of 500 rows and not whole" in equation.reason for equation in refinement.equations.values())
@@ -465,7 +468,7 @@ def test_what_the_time_did_not_allow_to_try_is_no_doubt(monkeypatch):
         return answers[-1]
 
     monkeypatch.setattr(conclusion, "_fits_in_whole", trial)
-    refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.05 * np.arange(700.0), noise=0.05,
+    refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.1 * np.arange(700.0), noise=0.05,
             config=NOTHING_ELSE)  # fmt: skip
     assert answers == [None]
 
