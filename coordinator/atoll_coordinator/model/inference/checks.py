@@ -237,7 +237,8 @@ def _null(evidence: Evidence) -> Check | None:
     nats = evidence.null_nats
     if nats >= least:
         return Check(name, "passed", f"it describes the rows {nats:.3g} nats better than no equation", nats, least)
-    reason = "so few rows are described as well without an equation, by a constant or a random walk"
+    what = "a constant" if evidence.kind == "target" else "a constant or a random walk"
+    reason = f"the rows are described about as well without an equation, by {what}"
     return Check(name, "failed", f"{reason} (Δ log-likelihood {nats:.2g}): measure more rows", nats, least)
 
 

@@ -10,7 +10,7 @@ from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
 from atoll_coordinator.model.inference.checks import Evidence
-from atoll_coordinator.model.inference.null_models import log_bayes_factor, random_walk_nats
+from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residual_covariance import residual_covariance
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
@@ -736,30 +736,33 @@ def _fits(long_run: LongRun, noise: float, index: int) -> bool | None:
 def _null_nats(final: Final, index: int) -> float:
     """Return by how many nats an equation describes the measured state better than no equation does.
 
-    Rows count as many as are independent. The state is constant along each trajectory, or a random walk, without an
-    equation. Constants are the equation's own, or as many as each state has on average, if that is more.
+    Without an equation the state is constant along each trajectory, or a random walk: the better of both counts.
+    Residuals about a constant count as many as are independent; beside the steps of a walk the innovations of
+    correlated errors do. Constants are the equation's own, or as many as each state has on average, if that is more.
     """
-    measurements, fit = final.seen.estimator.measurements, final.seen_fit
+    measurements, fit, sensor = final.seen.estimator.measurements, final.seen_fit, final.comparison.errors
     program, is_given = final.shown[index], index in final.comparison.fixed
-    residuals, series, deviations = [], [], 0.0
+    errors = fit.residuals if sensor is None else final.seen.estimator.whitened(fit.residuals, sensor)
+    squares = innovations = deviations = 0.0
+    series = []
     for owner in range(len(measurements.names)):
         rows = (measurements.owners_of_rows == owner) & (measurements.weights[index] > 0.0)
         values, weights = measurements.measured[index][rows], measurements.weights[index][rows]
         if len(values):
             mean = float((weights * values).sum() / weights.sum())
             deviations += float((weights * (values - mean) ** 2).sum())
-            residuals.append(weights * fit.residuals[index][rows] ** 2)
+            squares += float((weights * fit.residuals[index][rows] ** 2).sum())
+            innovations += float((weights * errors[index][rows] ** 2).sum())
             series.append(np.sqrt(weights) * (values - mean))
-    if not deviations > 0.0:
+    steps = squared_steps(series)
+    if not (deviations > 0.0 and steps > 0.0):
         return math.inf
-    count = float(sum(map(len, series)))
-    lengths = final.free.fit.errors.lengths
-    rows_per_one = float(lengths[index]) if len(lengths) > index else 1.0
-    rows = count / max(rows_per_one, 1.0) - (len(series) - 1)
+    count, lengths = float(sum(map(len, series))), final.free.fit.errors.lengths
+    rows_of_one = max(float(lengths[index]) if len(lengths) > index else 1.0, 1.0)
     constants = 0.0 if is_given else max(len(constant_places(program)), final.free.fit.system.count / len(final.shown))
-    left = float(sum(map(np.sum, residuals))) / deviations
-    price = 0.0 if is_given else structure_length(program)
-    return log_bayes_factor(rows, constants, left) - price - random_walk_nats(series) / max(rows_per_one, 1.0)
+    of_constant = log_bayes_factor(count / rows_of_one - (len(series) - 1), constants, squares / deviations)
+    of_walk = log_bayes_factor(count - (len(series) - 1), constants, innovations / steps)
+    return min(of_constant, of_walk) - (0.0 if is_given else structure_length(program))
 
 
 def _prediction_r2(final: Final, out: HeldOut | None, index: int) -> float | None:

@@ -37,7 +37,8 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
     Args:
         rows: n.
         constants: k.
-        left: 1 - R2, the share of the variance that the regression leaves.
+        left: 1 - R2, the squares of the residuals over those about the mean; over the squared steps of a random walk,
+            which have one number less than there are rows as well.
     """
     if rows - 1.0 <= constants:
         return 0.0
@@ -53,17 +54,6 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
     return top + math.log(0.5 * step * (float(values.sum()) - 0.5 * float(values[0] + values[-1])))
 
 
-def random_walk_nats(series: Sequence[FloatArray]) -> float:
-    """Return by how many nats a random walk describes series (R,) better than a constant for each; at least 0.
-
-    The variance of the steps, or of the deviations from the mean, is integrated out, the first value and the mean with
-    a flat prior: (n - T)/2 ln(sum of squared deviations/sum of squared steps) + 1/2 sum ln R for T series.
-    """
-    parts = [values for values in series if len(values) > 1]
-    deviations = sum(float(((values - values.mean()) ** 2).sum()) for values in parts)
-    steps = sum(float((np.diff(values) ** 2).sum()) for values in parts)
-    free = sum(len(values) - 1 for values in parts)
-    if not (deviations > 0.0 and steps > 0.0):
-        return 0.0
-    nats = 0.5 * free * math.log(deviations / steps) + 0.5 * sum(math.log(len(values)) for values in parts)
-    return max(nats, 0.0)
+def squared_steps(series: Sequence[FloatArray]) -> float:
+    """Return the sum of squared steps from row to row of all series (R,): what a random walk leaves to be explained."""
+    return sum(float((np.diff(values) ** 2).sum()) for values in series)
