@@ -416,6 +416,9 @@ class InferenceSettings:
     """Probability below which residuals are not those of noise."""
     largest_uncertainty: float = 0.01
     """A target that is more uncertain cannot tell a law from nonsense of the same error; trajectories can."""
+    chance_nats: float = 4.6
+    """What is described so much better by an equation than by none is no chance (odds of 100: of equations called good
+    one in a hundred may be wrong)."""
     exact_nats: float = 5.3
     """What is not this much longer as a description may be the law in place of an exact one (odds of 200: an exact
     verdict may be wrong in one of two hundred)."""

@@ -231,7 +231,7 @@ def _freedom(evidence: Evidence) -> Check | None:
 
 
 def _null(evidence: Evidence) -> Check | None:
-    name, least = "no equation", SETTINGS.inference.distinct_nats
+    name, least = "no equation", SETTINGS.inference.chance_nats
     if evidence.null_nats is None:
         return None
     nats = evidence.null_nats
@@ -583,7 +583,7 @@ RULES: Final[Sequence[Rule]] = (
     Rule("time", "what a limit of time has stopped", "nothing", _everywhere(), _time),
     Rule("degrees of freedom", "rows less the numbers fitted to them", "1", _everywhere(), _freedom),
     Rule("distinct rows", "rows that differ by more than rounding", "5", _everywhere(), _distinct),
-    Rule("no equation", "nats over a constant and a random walk", "3", _everywhere(), _null),
+    Rule("no equation", "nats over a constant and a random walk", "4.6", _everywhere(), _null),
     Rule("held-out trajectories", "R2 of trajectories left out", "0.9 less the noise", _simulation_alone(), _held_out),
     Rule("rows left out", "R2 of rows left out one at a time", "0.9", _target_alone(), _predicted_rows),
     Rule("target uncertainty", "uncertainty of the target", "0.01", _target_alone(), _target_noise),

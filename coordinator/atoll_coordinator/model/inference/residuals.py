@@ -81,7 +81,7 @@ def residual_statistics(
         correlations, weights = _correlations(errors, square, parameters)
     patterned = _patterned(errors, correlations, weights)
     if covariance is not None and len(covariance) == rows and rows - parameters >= 1.0 and correlations:
-        correlations[0], patterned = _exact_pattern(errors, square, covariance)
+        correlations[0], patterned = _exact_pattern(errors, square, covariance, _reach(rows, parameters))
     is_testable = rows - parameters >= 1.0
     return ResidualStatistics(
         standard_deviation,
@@ -101,7 +101,14 @@ def _patterned(errors: Sequence[FloatArray], correlations: Sequence[float], vari
     return float(special.ndtr(-sum(correlations) / math.sqrt(sum(variances)))) if sum(variances) else 0.5
 
 
-def _exact_pattern(errors: Sequence[FloatArray], square: float, covariance: FloatArray) -> tuple[float, float]:
+def _reach(rows: float, parameters: float) -> int:
+    """Return how many rows apart are compared: what p fitted curves leave turns within n/p rows, so half that at most."""
+    return max(1, min(SETTINGS.inference.lags, int(rows / (2.0 * max(parameters, 1.0)))))
+
+
+def _exact_pattern(
+    errors: Sequence[FloatArray], square: float, covariance: FloatArray, reach: int
+) -> tuple[float, float]:
     """Return the correlation of neighbours beyond that of residuals of noise, and the probability of all lags' sum.
 
     Residuals e of noise have the covariance I - H, with the projection H on what the fitted numbers can do. The sum of
@@ -111,7 +118,7 @@ def _exact_pattern(errors: Sequence[FloatArray], square: float, covariance: Floa
     owners = np.repeat(np.arange(len(errors)), list(map(len, errors)))
     places = np.concatenate([np.arange(len(series)) for series in errors])
     lags = np.abs(places[:, None] - places) * (owners[:, None] == owners)
-    near = np.where((lags > 0) & (lags <= SETTINGS.inference.lags), 0.5, 0.0)
+    near = np.where((lags > 0) & (lags <= reach), 0.5, 0.0)
     together = np.concatenate(list(errors))
     ratio = float(together @ near @ together) / square
     values, vectors = np.linalg.eigh(covariance)
@@ -185,7 +192,7 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
     """
     rows = sum(len(series) for series in errors)
     correlations, variances = [], []
-    for lag in range(1, SETTINGS.inference.lags + 1):
+    for lag in range(1, _reach(rows, parameters) + 1):
         pairs = sum(max(len(series) - lag, 0) for series in errors)
         if pairs:
             product = float(sum(series[:-lag] @ series[lag:] for series in errors if len(series) > lag))

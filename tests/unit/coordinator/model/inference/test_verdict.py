@@ -97,7 +97,7 @@ def test_a_simulation_without_noise_and_without_error_is_exact() -> None:
         ({"fits_whole": False}, "it describes pieces of 500 rows and not whole trajectories"),
         ({"passes_pole": True}, "its simulation passes a pole"),
         ({"distinct_rows": 4}, "the rows repeat 4 measurements"),
-        ({"null_nats": 2.9}, "about as well without an equation"),
+        ({"null_nats": 4.5}, "about as well without an equation"),
         ({"parameters": 400.0, "residuals": noise(0.01)}, "400 numbers were fitted to 400 rows"),
         ({"prediction": replace(SURE, probability=0.7)}, "70 % of the odds agree): measure from x = 1, y = 2"),
         ({"prediction": replace(SURE, followed=10)}, "From 2 of 12 other initial states within the measured range it"),
