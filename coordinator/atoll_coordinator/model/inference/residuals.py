@@ -102,7 +102,7 @@ def _patterned(errors: Sequence[FloatArray], correlations: Sequence[float], vari
 
 
 def _reach(rows: float, parameters: float) -> int:
-    """Return how many rows apart are compared: what p fitted curves leave turns within n/p rows, so half that at most."""
+    """Return how many rows apart are compared: what p fitted curves leave turns within n/p rows."""
     return max(1, min(SETTINGS.inference.lags, int(rows / (2.0 * max(parameters, 1.0)))))
 
 
