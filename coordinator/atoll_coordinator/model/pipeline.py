@@ -69,7 +69,7 @@ def refine_all(
     """
     deadline = deadline or Deadline()
     refined = _refined(preparation, config, pools, deadline, laws, batches)
-    if preparation.recording is None:
+    if preparation.recording is None and preparation.process is None:
         refined = _judged_by_target(refined, preparation, deadline)
     made = _with_units(refined, preparation, config)
     if not deadline.has_cut_short:

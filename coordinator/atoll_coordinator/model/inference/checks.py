@@ -10,7 +10,7 @@ Adding a kind of job means adding it to `JobKind` and to the `kinds` of every ru
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -44,7 +44,8 @@ class Evidence:
     `noise` is the smoother's estimate of the measurement errors (0 for a state that was interpolated, of which
     `noise_estimate` is what its second differences say), or the size of correlated errors of a sensor, and
     `innovations` are the whitened residuals then; `covariance` (R, R) is that of residuals of independent errors of
-    variance one, None where it is not known; `standard_deviation` is that of the measured values, in the state's
+    variance one, None where it is not known; they stand in the one of so many `orders` of the rows in which neighbours
+    are most alike; `standard_deviation` is that of the measured values, in the state's
     unit as the noise; `reference` judges the variance of the residuals, None where the noise is known;
     `are_errors_summed` tells that errors add up along trajectories, as those of a solver do, and that constants were
     fitted to short pieces therefore; `has_outliers` makes the tests robust. `held_out_r2` is the R2 of the simulations
@@ -97,6 +98,7 @@ class Evidence:
     is_unsimulated: bool = False
     innovations: Sequence[FloatArray] | None = None
     covariance: FloatArray | None = None
+    orders: int = 1
     solver: str | None = None
     convergence_threshold: float = EXACT_ERROR
     stopped: str = ""
@@ -108,7 +110,8 @@ class Evidence:
         if self.has_outliers:  # which must not decide
             residuals = clip_outliers(residuals)
             innovations = None if innovations is None else clip_outliers(innovations)
-        return residual_statistics(residuals, self.noise, self.parameters, self.reference, innovations, self.covariance)
+        made = residual_statistics(residuals, self.noise, self.parameters, self.reference, innovations, self.covariance)
+        return replace(made, patterned=min(self.orders * made.patterned, 1.0))
 
     @property
     def rows(self) -> int:
@@ -177,12 +180,16 @@ def make_checks(evidence: Evidence, *, of_exactness: bool = False) -> tuple[Chec
     """Return the checks of an equation that apply to its kind of job, in the order of their weight."""
     rules = (rule for rule in RULES if rule.is_exactness == of_exactness and not rule.kinds[evidence.kind])
     made = (rule.make(evidence) for rule in rules)
-    return tuple(check for check in made if check is not None)
+    return tuple(_with_power(check) for check in made if check is not None)
 
 
-def lacks_power(check: Check) -> bool:
-    """Tell whether a check has passed that would not have seen a departure that matters."""
-    return check.outcome == "passed" and check.power is not None and not check.power <= SETTINGS.inference.part
+def _with_power(check: Check) -> Check:
+    """Return a check, as not made if it has passed and would not have seen a departure that matters."""
+    if check.outcome != "passed" or check.power is None or check.power <= SETTINGS.inference.part:
+        return check
+    seen = f"departures from {percent(check.power)} of the variance on alone" if math.isfinite(check.power) else "none"
+    reason = f"the check of {check.name} would have seen {seen}: measure more rows, or with less noise"
+    return replace(check, outcome="not made", reason=reason)
 
 
 # ------------------------------------------------------------------------------------------------------- simulation
@@ -266,6 +273,8 @@ def _residual_size(evidence: Evidence) -> Check | None:
         reason = f"{size} are {statistics.ratio:.2g} times the noise (p = {statistics.too_large:.1g})"
         return Check(name, "failed", reason, statistics.ratio, SETTINGS.inference.excess, power)
     reason = f"{size} agree with the noise ({percent(evidence.relative_noise)})"
+    if statistics.ratio > SETTINGS.inference.excess:
+        reason = f"{size} may be noise ({percent(evidence.relative_noise)}), of which so few rows tell little"
     return Check(name, "passed", reason, statistics.ratio, SETTINGS.inference.excess, power)
 
 
@@ -283,6 +292,8 @@ def _size_without_noise(evidence: Evidence) -> Check:
         reason = (
             f"the residuals are {percent(left)} of the standard deviation, and so few rows do not exclude such noise"
         )
+    elif left > limit:
+        limit = SETTINGS.common.negligible  # errors of integration, or a departure that no prediction shows
     return Check(name, "passed", reason, left, limit, evidence.largest_departure)
 
 
@@ -422,11 +433,9 @@ def _predicted_rows(evidence: Evidence) -> Check | None:
     Where the target's own uncertainty is known, an equation cannot be asked for more than that.
     """
     name, least = "rows left out", 1.0 - SETTINGS.inference.part
-    if evidence.error <= 2.0 * evidence.target_uncertainty and evidence.predicted_r2 is None:
-        return None
-    r2 = evidence.predicted_r2 if evidence.predicted_r2 is not None else evidence.target_r2
+    r2 = evidence.predicted_r2
     if r2 is None:
-        return None
+        return Check(name, "not made", "the equation has no finite value on some rows, so that none can be left out")
     least -= min(2.0 * evidence.target_uncertainty, 1.0) ** 2
     if r2 >= least:
         return Check(name, "passed", f"rows left out one at a time are predicted with R2 {r2_text(r2)}", r2, least)
@@ -606,20 +615,9 @@ RULES: Final[Sequence[Rule]] = (
 
 
 def failures(checks: Sequence[Check]) -> Iterator[str]:
-    """Yield the reasons of checks that speak against an equation: failed ones, then those that were not made.
-
-    A check without the power to see a departure that matters counts as not made.
-    """
+    """Yield the reasons of checks that speak against an equation: failed ones, then those that were not made."""
     yield from (check.reason for check in checks if check.outcome == "failed")
     yield from (check.reason for check in checks if check.outcome == "not made")
-    for check in checks:
-        if lacks_power(check):
-            seen = (
-                "no departure at all"
-                if not math.isfinite(check.power or 0.0)
-                else (f"a departure from {percent(check.power or 0.0)} of the variance on")
-            )
-            yield f"the check of {check.name} would have seen {seen} only: measure more rows, or with less noise"
 
 
 # ------------------------------------------------------------------------------------------------------------- text

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from atoll_coordinator.data.recording import Smoothing
-from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
 from atoll_coordinator.model.inference.checks import Evidence
-from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps
+from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
 from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
 from atoll_coordinator.model.inference.residual_covariance import residual_covariance
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
@@ -185,7 +184,7 @@ def summarize(selection: SelectedModel) -> Refinement | None:
             index,
             constants[index],
             _prediction_r2(final, out, index),
-            None if predictions is None else predictions[index],
+            predictions[index],
             long_run,
         )
         for index, name in enumerate(task.variables)
@@ -559,7 +558,7 @@ def _fits_in_whole(final: Final) -> bool | None:
     return True
 
 
-def predictions_of(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction] | None:
+def predictions_of(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction]:
     """Return how far each state can be foretold from other initial states, see `foretell`."""
     ranking = final.ranking
     least = ranking.selection.model.nats
@@ -620,7 +619,6 @@ def refined_equation(
         constants=known.written,
         unit_coefficients=[coefficient.constant for coefficient in known.unit_coefficients],
         prediction=prediction,
-        unpredicted="states without an equation are inputs as smoothed",
         chaos=long_run.chaos,
         fits_whole=_fits(long_run, noise / _standard_deviation(measurements, index), index),
         piece=final.task.piece,
@@ -678,13 +676,15 @@ def _reference_smoother(smoothing: Smoothing, noise: float) -> ReferenceSmoother
 def _no_elaborations(program: Program, alternatives: Sequence[Alternative]) -> list[Alternative]:
     """Return the others that have no more constants than `program`, as it was before its constants were made simple.
 
-    More constants always describe about as well; that is no reason to doubt the equation with fewer.
+    More constants always describe about as well; that is no reason to doubt the equation with fewer, unless they
+    describe the data far better.
     """
     most = len(constant_places(program))
     return [
         alternative
         for alternative in alternatives
-        if not alternative.is_shown and len(constant_places(alternative.program)) <= most
+        if not alternative.is_shown
+        and (len(constant_places(alternative.program)) <= most or alternative.nats < -SETTINGS.inference.distinct_nats)
     ]
 
 
@@ -738,12 +738,12 @@ def _null_nats(final: Final, index: int) -> float:
 
     Without an equation the state is constant along each trajectory, or a random walk: the better of both counts.
     Residuals about a constant count as many as are independent; beside the steps of a walk the innovations of
-    correlated errors do. Constants are the equation's own, or as many as each state has on average, if that is more.
+    correlated errors do. Rows count by their weights. Constants are the equation's own, or as many as each state has on
+    average, if that is more, and with them initial numbers beyond one for each trajectory.
     """
     measurements, fit, sensor = final.seen.estimator.measurements, final.seen_fit, final.comparison.errors
     program, is_given = final.shown[index], index in final.comparison.fixed
-    errors = fit.residuals if sensor is None else final.seen.estimator.whitened(fit.residuals, sensor)
-    squares = innovations = deviations = 0.0
+    squares = deviations = effective = 0.0
     series = []
     for owner in range(len(measurements.names)):
         rows = (measurements.owners_of_rows == owner) & (measurements.weights[index] > 0.0)
@@ -752,17 +752,21 @@ def _null_nats(final: Final, index: int) -> float:
             mean = float((weights * values).sum() / weights.sum())
             deviations += float((weights * (values - mean) ** 2).sum())
             squares += float((weights * fit.residuals[index][rows] ** 2).sum())
-            innovations += float((weights * errors[index][rows] ** 2).sum())
+            effective += float(weights.sum()) ** 2 / float((weights * weights).sum())
             series.append(np.sqrt(weights) * (values - mean))
     steps = squared_steps(series)
     if not (deviations > 0.0 and steps > 0.0):
         return math.inf
-    count, lengths = float(sum(map(len, series))), final.free.fit.errors.lengths
+    lengths = final.free.fit.errors.lengths
     rows_of_one = max(float(lengths[index]) if len(lengths) > index else 1.0, 1.0)
     constants = 0.0 if is_given else max(len(constant_places(program)), final.free.fit.system.count / len(final.shown))
-    of_constant = log_bayes_factor(count / rows_of_one - (len(series) - 1), constants, squares / deviations)
-    of_walk = log_bayes_factor(count - (len(series) - 1), constants, innovations / steps)
-    return min(of_constant, of_walk) - (0.0 if is_given else structure_length(program))
+    constants += max(fit.starts.size / len(measurements.observed) - len(series), 0.0)
+    of_constant = log_bayes_factor(effective / rows_of_one - (len(series) - 1), constants, squares / deviations)
+    innovations = squares
+    if sensor is not None and sensor.shares[index] > 0.0:
+        innovations = float(final.seen.estimator.squared_innovations(fit.residuals, sensor)[index])
+    of_walk = log_bayes_factor(effective - (len(series) - 1), constants, innovations / steps)
+    return min(of_constant, of_walk) - (0.0 if is_given else structure_price(program, len(final.task.dataset.names)))
 
 
 def _prediction_r2(final: Final, out: HeldOut | None, index: int) -> float | None:

@@ -133,7 +133,7 @@ def _refinement(final: Final, shared: frozenset[Place], errors: Errors, values: 
         known = Known(described.means(index, shared), ())
         r2 = None if out is None else out.r2[index]
         equations[name] = replace(
-            refined_equation(final, index, known, r2, None if predictions is None else predictions[index], long_run),
+            refined_equation(final, index, known, r2, predictions[index], long_run),
             by_group=described.equations(index),
             shared=()
             if index in comparison.fixed

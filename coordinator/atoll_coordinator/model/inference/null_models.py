@@ -15,11 +15,16 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.criteria import structure_length
 from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import Program
 
 _POINTS: Final = 4_001
 _TAIL: Final = 60.0
 """Nats beyond its knee to which the integrand is followed: it falls as exp(-t/2) there at least."""
+_LEAVES: Final = 4.0
+"""Leaves among which one is chosen by the price of a structure."""
 _LEAST_LEFT: Final = 1e-30
 """Guard: smallest share of a variance that is told from zero."""
 
@@ -57,3 +62,12 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
 def squared_steps(series: Sequence[FloatArray]) -> float:
     """Return the sum of squared steps from row to row of all series (R,): what a random walk leaves to be explained."""
     return sum(float((np.diff(values) ** 2).sum()) for values in series)
+
+
+def structure_price(program: Program, columns: int) -> float:
+    """Return the nats of a structure (`structure_length`), each of its variables one of so many columns.
+
+    A leaf is priced as one of four in there, whatever the number of columns is.
+    """
+    leaves = int((program.operators == VARIABLE).sum())
+    return structure_length(program) + leaves * max(math.log(max(columns, 1) / _LEAVES), 0.0)

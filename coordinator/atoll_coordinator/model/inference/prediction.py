@@ -47,8 +47,8 @@ class Rival:
 def foretell(
     measurements: Measurements, model: System, rivals: Sequence[Rival], tolerance: float,
     drawn: Iterable[System] = (), *, is_near: bool = False,
-) -> list[Prediction] | None:  # fmt: skip
-    """Return the prediction of each measured state; None where smoothed states are inputs, which others would not be.
+) -> list[Prediction]:  # fmt: skip
+    """Return the prediction of each measured state; states without an equation are inputs as smoothed.
 
     Args:
         measurements: the trajectories that were measured.
@@ -58,8 +58,6 @@ def foretell(
         drawn: the model with constants drawn from their distribution, of which as many are taken as decide.
         is_near: whether initial states are near measured ones: an attractor's box has parts that lead elsewhere.
     """
-    if measurements.has_smoothed_inputs:
-        return None
     elsewhere = _Elsewhere(measurements, tolerance, is_near=is_near)
     own = elsewhere.own_courses(model)
     followed = [place for place, course in enumerate(own) if not isinstance(course, str)]

@@ -9,9 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.inference.checks import Evidence
-from atoll_coordinator.model.inference.null_models import log_bayes_factor
+from atoll_coordinator.model.inference.null_models import log_bayes_factor, structure_price
 from atoll_coordinator.model.inference.residual_covariance import projected_away
 from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.model.thinning import thinned_places
@@ -86,13 +85,16 @@ def _with_rows(
     distinct = _distinct_rows(inputs[used]) if used else _distinct_rows(inputs)
     square = float(regression.errors @ regression.errors)
     predicted = regression.errors / np.maximum(1.0 - (regression.basis**2).sum(axis=1), EXACT_ERROR)
-    order = _order(regression.errors, inputs[used], _fitted(values, roots, regression))
+    order = _order(regression.errors, inputs, _fitted(values, roots, regression))
+    weight = roots * roots
+    distinct = min(distinct, int(weight.sum() ** 2 / (weight * weight).sum()))
     is_exact = evidence.error <= evidence.convergence_threshold
     free = max(len(values) - regression.constants, 1)
-    price = 0.0 if is_known else structure_length(program) - SETTINGS.criterion.common
+    price = 0.0 if is_known else structure_price(program, len(inputs)) - SETTINGS.criterion.common
     return replace(
         evidence,
         residuals=[regression.errors[order]],
+        orders=len(inputs) + 1,
         covariance=projected_away(regression.basis[order], slice(None)) if len(values) <= _MOST_ROWS else None,
         parameters=float(regression.constants),
         noise=0.0 if is_exact else math.sqrt(square / free),
@@ -110,9 +112,9 @@ def _linearised(
     places = [] if is_known else constant_places(program)
     fitted, slopes = values_and_gradient(program, inputs, places)
     errors = (values - fitted) * roots
-    if not (np.isfinite(errors).all() and np.isfinite(slopes).all()):
+    if not np.isfinite(errors).all():
         return None
-    columns = (slopes * roots).T
+    columns = (np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * roots).T
     sizes = np.sqrt((columns**2).sum(axis=0))
     columns = columns[:, sizes > 0.0] / sizes[sizes > 0.0]
     basis, singular, _ = np.linalg.svd(columns, full_matrices=False)

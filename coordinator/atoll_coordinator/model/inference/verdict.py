@@ -56,8 +56,11 @@ def sentence(clauses: Sequence[str]) -> str:
 def _merits(evidence: Evidence, checks: Sequence[Check]) -> list[str]:
     """Return why an equation is good: its residuals; what it predicts is in the same clause, behind semicolons."""
     reasons = {check.name: check.reason for check in checks}
-    residuals = [reasons[name] for name in ("residual size", "rows left out", "residual pattern") if name in reasons]
-    merits = [" and ".join(residuals).replace(" and the residuals", " and")] if residuals else []
+    size = next((reasons[name] for name in ("residual size", "rows left out") if name in reasons), "")
+    pattern = reasons.get("residual pattern", "")
+    if size.startswith("the residuals"):
+        pattern = pattern.removeprefix("the residuals ")
+    merits = [" and ".join(filter(None, (size, pattern)))] if size or pattern else []
     merits += [reasons[name] for name in ("held-out trajectories", "long run") if name in reasons]
     beyond = outside_of_range(evidence.prediction)
     return ["; ".join([*merits, *([beyond] if beyond else [])]) or "all checks have passed"]

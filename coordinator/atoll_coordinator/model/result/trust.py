@@ -53,7 +53,7 @@ def verdict(
         judged = judge(target_evidence(shown, problem, weights, kind=kind, is_known=why == _KNOWN))
     if judged.grade in ("exact", "good") and shown.units is not None and shown.units.faults:
         judged = with_objection(judged, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
-    if judged.grade == "good" and why in _STOPPED:
+    if judged.grade == "good" and why in _STOPPED and not (has_trajectories and why == "max-epochs"):
         judged = with_objection(judged, "search", "not made", _STOPPED[why])
     return judged
 
@@ -61,6 +61,7 @@ def verdict(
 _KNOWN: Final = "known"
 _STOPPED: Final = {
     "max-time": "the limit of time stopped the search before it converged or stagnated: give more time with --max-time",
+    "max-epochs": "the search ended with its last epoch before it converged or stagnated: allow more with --max-epochs",
     "cancelled": "the search was cancelled before it converged or stagnated: let it run on",
 }
 """What stops a search before it has looked at all that it would have, by why it ended."""

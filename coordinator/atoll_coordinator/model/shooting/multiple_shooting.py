@@ -371,6 +371,15 @@ class MultipleShooting:
         """Return residuals (O, N) of whole trajectories, what goes together in these errors taken out."""
         return self._layout(None).whitened(residuals, errors)
 
+    def squared_innovations(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
+        """Return the sums of squared innovations (O,) of residuals (O, N) of whole trajectories, by their likelihood.
+
+        Each innovation has a variance of its own; the sum is the one of as many of one variance that are as likely.
+        """
+        squares, logarithms = self._layout(None).squares(residuals, errors)
+        counts = np.maximum((self.measurements.weights > 0.0).sum(axis=1), 1)
+        return np.asarray(squares * np.exp(logarithms / counts))
+
     def cost(self, fit: TrajectoryFit) -> float:
         """Return the sum of squared residuals of a fit of whole trajectories, over the variances of its errors."""
         return _cost(self._layout(None), fit.residuals, fit.errors)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import special
 
-from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps
+from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
+from atoll_core.expression.text.parsing import from_infix
 
 
 @pytest.mark.parametrize(("rows", "constants", "left"), [(8, 1, 0.01), (12, 4, 0.3), (30, 2, 0.9), (60, 5, 0.5)])
@@ -46,3 +47,11 @@ def test_a_walk_is_described_by_its_steps_and_noise_by_its_mean() -> None:
     assert squared_steps([walk]) < 0.1 * float(((walk - walk.mean()) ** 2).sum())
     assert squared_steps([steps[1]]) == pytest.approx(2.0 * 400.0, rel=0.2)
     assert squared_steps([np.full(9, 2.0), np.ones(1)]) == 0.0
+
+
+def test_the_choice_among_many_columns_has_a_price() -> None:
+    names = tuple(f"x{number}" for number in range(40))
+    program = from_infix("x1 + x2*x3", names)
+    few, many = structure_price(program, 4), structure_price(program, 40)
+    assert many - few == pytest.approx(3.0 * math.log(10.0))
+    assert structure_price(program, 3) == few

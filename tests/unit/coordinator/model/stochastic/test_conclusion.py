@@ -124,3 +124,13 @@ def test_steps_that_follow_eulers_method_exactly_are_not_those_of_a_process() ->
 def test_a_variance_is_not_said_to_be_none_where_steps_are_not_those_that_other_states_make() -> None:
     """What the integration of ten steps a period misses has been taken for noise of the other state."""
     assert judged(10, two_states("1.001*y", "-1.001*x", "0", "6.5e-8")) == ["doubtful"] * 4
+
+
+def test_a_process_is_judged_by_its_steps_and_not_as_a_target_is() -> None:
+    states = ornstein_uhlenbeck(150, 0.2, seed=2)
+    config = JobConfig(data=DataConfig(stochastic=True), space=SpaceConfig(operators=("+", "-", "*")))
+    prepared = prepare(table_of({"t": 0.2 * np.arange(150), "x": states}), config)
+    equations = refine_all(prepared, config, {}).equations
+    names = {check.name for check in equations["x"].checks}
+    assert {"pattern of steps", "serial correlation"} <= names
+    assert not names & {"rows left out", "target uncertainty"}
