@@ -125,11 +125,25 @@ class _Elsewhere:
 
     @cached_property
     def starts(self) -> FloatArray:
-        """Initial states (G, D): between two measured ones, or near measured ones over all rows."""
+        """Initial states (G, D): between two measured ones of one group, or near measured ones over all rows."""
         if self._is_near:
             rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.effort.beam).astype(int)
             return np.asarray(self._measurements.smoothed[:, rows].T + self._shift)
-        return points_between(self._measurements.smoothed)
+        if self._measurements.groups is None:
+            return points_between(self._measurements.smoothed)
+        return self._starts_of_groups(self._measurements.groups)
+
+    def _starts_of_groups(self, groups: Ints) -> FloatArray:
+        """Return initial states (G, D), each between two measured states of the group whose constants it takes."""
+        measurements, points = self._measurements, []
+        between: dict[int, FloatArray] = {}
+        for place in range(SETTINGS.effort.beam):
+            group = int(groups[self._estimator(place).measurements.owners[0]])
+            if group not in between:
+                is_own = groups[measurements.owners_of_rows] == group
+                between[group] = points_between(np.ascontiguousarray(measurements.smoothed[:, is_own]))
+            points.append(between[group][place % len(between[group])])
+        return np.array(points)
 
     @cached_property
     def _shift(self) -> FloatArray:

@@ -245,6 +245,14 @@ def test_with_groups_other_initial_states_take_the_constants_of_a_group_in_turn(
     assert foretell(grouped, growing, [], 1e-6)[0].followed == 6
 
 
+def test_with_groups_an_initial_state_lies_between_states_of_its_group():
+    """What one group never comes near says nothing of its constants."""
+    grouped = replace(measurements(DECAY, [[2.0], [200.0]], TIMES), groups=np.array([0, 1]))
+    starts = _Elsewhere(grouped, 1e-6, is_near=False).starts[:, 0]
+    assert (starts[::2] <= 2.0).all()
+    assert (starts[1::2] > 0.9 * 200.0 * np.exp(-0.5 * TIMES[-1])).all()
+
+
 def test_draws_spread_as_the_covariance_says():
     fitted = system(DECAY, "-0.5*x")
     drawn = np.array([draw.values for draw in islice(draws(fitted, np.array([[0.01]])), 12)])
