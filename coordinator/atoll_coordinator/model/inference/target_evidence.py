@@ -108,7 +108,7 @@ def _with_rows(
 def _linearised(
     program: Program, inputs: FloatArray, values: FloatArray, roots: FloatArray, *, is_known: bool
 ) -> _Regression | None:
-    """Return errors and leverages of a program on rows, None where it has no finite value on one of them."""
+    """Return errors of a program on rows and what its fit can do, None where a row has no finite value."""
     places = [] if is_known else constant_places(program)
     fitted, slopes = values_and_gradient(program, inputs, places)
     errors = (values - fitted) * roots
