@@ -58,9 +58,9 @@ def number_text(value: float | None, digits: int = 3) -> str:
 
 
 def checks_text(checks: Sequence[Check]) -> str:
-    """Return how many checks have passed, and which have not."""
+    """Return how many of the checks that are applicable have passed, and which have not."""
     passed = sum(check.outcome == "passed" for check in checks)
-    parts = [f"{passed} of {len(checks)} passed"]
+    parts = [f"{passed} of {sum(check.outcome != 'not applicable' for check in checks)} passed"]
     for outcome in ("failed", "not made"):
         names = [check.name for check in checks if check.outcome == outcome]
         parts += [f"{outcome}: {', '.join(names)}"] if names else []

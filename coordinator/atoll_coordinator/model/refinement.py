@@ -22,7 +22,7 @@ Grade = Literal["exact", "good", "doubtful", "no model"]
 JobKind = Literal["trajectories", "groups", "target", "process"]
 """Kinds of job by what an equation is tested against: simulated trajectories, with constants of their own for groups of
 them or not; a target on rows; the steps of a stochastic process."""
-CheckOutcome = Literal["passed", "failed", "not made"]
+CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: by itself, by ``--max-time`` with the best so far, or without a result of its own."""
 

@@ -101,7 +101,7 @@ class Prediction(Part):
 
 
 class Check(Part):
-    """A check of an equation: "passed", "failed" or "not made", and the reason as a clause.
+    """A check of an equation: "passed", "failed", "not made" or "not applicable", and the reason as a clause.
 
     `power` is the smallest departure that it would have seen, as a share of the variance of the state or target.
     """

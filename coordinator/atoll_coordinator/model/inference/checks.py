@@ -1,9 +1,9 @@
 """The checks of an equation: what each measures, its limit, and to which kinds of job it applies. Pure.
 
-A check has passed, has failed, or was not made, and then says why and what to do. `verdict.judge` makes the grade of
-them: an equation is `good` or `exact` only if every check that applies was made, would have seen a departure that
-matters, and passed. A departure matters if it has more than a tenth of the variance of a state, since predictions of a
-good equation have an R2 above 0.9.
+A check has passed, has failed, or was not made, and then says why and what to do; or it is not applicable to a table,
+which has nothing of what it looks at. `verdict.judge` makes the grade of them: an equation is `good` or `exact` only if
+every check that applies was made, would have seen a departure that matters, and passed. A departure matters if it has
+more than a tenth of the variance of a state, since predictions of a good equation have an R2 above 0.9.
 
 Adding a kind of job means adding it to `JobKind` and to the `kinds` of every rule; a test compares them.
 """
@@ -59,7 +59,8 @@ class Evidence:
     that some agree along what was measured; `prediction` is how far the state can be predicted from other initial
     states, None where that was not tested, for the reason `unpredicted`; `chaos` is what is known of a model whose
     trajectories cannot be predicted for long. `fits_whole` tells whether it describes whole trajectories, None where
-    only pieces of `piece` rows were simulated. `passes_pole` tells that its simulation goes through a point where this
+    only pieces of `piece` rows were simulated; `predictable_rows` is over how many rows a driven model can be predicted
+    at all, where its errors grow so fast that this is less than a piece. `passes_pole` tells that its simulation goes through a point where this
     equation has no finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not
     known; `is_known` tells that the equation was given; `solver` names the one that computed the table, whose errors
     are not in the residuals; `is_unsimulated` tells that there are trajectories, along which it was not simulated.
@@ -92,6 +93,7 @@ class Evidence:
     chaos: Chaos | None = None
     fits_whole: bool | None = True
     piece: int | None = None
+    predictable_rows: int | None = None
     passes_pole: bool = False
     distinct_rows: int | None = None
     is_known: bool = False
@@ -156,8 +158,8 @@ class Evidence:
         return min(share * self.relative_noise**2, self.largest_departure) if self.rows else math.inf
 
 
-Maker = Callable[[Evidence], Check | None]
-"""Makes a check; None where there is nothing to check."""
+Maker = Callable[[Evidence], Check]
+"""Makes a check; where a table has nothing to check it is "not applicable", with the reason."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,19 @@ def make_checks(evidence: Evidence, *, of_exactness: bool = False) -> tuple[Chec
     """Return the checks of an equation that apply to its kind of job, in the order of their weight."""
     rules = (rule for rule in RULES if rule.is_exactness == of_exactness and not rule.kinds[evidence.kind])
     made = (rule.make(evidence) for rule in rules)
-    return tuple(_with_power(check) for check in made if check is not None)
+    return tuple(map(_with_power, made))
+
+
+def _nothing(name: str, reason: str) -> Check:
+    """Return a check that is not applicable to a table."""
+    return Check(name, "not applicable", reason)
+
+
+_UNSIMULATED: Final = "it was not simulated along the trajectories"
+
+
+def _unsimulated(name: str) -> Check:
+    return Check(name, "not made", _UNSIMULATED)
 
 
 def _with_power(check: Check) -> Check:
@@ -195,7 +209,7 @@ def _with_power(check: Check) -> Check:
 # ------------------------------------------------------------------------------------------------------- simulation
 
 
-def _explained(evidence: Evidence) -> Check | None:
+def _explained(evidence: Evidence) -> Check:
     name, least = "explained variance", SETTINGS.inference.part
     if evidence.kind != "target" and evidence.residuals:
         r2 = 1.0 - evidence.left**2
@@ -203,7 +217,7 @@ def _explained(evidence: Evidence) -> Check | None:
     elif not math.isfinite(evidence.error):
         return Check(name, "failed", "its error is not finite", None, least)
     elif evidence.target_r2 is None:
-        return None
+        return Check(name, "not made", "the target does not vary")
     else:
         r2 = evidence.target_r2
         what = "it is" if evidence.is_known else "nothing was found that is"
@@ -214,7 +228,7 @@ def _explained(evidence: Evidence) -> Check | None:
     return Check(name, "failed", what, r2, least)
 
 
-def _simulated(evidence: Evidence) -> Check | None:
+def _simulated(evidence: Evidence) -> Check:
     if not evidence.is_unsimulated:
         return Check("simulation", "passed", "it was simulated along the trajectories")
     return Check("simulation", "failed", "it was not simulated along the trajectories, and fits the derivatives alone")
@@ -226,10 +240,10 @@ def _time(evidence: Evidence) -> Check:
     return Check("time", "not made", f"the limit of time stopped {evidence.stopped}: give more time with --max-time")
 
 
-def _freedom(evidence: Evidence) -> Check | None:
+def _freedom(evidence: Evidence) -> Check:
     name = "degrees of freedom"
     if not evidence.residuals:
-        return None
+        return _unsimulated(name)
     free = evidence.free_rows
     if free >= 1.0:
         return Check(name, "passed", f"{free:.0f} rows more than fitted numbers", free, 1.0)
@@ -237,10 +251,10 @@ def _freedom(evidence: Evidence) -> Check | None:
     return Check(name, "failed", f"{reason}: measure more rows", free, 1.0)
 
 
-def _null(evidence: Evidence) -> Check | None:
+def _null(evidence: Evidence) -> Check:
     name, least = "no equation", SETTINGS.inference.chance_nats
     if evidence.null_nats is None:
-        return None
+        return _unsimulated(name)
     nats = evidence.null_nats
     if nats >= least:
         return Check(name, "passed", f"it describes the rows {nats:.3g} nats better than no equation", nats, least)
@@ -249,21 +263,22 @@ def _null(evidence: Evidence) -> Check | None:
     return Check(name, "failed", f"{reason} (Δ log-likelihood {nats:.2g}): measure more rows", nats, least)
 
 
-def _held_out(evidence: Evidence) -> Check | None:
-    r2 = evidence.held_out_r2
+def _held_out(evidence: Evidence) -> Check:
+    name, r2 = "held-out trajectories", evidence.held_out_r2
     if r2 is None:
-        return None
+        return _nothing(name, "no trajectory was held out or left out")
     least = 1.0 - evidence.relative_noise**2 - SETTINGS.inference.part
     if r2 >= least:
-        return Check("held-out trajectories", "passed", f"{_unseen(evidence)}: R2 {r2_text(r2)}", r2, least)
+        return Check(name, "passed", f"{_unseen(evidence)}: R2 {r2_text(r2)}", r2, least)
     reason = f"{_unseen(evidence)} are simulated with R2 {r2_text(r2)} only"
-    return Check("held-out trajectories", "failed", reason, r2, least)
+    return Check(name, "failed", reason, r2, least)
 
 
-def _residual_size(evidence: Evidence) -> Check | None:
-    name, left = "residual size", evidence.left if evidence.residuals else math.inf
+def _residual_size(evidence: Evidence) -> Check:
+    name = "residual size"
     if not evidence.residuals:
-        return None
+        return _unsimulated(name)
+    left = evidence.left
     if not evidence.is_noisy:
         return _size_without_noise(evidence)
     statistics = evidence.statistics
@@ -310,14 +325,26 @@ def _exceeds(evidence: Evidence) -> bool:
     return bool(special.fdtrc(max(evidence.free_rows, 1.0), known, ratio) < SETTINGS.inference.improbable)
 
 
-def _residual_pattern(evidence: Evidence) -> Check | None:
+def _are_of_integration(evidence: Evidence) -> bool:
+    """Tell whether residuals are as small as errors of integration may be, which always have a pattern."""
+    if evidence.is_noisy:
+        return evidence.left <= SETTINGS.inference.exact
+    is_small = evidence.left <= SETTINGS.common.negligible or evidence.are_errors_summed
+    return is_small or evidence.solver is not None
+
+
+def _residual_pattern(evidence: Evidence) -> Check:
     name = "residual pattern"
-    if not evidence.residuals or not evidence.statistics.standard_deviation > 0.0:
-        return None
-    are_of_integration = evidence.left <= SETTINGS.common.negligible or evidence.are_errors_summed
-    if not evidence.is_noisy and (are_of_integration or evidence.solver is not None):
-        return None  # errors of integration always have a pattern
+    if not evidence.residuals:
+        return _unsimulated(name)
+    if not evidence.statistics.standard_deviation > 0.0:
+        return _nothing(name, "there are no residuals")
     statistics, limit = evidence.statistics, SETTINGS.inference.part
+    if _are_of_integration(evidence):
+        reason = (
+            f"a term of {percent(evidence.left)} of the standard deviation would be taken for errors of integration"
+        )
+        return Check(name, "passed", reason, statistics.correlation, limit, evidence.largest_departure)
     seen = statistics.seen_correlation
     power = evidence.departure(seen / (1.0 - seen) if seen < 1.0 else math.inf)
     if statistics.correlation > limit and statistics.patterned < SETTINGS.inference.improbable:
@@ -330,10 +357,15 @@ def _residual_pattern(evidence: Evidence) -> Check | None:
     return Check(name, "passed", reason, statistics.correlation, limit, power)
 
 
-def _whole(evidence: Evidence) -> Check | None:
+def _whole(evidence: Evidence) -> Check:
     name = "whole trajectories"
-    if not evidence.residuals or evidence.chaos is not None:
-        return None
+    if not evidence.residuals:
+        return _unsimulated(name)
+    if evidence.chaos is not None:
+        return _nothing(name, "errors of initial states grow in chaos, and the long run is compared")
+    if evidence.predictable_rows is not None:
+        reason = f"errors of initial states grow, so that {evidence.predictable_rows} rows can be predicted"
+        return _nothing(name, f"{reason}, and pieces of {evidence.piece} are")
     if evidence.fits_whole is False:
         reason = f"it describes pieces of {evidence.piece} rows and not whole trajectories: what shows in the long "
         return Check(name, "failed", f"{reason}run is missing")
@@ -343,11 +375,11 @@ def _whole(evidence: Evidence) -> Check | None:
     return Check(name, "passed", "whole trajectories are simulated")
 
 
-def _long_run(evidence: Evidence) -> Check | None:
+def _long_run(evidence: Evidence) -> Check:
     """Check a chaotic model by a simulation far longer than errors of an initial state can be carried."""
     name, chaos = "long run", evidence.chaos
     if chaos is None:
-        return None
+        return _nothing(name, "the model is not chaotic")
     limit, value = SETTINGS.inference.improbable, chaos.probability
     if chaos.is_kept:
         return Check(
@@ -367,11 +399,11 @@ def _long_run(evidence: Evidence) -> Check | None:
 # ------------------------------------------------------------------------------------------------------- prediction
 
 
-def _other_starts(evidence: Evidence) -> Check | None:
+def _other_starts(evidence: Evidence) -> Check:
     """Check how far the model can be relied on elsewhere in the measured range."""
     name, known = "other initial states", evidence.prediction
     if not evidence.residuals:
-        return None
+        return _unsimulated(name)
     wrong = math.exp(-SETTINGS.inference.distinct_nats)
     if known is None:
         return Check(name, "not made", f"predictions from other initial states were not tested: {evidence.unpredicted}")
@@ -417,7 +449,7 @@ def _where(known: Prediction) -> str:
 # ----------------------------------------------------------------------------------------------------------- target
 
 
-def _target_noise(evidence: Evidence) -> Check | None:
+def _target_noise(evidence: Evidence) -> Check:
     """Check what is known of the target: nonsense fits an uncertain one as well as the law does."""
     name, most = "target uncertainty", SETTINGS.inference.largest_uncertainty
     uncertainty = evidence.target_uncertainty
@@ -427,7 +459,7 @@ def _target_noise(evidence: Evidence) -> Check | None:
     return Check(name, "failed", reason, uncertainty, most)
 
 
-def _predicted_rows(evidence: Evidence) -> Check | None:
+def _predicted_rows(evidence: Evidence) -> Check:
     """Check the rows that take no part in a fit: of a good equation they are predicted with an R2 above 0.9.
 
     Where the target's own uncertainty is known, an equation cannot be asked for more than that.
@@ -445,10 +477,10 @@ def _predicted_rows(evidence: Evidence) -> Check | None:
 # ------------------------------------------------------------------------------------------------------------ model
 
 
-def _distinct(evidence: Evidence) -> Check | None:
+def _distinct(evidence: Evidence) -> Check:
     count, least = evidence.distinct_rows, SETTINGS.checks.min_rows
     if count is None:
-        return None
+        return Check("distinct rows", "not made", "rows were not counted")
     if count >= least:
         return Check("distinct rows", "passed", f"{count} rows differ", count, least)
     reason = (
@@ -457,19 +489,19 @@ def _distinct(evidence: Evidence) -> Check | None:
     return Check("distinct rows", "failed", reason, count, least)
 
 
-def _poles(evidence: Evidence) -> Check | None:
+def _poles(evidence: Evidence) -> Check:
     if not evidence.residuals:
-        return None
+        return _unsimulated("poles")
     if not evidence.passes_pole:
         return Check("poles", "passed", "its simulation passes no pole")
     reason = "its simulation passes a pole, where it has no value: measure there, or leave out divisions"
     return Check("poles", "failed", reason)  # such as 6e-13/(3e-12 - x**3), by which a state seems to be switched
 
 
-def _alternatives(evidence: Evidence) -> Check | None:
+def _alternatives(evidence: Evidence) -> Check:
     name, nats, least = "alternative equations", evidence.alternative, SETTINGS.inference.distinct_nats
     if nats is None:
-        return None
+        return _nothing(name, "no other equation with as few constants describes the trajectories")
     if nats >= least:
         return Check(name, "passed", f"the next best equation fits worse (Δ log-likelihood {nats:.3g})", nats, least)
     where = _to_decide(evidence.prediction) if evidence.rivals_agree else ""
@@ -481,10 +513,10 @@ def _apart(nats: float) -> str:
     return f"{nats:.2g} nats apart" if nats >= 0.0 else f"{-nats:.2g} nats shorter"
 
 
-def _constants(evidence: Evidence) -> Check | None:
+def _constants(evidence: Evidence) -> Check:
     name, constants = "constants", evidence.constants
     if not constants:
-        return None
+        return _nothing(name, "it has no constants")
     bound = next((constant for constant in constants if constant.is_at_bound), None)
     if bound is not None:
         return Check(name, "failed", f"the data would have the constant {bound.value:.3g} beyond its bound")
@@ -517,7 +549,7 @@ def _precision(evidence: Evidence) -> Check:
     return Check(name, "passed" if is_met else "failed", reason, error, limit)
 
 
-def _loosest(evidence: Evidence) -> Check | None:
+def _loosest(evidence: Evidence) -> Check:
     """Check that all constants are known as in an exact law.
 
     Dropping a constant of which the estimate is t standard errors away from zero costs about t^2/2 nats. In data
@@ -534,7 +566,7 @@ def _loosest(evidence: Evidence) -> Check | None:
         if constant.std_error is not None and math.isfinite(constant.std_error)
     ]
     if not known:
-        return None
+        return _nothing(name, "no constant has a standard error")
     share, value = max(known)
     outcome: CheckOutcome = "passed" if share <= limit else "failed"
     certainty = f"is known to {percent(share)} only" if share < _UNKNOWN else "cannot be told from 0"
@@ -557,11 +589,11 @@ def _undecided(evidence: Evidence) -> Check:
     return Check(name, "failed", reason, evidence.rivals, limit)
 
 
-def _chance(evidence: Evidence) -> Check | None:
+def _chance(evidence: Evidence) -> Check:
     """Check that the equation stands out from none as an exact one must: odds of 200."""
     nats, least = evidence.null_nats, SETTINGS.inference.exact_nats
     if nats is None:
-        return None
+        return _unsimulated("odds against chance")
     outcome: CheckOutcome = "passed" if nats >= least else "failed"
     reason = f"it describes the rows {nats:.2g} nats better than no equation, and {least} are needed"
     return Check("odds against chance", outcome, reason, nats, least)
@@ -616,8 +648,11 @@ RULES: Final[Sequence[Rule]] = (
 
 def failures(checks: Sequence[Check]) -> Iterator[str]:
     """Yield the reasons of checks that speak against an equation: failed ones, then those that were not made."""
-    yield from (check.reason for check in checks if check.outcome == "failed")
-    yield from (check.reason for check in checks if check.outcome == "not made")
+    failed = [check.reason for check in checks if check.outcome == "failed"]
+    unmade = dict.fromkeys(check.reason for check in checks if check.outcome == "not made")
+    if failed:
+        unmade.pop(_UNSIMULATED, None)  # the check of the simulation itself has said so
+    yield from (*failed, *unmade)
 
 
 # ------------------------------------------------------------------------------------------------------------- text

@@ -141,12 +141,14 @@ class LongRun:
 
     It `fits` them in whole up to their noise or not, None where that is not known, as where there is or may be `chaos`.
     `r2` has the R2 of each state by simulations of whole trajectories of the equations as they are shown, only the
-    initial states fitted; None where they were not simulated, minus infinity where they could not be.
+    initial states fitted; None where they were not simulated, minus infinity where they could not be. Of a driven model
+    whose errors grow as those of chaos do `predictable_rows` can be predicted, where that is less than a piece.
     """
 
     fits: bool | None
     chaos: Chaos | None
     r2: Sequence[float | None] | None = None
+    predictable_rows: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -491,7 +493,10 @@ def long_run_of(final: Final) -> LongRun:
     if fits:
         return LongRun(fits, None)
     may_be = may_be and not final.by_group
-    if may_be and all(predictable_rows(fit, final.comparison, growth) < final.task.longest for growth in growths):
+    predictable = max(predictable_rows(fit, final.comparison, growth) for growth in growths)
+    if may_be and predictable < final.task.longest:
+        if len(final.seen.estimator.measurements.inputs) and predictable < final.task.piece:
+            return LongRun(None, None, None, round(predictable))
         chaos = look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
         return LongRun(None, chaos, None if chaos is not None else _whole_r2(final))
     fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up
@@ -622,6 +627,7 @@ def refined_equation(
         chaos=long_run.chaos,
         fits_whole=_fits(long_run, noise / _standard_deviation(measurements, index), index),
         piece=final.task.piece,
+        predictable_rows=long_run.predictable_rows,
         alternative=min((alternative.nats for alternative in nearest), default=None),
         rivals=rivals if task.is_nearly_clean else 0.0,
         rivals_agree=not is_told,

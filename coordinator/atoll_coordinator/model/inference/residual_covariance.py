@@ -24,6 +24,17 @@ def residual_covariance(measurements: Measurements, fit: TrajectoryFit, index: i
     That is its block of I - H with the projection H on what constants and initial states together can do. None where
     there are too many rows.
     """
+    columns = whitened_columns(measurements, fit)
+    if columns is None:
+        return None
+    counts = measurements.weights > 0.0
+    first = int(counts[:index].sum())
+    return projected_away(columns, slice(first, first + int(counts[index].sum())))
+
+
+def whitened_columns(measurements: Measurements, fit: TrajectoryFit) -> FloatArray | None:
+    """Return by how much each measured number, one state after another, in units of its error, grows with each fitted
+    number: (n, P + L G), constants first. None where there are too many numbers."""
     states, rows = measurements.weights.shape
     if states * rows > _MOST_NUMBERS:
         return None
@@ -36,9 +47,7 @@ def residual_covariance(measurements: Measurements, fit: TrajectoryFit, index: i
             columns[state, first:end, :fitted] = sensitivities[first:end, place, :fitted]
             columns[state, first:end, own] = sensitivities[first:end, place, fitted:]
     columns *= (np.sqrt(measurements.weights) / np.maximum(fit.errors.sigmas, 1e-300)[:, None])[:, :, None]
-    counts = measurements.weights > 0.0
-    first = int(counts[:index].sum())
-    return projected_away(columns[counts], slice(first, first + int(counts[index].sum())))
+    return np.asarray(columns[measurements.weights > 0.0])
 
 
 def projected_away(columns: FloatArray, rows: slice) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.inference.unknown_correlation import widening
 from atoll_coordinator.model.refinement import Constant, Correlation, Covariance
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
@@ -73,9 +74,10 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     """
     fit = model.fit
     counts, inflation = float(comparison.counts.sum()), comparison.inflation(model)
+    wide = widening(comparison.estimator.measurements, fit) if comparison.has_independent_errors else 1.0
     left = max(counts - fit.system.count - fit.starts.size, 1.0)
     certain = float(comparison.counts @ fit.errors.degrees_of_freedom) / counts
-    scale = inflation * counts / left
+    scale = wide * inflation * counts / left
     return Errors(
         fit.system.values, covariance(fit) * scale, max(left * certain / inflation, 1.0), scale,
         fit.system.lower, fit.system.upper,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from atoll_coordinator.model.inference.checks import Evidence, failures, make_checks, outside_of_range
 from atoll_coordinator.model.refinement import Check, CheckOutcome, Grade
+from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ def judge(evidence: Evidence) -> Verdict:
         return Verdict("doubtful", sentence(against), checks)
     precise, *others = exactness
     if precise.outcome == "passed":
-        unsure = [check.reason for check in others if check.outcome != "passed"]
+        unsure = [check.reason for check in others if check.outcome not in ("passed", "not applicable")]
         return Verdict("good" if unsure else "exact", sentence([precise.reason, *unsure]), (*checks, *exactness))
     return Verdict("good", sentence(_merits(evidence, checks)), checks)
 
@@ -55,9 +56,12 @@ def sentence(clauses: Sequence[str]) -> str:
 
 def _merits(evidence: Evidence, checks: Sequence[Check]) -> list[str]:
     """Return why an equation is good: its residuals; what it predicts is in the same clause, behind semicolons."""
-    reasons = {check.name: check.reason for check in checks}
+    reasons = {check.name: check.reason for check in checks if check.outcome != "not applicable"}
     size = next((reasons[name] for name in ("residual size", "rows left out") if name in reasons), "")
     pattern = reasons.get("residual pattern", "")
+    if pattern.startswith("a term"):
+        has_told = evidence.solver is not None or evidence.left <= SETTINGS.inference.exact
+        size, pattern = size if has_told else f"{size}; {pattern}", ""
     if size.startswith("the residuals"):
         pattern = pattern.removeprefix("the residuals ")
     merits = [" and ".join(filter(None, (size, pattern)))] if size or pattern else []

@@ -591,6 +591,11 @@ class ModelComparison:
             np.where(is_noisy, self.pieces, SETTINGS.selection.systematic_numbers),
         )
 
+    @property
+    def has_independent_errors(self) -> bool:
+        """Whether errors of measurement are taken to be independent between rows, and there are some."""
+        return self.errors is None and bool(self._is_noisy.any())
+
     def inflation(self, model: FittedModel) -> float:
         """Return how many rows count as one in the covariance of constants: 1 where errors are independent."""
         return self._inflation(model.fit)

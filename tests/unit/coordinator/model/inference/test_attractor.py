@@ -160,6 +160,7 @@ def test_a_simulation_that_runs_away_is_not_kept(measured):
 def test_the_verdict_says_in_which_time_errors_grow_and_refuses_what_is_not_kept():
     residuals = [0.1 * np.random.default_rng(1).normal(size=400)]
     evidence = Evidence(
+        distinct_rows=60, null_nats=100.0,
         residuals=residuals, noise=0.1, standard_deviation=1.0, chaos=Chaos(1.13, True, 0.4),
         prediction=Prediction(12, 12, 1.0, 0.1),
     )  # fmt: skip

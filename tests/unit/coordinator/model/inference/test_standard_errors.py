@@ -64,7 +64,7 @@ def rate_of(model):
 
 @pytest.mark.slow
 def test_intervals_cover_the_truth_as_often_as_they_say(draws):
-    """95 % of 200 is 190, with a standard deviation of 3."""
+    """95 % of 200 is 190, with a standard deviation of 3. A correlation that 60 rows do not exclude widens them."""
     covered, errors = 0, []
     for comparison, model in draws:
         ((constant,),) = describe_constants(comparison, model.programs, estimate_errors(comparison, model))
@@ -72,7 +72,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say(draws):
         covered += low <= -0.5 <= high or low <= 0.5 <= high
         errors.append(constant.std_error)
     assert 181 <= covered <= 199
-    assert np.mean(errors) == pytest.approx(np.std([rate_of(model) for _, model in draws]), rel=0.15)
+    assert 0.9 <= np.mean(errors) / np.std([rate_of(model) for _, model in draws]) <= 1.3
 
 
 def test_intervals_are_those_of_students_t():
@@ -91,8 +91,9 @@ def test_bands_are_the_spread_of_the_simulations(draws):
     spread = np.std([model.fit.simulated[0] for _, model in draws], axis=0)
     errors = [banded(comparison, comparison.estimator.measurements, model)[0] for comparison, model in draws]
     mean_errors = np.mean(errors, axis=0)
-    assert mean_errors == pytest.approx(spread, rel=0.25)
-    assert mean_errors.mean() == pytest.approx(spread.mean(), rel=0.05)
+    assert np.all((mean_errors >= 0.9 * spread) & (mean_errors <= 1.4 * spread))
+    scales = [estimate_errors(comparison, model).scale * 56.0 / 60.0 for comparison, model in draws]
+    assert mean_errors.mean() / np.mean(np.sqrt(scales)) == pytest.approx(spread.mean(), rel=0.05)
 
 
 def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
@@ -108,7 +109,8 @@ def test_bands_of_a_coupled_system_are_those_of_its_linearisation():
         whole[first:end, :, fitted + 2 * group : fitted + 2 * group + 2] = sensitivities[first:end, :, fitted:]
     weighed = (whole / fit.errors.sigmas[None, :, None]).reshape(-1, fitted + 4)
     errors = estimate_errors(comparison, model)
-    covariance = np.linalg.inv(weighed.T @ weighed) * (80.0 / errors.degrees_of_freedom)
+    covariance = np.linalg.inv(weighed.T @ weighed) * errors.scale
+    assert errors.scale >= 80.0 / errors.degrees_of_freedom
     expected = np.sqrt(np.einsum("nop,pq,noq->on", whole, covariance, whole))
     assert banded(comparison, rows, model) == pytest.approx(expected, rel=1e-4)
 

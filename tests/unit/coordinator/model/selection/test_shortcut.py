@@ -34,7 +34,7 @@ def test_lorenz_with_five_percent_of_noise_is_found_without_a_search_and_called_
     for name in NAMES:
         equation = refinement.equations[name]
         assert monomials(to_infix(equation.program, NAMES)) == TERMS[name], name
-        assert equation.grade == "good"
+        assert equation.grade == "good", equation.reason
 
 
 @pytest.mark.slow
@@ -129,5 +129,5 @@ def test_the_state_of_a_wrong_law_is_taken_as_smoothed_where_no_other_equation_h
     for name in ("x0", "x1", "x3", "x4"):
         equation = refinement.equations[name]
         assert forms([equation.program]) == forms([from_infix(TRUTHS[name], RING)])
-        assert equation.grade == "good"
+        assert equation.grade == "good", equation.reason
     assert any("x2, without an equation, as smoothed" in warning for warning in refinement.warnings)
