@@ -195,8 +195,10 @@ class TrajectoryMisfit:
         low: a (O,).
         high: b (O,).
         least: mean squares (O,) below which errors are those of the integration.
-        counts: n, the numbers measured of each state (O,).
+        counts: n, the numbers that count of each state (O,): those measured, or m where there is no noise.
         pieces: m, the independent numbers of each state (O,).
+        below: m below a.
+        measured: how many numbers were measured of each state (O,): what is fitted takes away from these.
     """
 
     low: FloatArray
@@ -205,10 +207,11 @@ class TrajectoryMisfit:
     counts: FloatArray
     pieces: FloatArray
     below: FloatArray
+    measured: FloatArray
 
     def with_fitted(self, numbers: float) -> "TrajectoryMisfit":
         """Return the misfit of systems with so many fitted numbers for each state; itself where rows are many more."""
-        free = np.maximum(self.counts - numbers, _SMALLEST_COUNT)
+        free = np.maximum(self.measured - numbers, _SMALLEST_COUNT)
         if (free >= np.maximum(self.pieces, self.below)).all():
             return self
         return replace(self, pieces=np.minimum(self.pieces, free), below=np.minimum(self.below, free))

@@ -68,11 +68,18 @@ def has_few_levels(parts: Parts) -> bool:
     by_chance = math.log2(1.0 / SETTINGS.quantisation.improbable)
     if not 1 < levels < SETTINGS.quantisation.fewest_values or len(values) - levels < by_chance:
         return False
-    return levels == 2 or not any(_has_period(parts, period) for period in range(levels, 2 * levels + 1))
+    return levels == 2 or not repeats_in_step(parts)
+
+
+def repeats_in_step(parts: Parts) -> bool:
+    """Say whether a column is a wave in step with the rows, which repeats each of its values once or twice a period."""
+    levels = len(np.unique(_finite(parts)))
+    return any(_has_period(parts, period) for period in range(levels, 2 * levels + 1))
 
 
 def _has_period(parts: Parts, period: int) -> bool:
-    return all(np.array_equal(part[period:], part[:-period]) for part in parts if len(part) > period)
+    long = [part for part in parts if len(part) >= 2 * period]
+    return bool(long) and all(np.array_equal(part[period:], part[:-period]) for part in long)
 
 
 def _finite(parts: Parts) -> FloatArray:

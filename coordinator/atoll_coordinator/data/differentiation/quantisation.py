@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.columns.levels import has_few_levels
+from atoll_coordinator.data.columns.levels import has_few_levels, repeats_in_step
 from atoll_coordinator.data.differentiation.interpolation import predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Quantisation
@@ -29,9 +29,13 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     values = np.concatenate([part[np.isfinite(part)] for part in parts])
     values = values[:: max(1, len(values) // SETTINGS.rows.most)]
     unique = np.unique(values)
+    if len(unique) <= 2:
+        return None  # a switch, which has no derivative: that is said where it is differentiated
     if len(unique) < LIMITS.fewest_values:
-        is_switched = len(unique) == 2  # and has no derivative, which is said where it is differentiated
-        return _few_levels(unique) if has_few_levels(parts) and not is_switched else None
+        if repeats_in_step(parts):
+            return None
+        if has_few_levels(parts):
+            return _few_levels(unique)
     decimal, binary = _decimal_rounding(unique), _binary_rounding(unique)
     step = _common_step(unique, max(decimal.step, 0.0 if binary is None else binary.step))
     roundings = [decimal, *(rounding for rounding in (binary, step) if rounding is not None)]

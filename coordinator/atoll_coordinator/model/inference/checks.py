@@ -60,10 +60,11 @@ class Evidence:
     states, None where that was not tested, for the reason `unpredicted`; `chaos` is what is known of a model whose
     trajectories cannot be predicted for long. `fits_whole` tells whether it describes whole trajectories, None where
     only pieces of `piece` rows were simulated; `predictable_rows` is over how many rows a driven model can be predicted
-    at all, where its errors grow so fast that this is less than a piece. `passes_pole` tells that its simulation goes through a point where this
-    equation has no finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not
-    known; `is_known` tells that the equation was given; `solver` names the one that computed the table, whose errors
-    are not in the residuals; `is_unsimulated` tells that there are trajectories, along which it was not simulated.
+    at all, where its errors grow so fast that this is less than a piece. `passes_pole` tells that its simulation goes
+    through a point where this equation has no finite value; `distinct_rows` counts rows that differ by more than
+    rounding, None where that is not known; `is_known` tells that the equation was given; `solver` names the one that
+    computed the table, whose errors are not in the residuals; `is_unsimulated` tells that there are trajectories, along
+    which it was not simulated.
     `stopped` says what a limit of time has stopped, nothing where nothing was.
     """
 

@@ -589,6 +589,7 @@ class ModelComparison:
             np.where(is_noisy, self.counts, self.pieces),
             self.pieces,
             np.where(is_noisy, self.pieces, SETTINGS.selection.systematic_numbers),
+            self.counts,
         )
 
     @property

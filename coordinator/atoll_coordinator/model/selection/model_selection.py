@@ -31,6 +31,7 @@ from atoll_coordinator.model.selection.proposals import (
     propose_further_sums,
     propose_like,
     propose_nearest,
+    propose_reduced,
     propose_sums,
 )
 from atoll_coordinator.model.selection.shortcut import (
@@ -58,7 +59,8 @@ def select_model(task: ModellingTask) -> SelectedModel | None:
     if selection is None:
         begun = laws_in_short_pieces(task) if task.is_limited else None
         selection = search_in_pieces(*collect_pool(task))
-        selection = None if selection is None else with_further_operators(with_sums_like(selection))
+        if selection is not None:
+            selection = with_further_operators(with_sums_like(with_reduced_candidates(selection)))
         if begun is not None and task.is_over:
             return with_guesses(_shorter(begun, selection))
     return None if selection is None else with_other_terms(with_guesses(selection))
@@ -168,6 +170,26 @@ def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
     comparison = task.compare(task.compared_measurements, task.variables, has_noise=False)
     model = comparison.fit_model(programs)
     return model is not None and comparison.is_exact(model)
+
+
+def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by a candidate that was too long, less one of its parts.
+
+    Where a short equation leaves nothing to explain, longer candidates are not fitted; the law may be one of them but
+    for a term, such as 0.8 x**0.75 - 1.5 x**3 in a x**b - c x**d - 0.003.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    is_of_rates = any(laws and laws[0].is_of_rates for laws in task.laws.values())
+    if task.recording.groups or task.solver is not None or task.is_over or is_of_rates or not selection.lists:
+        return selection
+    lists = [
+        [own] if equation in comparison.fixed else propose_reduced(best, comparison, task, equation, candidates)
+        for equation, (own, candidates) in enumerate(zip(best.programs, selection.lists, strict=True))
+    ]
+    if not any(program is not own for own, programs in zip(best.programs, lists, strict=True) for program in programs):
+        return selection
+    better = exchange(comparison, best, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
+    return selection if better is best else replace(selection, model=reduce_all(comparison, better))
 
 
 def with_sums_like(selection: SelectedModel) -> SelectedModel:

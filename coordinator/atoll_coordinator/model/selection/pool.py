@@ -66,13 +66,22 @@ class CandidatePool:
         self.lists[equation] = [one for one in admitted if one is not None and task.may_be_shown(one)]
 
     @property
+    def longest(self) -> float:
+        """Nats of the longest equation of the best system that has candidates, 0 without any."""
+        programs = [] if self.best is None else self.best.programs
+        pairs = zip(self._task.variables, programs, strict=False)
+        return max((self.comparison.length(program) for name, program in pairs if name in self._ranked), default=0.0)
+
+    @property
     def suffices(self) -> bool:
         """Whether nothing is left that a longer system could be worth its length for, nor a shorter one missing.
 
         One may be where targets are too uncertain for the search to tell a law from others of the same error (bar
-        magnets at 5 % of noise).
+        magnets at 5 % of noise), and where an equation is longer than laws usually are.
         """
         if self.best is None or self.comparison.has_room(self.best):
+            return False
+        if self.longest > SETTINGS.selection.usual_length:
             return False
         targets = (self._task.dataset.problem(name).target for name in self._ranked)
         return all(target.uncertainty <= SETTINGS.inference.largest_uncertainty for target in targets)

@@ -5,20 +5,25 @@ is not known), and returns programs and libraries of terms.
 """
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 
 import numpy as np
 
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.sparse.pursuit import PURSUED, Pursuit
+from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.model.structure.term_libraries import fractions, libraries
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem
 from atoll_core.expression.builder import Expression
 from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.program import Program
+from atoll_core.expression.operators import CONSTANT, POW
+from atoll_core.expression.program import Program, structure, with_constants
+from atoll_core.expression.writing.shortest import shortened
 
 Proposals = tuple[Iterable[Program], Iterable[list[Expression]]]
 """Programs, and libraries of terms."""
@@ -50,6 +55,37 @@ def propose_like(model: FittedModel, comparison: ModelComparison, task: Modellin
     most = comparison.affordable(model, equation)
     sums = [] if along is None else _sums(task, along, Pursuit(task.columns(name), task.operators(name), most=most))
     return [program for program in sums if task.may_be_shown(program)]
+
+
+def propose_reduced(
+    model: FittedModel, comparison: ModelComparison, task: ModellingTask, equation: int, candidates: Sequence[Program]
+) -> list[Program]:
+    """Return what is left of candidates that are too long to matter where one part goes, those of least error first."""
+    most, own = comparison.affordable(model, equation), model.programs[equation]
+    long = [program for program in candidates if comparison.length(program) >= most][: SETTINGS.effort.beam]
+    known = {structure(own), *map(structure, candidates)}
+    smaller = (shortened(reduced) for program in long for reduced in reductions(program))
+    tried = {
+        structure(program): program
+        for program in smaller
+        if structure(program) not in known and comparison.length(program) < most and task.may_be_shown(program)
+    }
+    squares = LeastSquares(
+        task.dataset.problem(task.variables[equation]), restrictions=comparison.restrictions(equation)
+    )
+    fitted = sorted(map(squares.fit, tried.values()), key=lambda one: one.mse)
+    kept = [one.program for one in fitted if math.isfinite(one.mse)][: SETTINGS.effort.beam]
+    return [*kept, *(whole for program in kept for whole in _with_whole_powers(program))] or [own]
+
+
+def _with_whole_powers(program: Program) -> Iterator[Program]:
+    """Yield the program with each constant exponent, and with all of them, as the whole number that is nearest."""
+    nodes = program.nodes()
+    exponents = {right: nodes[right][3] for code, _, right, _ in nodes if code == POW and nodes[right][0] == CONSTANT}
+    whole = {place: float(round(value)) for place, value in exponents.items() if round(value)}
+    choices = [{place: value} for place, value in whole.items()]
+    for choice in [*choices, whole] if len(choices) > 1 else choices:
+        yield shortened(with_constants(program, choice))
 
 
 def rates_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:

@@ -12,9 +12,12 @@ DEFAULT = JobConfig()
 TIMES = 0.06 * np.arange(50.0)
 
 
-def selected(known, text, noise=0.0, config=DEFAULT):
+STARTS = ([4.0], [1.0], [0.05])
+
+
+def selected(known, text, noise=0.0, config=DEFAULT, starts=STARTS):
     """Return what is selected when the equation `text` is all that there is."""
-    prepared = prepare(table(known, ([4.0], [1.0], [0.05]), TIMES, noise, 150), config)
+    prepared = prepare(table(known, starts, TIMES, noise, 150), config)
     candidates = collect_candidates(prepared.dataset, config, pools(prepared, h=(text,)))
     task = ModellingTask(prepared.dataset, prepared.recording, config, candidates)
     comparison = task.compare(task.compared_measurements, task.variables)
