@@ -71,6 +71,7 @@ def fit(law: Law, columns: dict[str, FloatArray]) -> Fit | None:
     """Return what the fit of the law itself says of its constants; None where it fails."""
     config = JobConfig()
     prepared = prepare(table_of_columns(columns, "drawn"), config)
+    assert prepared.recording is not None, "states are measured"
     task = ModellingTask(prepared.dataset, prepared.recording, config, {"x": CandidateSet()})
     written = from_infix(law.text, ("x",))
     comparison = task.comparison
@@ -106,10 +107,9 @@ def main(options: Namespace) -> int:
             holds = [hold for one in fits for hold in one.holds]
             least = min(least, float(np.mean(holds)))
             growing, correlated = sum(one.are_growing for one in fits), sum(one.are_correlated for one in fits)
-            lines.append(
-                [errors, str(rows), str(len(fits)), f"{100.0 * np.mean(holds):.1f} %", f"{100.0 * growing / len(fits):.0f} %",
-                 f"{100.0 * correlated / len(fits):.0f} %"]
-            )  # fmt: skip
+            shares = (float(np.mean(holds)), growing / len(fits), correlated / len(fits))
+            held, *taken = shares
+            lines.append([errors, str(rows), str(len(fits)), f"{held:.1%}", *(f"{share:.0%}" for share in taken)])
     say(table(["errors", "rows", "fits", "intervals hold", "taken to grow", "taken to be correlated"], lines))
     return int(least < 0.9)
 

@@ -91,7 +91,7 @@ def misfit(low=0.81, high=1.21, counts=300.0, pieces=20.0, below=20.0, least=0.0
 
 
 def test_fitted_numbers_take_away_from_the_rows_and_not_from_the_few_numbers_that_systematic_errors_have():
-    """Without noise ten numbers count of sixty rows: a law of nine numbers that explains all is worth its explanation."""
+    """Without noise ten numbers count of sixty rows, and a law may have nine."""
     clean = misfit(low=1.0, high=1.0, counts=10.0, pieces=10.0, below=10.0, measured=60.0)
     assert clean.with_fitted(9.0).total(np.array([1e-6])) == clean.total(np.array([1e-6]))
     few = misfit(low=1.0, high=1.0, counts=10.0, pieces=10.0, below=10.0, measured=10.0)
