@@ -502,7 +502,7 @@ def _poles(evidence: Evidence) -> Check:
 def _alternatives(evidence: Evidence) -> Check:
     name, nats, least = "alternative equations", evidence.alternative, SETTINGS.inference.distinct_nats
     if nats is None:
-        return _nothing(name, "no other equation with as few constants describes the trajectories")
+        return _nothing(name, "no other equation with as few constants, which predicts something else, comes near")
     if nats >= least:
         return Check(name, "passed", f"the next best equation fits worse (Δ log-likelihood {nats:.3g})", nats, least)
     where = _to_decide(evidence.prediction) if evidence.rivals_agree else ""
@@ -637,7 +637,7 @@ RULES: Final[Sequence[Rule]] = (
     Rule("long run", "means and variances of a chaotic model", "p < 0.01", _simulation_alone(), _long_run),
     Rule("other initial states", "odds of models that predict the same", "0.95", _simulation_alone(), _other_starts),
     Rule("poles", "poles that the simulation passes", "none", _simulation_alone(), _poles),
-    Rule("alternative equations", "nats to the next best equation", "3", _simulation_alone(), _alternatives),
+    Rule("alternative equations", "nats to the next best equation", "3", _everywhere(), _alternatives),
     Rule("constants", "constants that the data do not determine", "none", _everywhere(), _constants),
     Rule("precision", "residuals without noise", "1e-6, or rounding", _everywhere(), _precision, is_exactness=True),
     Rule("odds against chance", "nats over no equation", "5.3", _everywhere(), _chance, is_exactness=True),

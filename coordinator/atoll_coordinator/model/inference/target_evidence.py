@@ -13,10 +13,12 @@ from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, structure_price
 from atoll_coordinator.model.inference.residual_covariance import projected_away
 from atoll_coordinator.model.refinement import JobKind, Refined
+from atoll_coordinator.model.selection.comparison import differ
+from atoll_coordinator.model.shooting.points_between import points_between
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray, IntArray, Problem
-from atoll_core.expression.evaluation import values_and_gradient
+from atoll_core.expression.evaluation import values_and_gradient, values_of
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program, constant_places
 
@@ -67,7 +69,30 @@ def target_evidence(
         convergence_threshold=target.convergence_threshold(),
         stopped=stopped,
     )
-    return evidence if kind != "target" else _with_rows(evidence, shown.program, problem, weights, is_known=is_known)
+    if kind != "target":
+        return evidence
+    evidence = replace(evidence, alternative=_nearest(shown, problem))
+    return _with_rows(evidence, shown.program, problem, weights, is_known=is_known)
+
+
+def _nearest(shown: Refined, problem: Problem) -> float | None:
+    """Return the nats of the next best equation with no more constants that says something else among the rows.
+
+    None where there is none: predictions of an equation that agrees keep what a good one promises.
+    """
+    among = np.concatenate([problem.inputs, points_between(problem.inputs).T], axis=1)
+    among = np.ascontiguousarray(among[:, np.isfinite(values_of(shown.program, among))])
+    own, most = values_of(shown.program, among), len(constant_places(shown.program))
+    others = (alternative for alternative in shown.alternatives if not alternative.is_shown)
+    return min(
+        (
+            other.nats
+            for other in others
+            if len(constant_places(other.program)) <= most
+            and differ(values_of(other.program, among), own, math.sqrt(SETTINGS.inference.part))
+        ),
+        default=None,
+    )
 
 
 def _with_rows(

@@ -12,7 +12,7 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Member, Refined, SimpleNumber, SimpleTogether, may_be_shown
+from atoll_coordinator.model.refinement import Alternative, Member, Refined, SimpleNumber, SimpleTogether, may_be_shown
 from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
@@ -72,8 +72,30 @@ def fit_equation(
         refined = replace(refined, origin="front" if is_member else "descent")
         is_admitted = restrictions.are_kept(refined.program)
         if refined.error <= limit and is_admitted and may_be_shown(refined.program, config.space.max_size):
-            return _as_found(refined, front)
+            refined = _as_found(refined, front)
+            if not has_intervals:
+                return refined
+            return replace(refined, alternatives=_alternatives(refined, candidate, candidates, problem))
     return None
+
+
+def _alternatives(
+    shown: Refined, chosen: Candidate, candidates: Sequence[Candidate], problem: Problem
+) -> tuple[Alternative, ...]:
+    """Return the equation that is shown and what was compared with it, the shortest descriptions first."""
+    variance = problem.target.standard_deviation**2
+
+    def r2(mse: float) -> float | None:
+        return 1.0 - mse / variance if variance and math.isfinite(mse) else None
+
+    others = [candidate for candidate in candidates if candidate is not chosen][: SETTINGS.effort.beam]
+    return (
+        Alternative(shown.program, 0.0, r2(shown.mse), is_shown=True, origin=shown.origin),
+        *(
+            Alternative(one.model.program, one.model.length - chosen.model.length, r2(one.model.mse), origin="descent")
+            for one in others
+        ),
+    )
 
 
 def _finished(

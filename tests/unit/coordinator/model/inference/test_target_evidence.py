@@ -1,0 +1,41 @@
+"""What the rows of a target say: another equation that describes them as well, and predicts something else, is a doubt."""
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.model.inference.target_evidence import target_evidence
+from atoll_coordinator.model.inference.verdict import judge
+from atoll_coordinator.model.refinement import Alternative, Constant, Refined
+from atoll_core.data.dataset import Problem, Target
+from atoll_core.expression.text.parsing import from_infix
+
+INPUTS = np.linspace(0.5, 3.0, 40)[None]
+VALUES = 2.0 * INPUTS[0] + 0.01 * np.random.default_rng(4).standard_normal(40)
+PROBLEM = Problem(("a",), INPUTS, Target("f", "f", VALUES, 0.0, float(VALUES.std())))
+
+
+def parsed(text):
+    return from_infix(text, ("a",))
+
+
+def judged(*others):
+    """Return the verdict on 2 a with these (text, nats) beside it."""
+    program = parsed("2.0*a")
+    errors = VALUES - 2.0 * INPUTS[0]
+    alternatives = [Alternative(parsed(text), nats, 0.99) for text, nats in others]
+    shown = Refined(
+        0, program, float(np.abs(errors).mean()), float(np.mean(errors**2)), (Constant(2.0, 2.0, 0.01, (1.98, 2.02)),), (),
+        (Alternative(program, 0.0, 1.0, is_shown=True), *alternatives),
+    )  # fmt: skip
+    return judge(target_evidence(shown, PROBLEM, None))
+
+
+@pytest.mark.parametrize("others", [(), (("1.99*a", 0.1),), (("2.0*a + 0.001*a*a", 0.5),), (("9.0*sin(a)", 5.0),)])
+def test_what_predicts_the_same_or_is_far_behind_is_no_doubt(others):
+    assert judged(*others).grade == "good"
+
+
+def test_what_is_as_near_and_predicts_something_else_is():
+    verdict = judged(("9.0*sin(a)", 0.5))
+    assert verdict.grade == "doubtful"
+    assert verdict.reason == "Another equation describes the data about as well (0.5 nats apart)."
