@@ -1,4 +1,4 @@
-"""What the rows of a target say: another equation that describes them as well, and predicts something else, is a doubt."""
+"""What the rows of a target say: an equation that is as near, and predicts something else, is a doubt."""
 
 import numpy as np
 import pytest
