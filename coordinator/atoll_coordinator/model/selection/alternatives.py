@@ -13,8 +13,9 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import structure_length, validated_length
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.selection.comparison import FittedModel, differ
+from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, differ
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
+from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.proposals import rates_of
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.sparse.pursuit import pursue
@@ -209,6 +210,7 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
         ((SETTINGS.effort.steps, SETTINGS.effort.kept),),
         most=math.inf,
     )
+    near = sorted([*near, *_without_needless_constants(comparison, best, near, index)], key=lambda model: model.nats)
     guesses = fit_guesses(selection, index)
     distinct_models, functions = [best], [values_of(best.programs[index], inputs)]
     forms = {form_of(best.programs[index])}
@@ -228,6 +230,20 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
     others = sorted(distinct_models[1:], key=lambda model: model.nats)
     beyond = (model for model in others[SETTINGS.effort.beam :] if any(model is guess for guess in guesses))
     return [*others[: SETTINGS.effort.beam], *beyond]
+
+
+def _without_needless_constants(
+    comparison: ModelComparison, best: FittedModel, models: Sequence[FittedModel], index: int
+) -> list[FittedModel]:
+    """Return what rivals that are about as short as the best become without the constants that they can do without.
+
+    A rival may be the law but for such a constant, and shorter than the best without it.
+    """
+    limit = best.nats + SETTINGS.inference.distinct_nats
+    search = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
+    close = [model for model in models if model.nats <= limit][: SETTINGS.effort.beam]
+    pruned = [(model, search.prune(model, index)) for model in close]
+    return [shorter for model, shorter in pruned if shorter is not model]
 
 
 def fit_guesses(selection: SelectedModel, index: int) -> list[FittedModel]:

@@ -9,7 +9,7 @@ import numpy as np
 from atoll_coordinator.model.criteria import least_term_length
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.covariance import covariance
-from atoll_coordinator.model.structure.moves.reductions import reductions
+from atoll_coordinator.model.structure.moves.reductions import multiply_out, reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
 from atoll_core.expression.writing.shortest import collected
@@ -109,9 +109,9 @@ class LocalSearch:
                 priced.append((nats, float(np.abs(away).max()), place, neutral))
         length, programs = self._comparison.length(program), []
         for nats, _, place, neutral in sorted(priced):
-            shorter = collected(with_constants(program, {place: neutral}))
-            if nats < length - self._comparison.length(shorter):
-                programs.append(shorter)
+            shorter = [collected(with_constants(program, {place: neutral}))]
+            shorter += multiply_out(program, place) if neutral == 1.0 else ()
+            programs += [one for one in shorter if nats < length - self._comparison.length(one)]
         return programs
 
     def _is_new(self, tried: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int) -> bool:

@@ -16,7 +16,8 @@ def reductions(program: Program) -> Iterator[Program]:
     """Yield smaller programs, collected, whose constants want to be fitted; each structure once, from the output down.
 
     An operator gives way to an argument or a constant, a constant to 0, 1 or -1; a factor that two terms share is
-    taken out of their sum; the cosine of a multiple becomes a square; a constant and a quotient become one quotient.
+    taken out of their sum; the cosine of a multiple becomes a square; a constant and a quotient become one quotient;
+    a factor 1 + u with a constant in the place of 1 is multiplied out.
     """
     nodes = program.nodes()
     known = {structure(program)}
@@ -48,8 +49,34 @@ def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
         yield (NEGATE, right)
     if code in (ADD, SUBTRACT):
         yield from _factored(nodes, index)
+    if code == MULTIPLY:
+        yield from _multiplied_out(nodes, index)
     if code in (SIN, COS) and ARITY[nodes[left][0]] == 2:
         yield from cofunctions(code, nodes[left])
+
+
+def _multiplied_out(nodes: list[Node], index: int, constant: int | None = None) -> Iterator[Expression]:
+    """Yield a + a u for a product a (1 + u), likewise with differences, where a `constant` is 1: any, unless given."""
+    _, left, right, _ = nodes[index]
+    for factor, other in dict.fromkeys(((left, right), (right, left))):
+        code, first, second, _ = nodes[other]
+        if code not in (ADD, SUBTRACT):
+            continue
+        for number, u in ((first, second), (second, first)):
+            if nodes[number][0] == CONSTANT and nodes[u][0] != CONSTANT and constant in (None, number):
+                product: Expression = (MULTIPLY, factor, u)
+                yield (code, factor, product) if number == first else (code, product, factor)
+
+
+def multiply_out(program: Program, constant: int) -> Iterator[Program]:
+    """Yield programs in which products with a sum of this constant and something are multiplied out, as if it were 1.
+
+    They lose the constant: b (y - x**2 y) is b y (1 - x**2) with one number less.
+    """
+    nodes = program.nodes()
+    for index, (code, *_) in enumerate(nodes):
+        if code == MULTIPLY:
+            yield from (replace_nodes(nodes, {index: sum_}) for sum_ in _multiplied_out(nodes, index, constant))
 
 
 def _saturating(nodes: list[Node]) -> Iterator[dict[int, Expression]]:

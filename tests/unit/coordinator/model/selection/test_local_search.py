@@ -7,7 +7,7 @@ from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.structure.moves.extensions import extensions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.operators import BY_NAME
-from atoll_core.expression.program import structure
+from atoll_core.expression.program import constant_places, structure
 from tests.unit.coordinator.model.shooting.made import SWING, Known, compare, measurements
 
 TIMES = 0.1 * np.arange(40.0)
@@ -63,6 +63,16 @@ def test_whatever_is_not_needed_goes(swinging, texts):
     end = LocalSearch(swinging, lambda *_: iter(()), PLENTY).improve(start, [0, 1])
     assert forms(end) in TRUE_FORMS
     assert end.nats < start.nats
+
+
+def test_a_number_that_is_one_within_a_factor_goes_by_multiplying_out():
+    """v' = b (v - x**2 v) - x has one number; with b v (c - x**2) - x, which is as short otherwise, it has two."""
+    known = Known(("x", "v"), lambda _, z: [z[1], 0.5 * z[1] * (1.0 - z[0] ** 2) - z[0]])
+    comparison = compare(known, measurements(known, ([1.0, 2.0],), 0.1 * np.arange(100.0), 0.05, 112), 1e-6)
+    start = comparison.fit_model([known.parsed("v"), known.parsed("0.45*v*(1.1 - x*x) - x")])
+    end = LocalSearch(comparison, lambda *_: iter(()), PLENTY).prune(start, 1)
+    assert len(constant_places(end.programs[1])) == 1
+    assert end.nats < start.nats - 2.0
 
 
 @pytest.mark.parametrize("rate", [1.0, 1.01, 1.02, 1.03, 1.05, 1.1])

@@ -1,6 +1,6 @@
 """Smaller programs made of a program."""
 
-from atoll_coordinator.model.structure.moves.reductions import reductions
+from atoll_coordinator.model.structure.moves.reductions import multiply_out, reductions
 from atoll_core.expression.program import structure
 from tests.unit.coordinator.model.fitting import parsed, shown
 
@@ -40,3 +40,11 @@ def test_reductions_are_smaller_and_told_once():
     reduced = list(reductions(program))
     assert len({structure(shorter) for shorter in reduced}) == len(reduced) > 20
     assert all(len(shorter) <= len(program) for shorter in reduced)
+
+
+def test_a_sum_with_one_is_multiplied_out_and_loses_its_constant():
+    assert {"0.5*(y - y*x**2) - x", "0.5*(y - x**2*y) - x"} & set(reduced_to("0.5*y*(0.998 - x**2) - x"))
+    program = parsed("y*(3.0 - 1.002*x)")
+    numbers = [place for place, (code, *_) in enumerate(program.nodes()) if code == 1]
+    texts = {shown(one) for place in numbers for one in multiply_out(program, place)}
+    assert texts == {"y - y*(1.002*x)"} or texts == {"y - 1.002*x*y"} or texts == {"y - 1.002*y*x"}
