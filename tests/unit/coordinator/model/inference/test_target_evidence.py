@@ -23,8 +23,9 @@ def judged(*others):
     program = parsed("2.0*a")
     errors = VALUES - 2.0 * INPUTS[0]
     alternatives = [Alternative(parsed(text), nats, 0.99) for text, nats in others]
+    known = (Constant(2.0, 2.0, 0.01, (1.98, 2.02)),)
     shown = Refined(
-        0, program, float(np.abs(errors).mean()), float(np.mean(errors**2)), (Constant(2.0, 2.0, 0.01, (1.98, 2.02)),), (),
+        0, program, float(np.abs(errors).mean()), float(np.mean(errors**2)), known, (),
         (Alternative(program, 0.0, 1.0, is_shown=True), *alternatives),
     )  # fmt: skip
     return judge(target_evidence(shown, PROBLEM, None))

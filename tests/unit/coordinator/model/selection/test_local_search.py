@@ -68,7 +68,7 @@ def test_whatever_is_not_needed_goes(swinging, texts):
 def test_a_number_that_is_one_within_a_factor_goes_by_multiplying_out():
     """v' = b (v - x**2 v) - x has one number; with b v (c - x**2) - x, which is as short otherwise, it has two."""
     known = Known(("x", "v"), lambda _, z: [z[1], 0.5 * z[1] * (1.0 - z[0] ** 2) - z[0]])
-    comparison = compare(known, measurements(known, ([1.0, 2.0],), 0.1 * np.arange(100.0), 0.05, 112), 1e-6)
+    comparison = compare(known, measurements(known, ([1.0, 2.0],), 0.1 * np.arange(100.0), noise=0.05, seed=112), 1e-6)
     start = comparison.fit_model([known.parsed("v"), known.parsed("0.45*v*(1.1 - x*x) - x")])
     end = LocalSearch(comparison, lambda *_: iter(()), PLENTY).prune(start, 1)
     assert len(constant_places(end.programs[1])) == 1
