@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
 from atoll_coordinator.model.inference.checks import Evidence
@@ -53,6 +54,7 @@ from atoll_coordinator.model.selection.rounding import RoundedSystem, ShownConst
 from atoll_coordinator.model.selection.shortcut import predictable_rows
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.error_growth import growth_rate, speed_growth
+from atoll_coordinator.model.shooting.independence import roughness
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import SharedNumber
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -601,6 +603,12 @@ def refined_equation(
         noise, whitened = float(sensor.sigmas[index]), final.seen.estimator.whitened(final.seen_fit.residuals, sensor)
         innovations = _pieces_of(whitened, measurements, index)
     is_interpolated = smoothing.method == "interpolation" and smoothing.quantisation is None
+    estimate = float(measurements.noise[index])
+    if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
+        # Of rows so few that none has all the neighbours that predict it, interpolation hides noise: it takes the least
+        # of several estimates. What is rough in the residuals is noise then.
+        estimate = max(estimate, float(roughness(measurements, final.seen_fit.residuals)[index]))
+        noise = max(noise, estimate)
     evidence = Evidence(
         kind="groups" if final.by_group else "trajectories",
         error=error / problem.target.standard_deviation,
@@ -613,7 +621,7 @@ def refined_equation(
         solver=final.task.solver,
         parameters=(final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed),
         noise=0.0 if is_interpolated else noise,
-        noise_estimate=float(measurements.noise[index]),
+        noise_estimate=estimate,
         standard_deviation=_standard_deviation(measurements, index),
         reference=_reference_smoother(smoothing, noise) if innovations is None else None,
         are_errors_summed=final.are_errors_summed,
