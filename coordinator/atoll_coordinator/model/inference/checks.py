@@ -245,10 +245,12 @@ def _freedom(evidence: Evidence) -> Check:
     name = "degrees of freedom"
     if not evidence.residuals:
         return _unsimulated(name)
-    free = evidence.free_rows
+    rows = evidence.rows if evidence.distinct_rows is None else min(evidence.rows, evidence.distinct_rows)
+    free = rows - evidence.parameters
     if free >= 1.0:
         return Check(name, "passed", f"{free:.0f} rows more than fitted numbers", free, 1.0)
-    reason = f"{evidence.parameters:.0f} numbers were fitted to {evidence.rows} rows, which leaves none to test them by"
+    which = "rows" if rows == evidence.rows else "rows that differ"
+    reason = f"{evidence.parameters:.0f} numbers were fitted to {rows} {which}, which leaves none to test them by"
     return Check(name, "failed", f"{reason}: measure more rows", free, 1.0)
 
 

@@ -62,6 +62,7 @@ from atoll_coordinator.model.shooting.variance import estimate_variances
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
+from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.unit_coefficients import (
@@ -640,7 +641,7 @@ def refined_equation(
         rivals=rivals if task.is_nearly_clean else 0.0,
         rivals_agree=not is_told,
         passes_pole=_passes_pole(final, program),
-        distinct_rows=_distinct_rows(measurements),
+        distinct_rows=_distinct_rows(measurements, index, _variables_of(program, task.dataset.names)),
         stopped="the choice of the equations" if task.has_been_stopped else "",
     )
     verdict = judge(evidence)
@@ -659,9 +660,21 @@ def _disputed_state(ranking: Ranking, index: int) -> dict[str, float]:
     return comparison.disputed_state(ranking.selection.model, others, index)
 
 
-def _distinct_rows(measurements: Measurements) -> int:
-    """Return how many rows of states and inputs differ by more than rounding; unmeasured states do not count."""
+def _variables_of(program: Program, names: Sequence[str]) -> set[str]:
+    """Return the names of the variables that a program has."""
+    return {names[int(program.left[node])] for node in np.flatnonzero(program.operators == VARIABLE)}
+
+
+def _distinct_rows(measurements: Measurements, index: int, used: Collection[str]) -> int:
+    """Return how many rows differ by more than rounding in one state and in the variables `used` by its equation.
+
+    Rows at a point of rest say the same over and over. Where a variable was not measured, all columns count.
+    """
+    states, inputs = len(measurements.smoothed), measurements.variables[len(measurements.smoothed) :]
+    names = [*(measurements.variables[:states][place] for place in measurements.observed), *inputs]
     values = np.concatenate([measurements.measured, measurements.inputs])
+    if set(used) <= set(names):
+        values = values[[place for place, name in enumerate(names) if place == index or name in used]]
     scales = np.maximum(np.nanstd(values, axis=1), 1e-300)[:, None]
     return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
 
@@ -750,7 +763,8 @@ def _fits(long_run: LongRun, noise: float, index: int) -> bool | None:
 def _null_nats(final: Final, index: int) -> float:
     """Return by how many nats an equation describes the measured state better than no equation does.
 
-    Without an equation the state is constant along each trajectory, or a random walk: the better of both counts.
+    Without an equation the state is constant along each trajectory, or a random walk: the better of both counts. A
+    constant rate is compared with a walk that has a drift, since few rows of any smooth curve are about a line.
     Residuals about a constant count as many as are independent; beside the steps of a walk the innovations of
     correlated errors do. Rows count by their weights. Constants are the equation's own, or as many as each state has on
     average, if that is more, and with them initial numbers beyond one for each trajectory.
@@ -758,7 +772,7 @@ def _null_nats(final: Final, index: int) -> float:
     measurements, fit, sensor = final.seen.estimator.measurements, final.seen_fit, final.comparison.errors
     program, is_given = final.shown[index], index in final.comparison.fixed
     squares = deviations = effective = 0.0
-    series = []
+    series, times = [], []
     for owner in range(len(measurements.names)):
         rows = (measurements.owners_of_rows == owner) & (measurements.weights[index] > 0.0)
         values, weights = measurements.measured[index][rows], measurements.weights[index][rows]
@@ -768,9 +782,14 @@ def _null_nats(final: Final, index: int) -> float:
             squares += float((weights * fit.residuals[index][rows] ** 2).sum())
             effective += float(weights.sum()) ** 2 / float((weights * weights).sum())
             series.append(np.sqrt(weights) * (values - mean))
+            times.append(measurements.times[rows])
     steps = squared_steps(series)
     if not (deviations > 0.0 and steps > 0.0):
         return math.inf
+    drift = 0
+    if not _variables_of(program, final.task.dataset.names):  # a constant rate is the drift of a random walk
+        drift, least = 1, deviations * EXACT_ERROR**2
+        squares, steps = max(squares, least), max(squared_steps(series, times), 2.0 * least)
     lengths = final.free.fit.errors.lengths
     rows_of_one = max(float(lengths[index]) if len(lengths) > index else 1.0, 1.0)
     constants = 0.0 if is_given else max(len(constant_places(program)), final.free.fit.system.count / len(final.shown))
@@ -779,7 +798,7 @@ def _null_nats(final: Final, index: int) -> float:
     innovations = squares
     if sensor is not None and sensor.shares[index] > 0.0:
         innovations = float(final.seen.estimator.squared_innovations(fit.residuals, sensor)[index])
-    of_walk = log_bayes_factor(effective - (len(series) - 1), constants, innovations / steps)
+    of_walk = log_bayes_factor(effective - drift - (len(series) - 1), max(constants - drift, 0.0), innovations / steps)
     return min(of_constant, of_walk) - (0.0 if is_given else structure_price(program, len(final.task.dataset.names)))
 
 

@@ -59,9 +59,16 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
     return top + math.log(0.5 * step * (float(values.sum()) - 0.5 * float(values[0] + values[-1])))
 
 
-def squared_steps(series: Sequence[FloatArray]) -> float:
-    """Return the sum of squared steps from row to row of all series (R,): what a random walk leaves to be explained."""
-    return sum(float((np.diff(values) ** 2).sum()) for values in series)
+def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | None = None) -> float:
+    """Return the sum of squared steps from row to row of all series (R,): what a random walk leaves to be explained.
+
+    With the `times` (R,) of each it is that of a walk with a drift, the same for all.
+    """
+    steps = np.concatenate([np.diff(values) for values in series])
+    if times is not None:
+        gaps = np.concatenate([np.diff(moments) for moments in times])
+        steps = steps - gaps * float(steps @ gaps) / max(float(gaps @ gaps), 1e-300)
+    return float(steps @ steps)
 
 
 def structure_price(program: Program, columns: int) -> float:

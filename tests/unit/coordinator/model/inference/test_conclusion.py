@@ -69,6 +69,39 @@ def refined(known, starts, pool, *, times=TIMES, noise=0.0, seed=0, config=None,
     return refine_all(preparation, config, pools(preparation, **pool), batches=batches)
 
 
+def check_of(refinement, name, check):
+    return next(made for made in refinement.equations[name].checks if made.name == check)
+
+
+@pytest.mark.parametrize(("rows", "grade"), [(6, "doubtful"), (60, "good")])
+def test_a_constant_rate_of_few_rows_is_no_more_than_a_walk_with_a_drift(rows, grade):
+    """Few rows of any smooth curve are about a line, that of a growth in its middle for instance."""
+    line = Known(("h",), lambda _, z: [0.5 + 0.0 * z[0]])
+    refinement = refined(line, ([1.0],), {"h": ("0.5", "0.6")}, times=6.0 / rows * np.arange(rows), noise=0.03, seed=3)
+    assert refinement.equations["h"].grade == grade
+    assert check_of(refinement, "h", "no equation").outcome == ("passed" if grade == "good" else "failed")
+
+
+def test_an_exact_line_of_five_rows_is_not_exact():
+    line = Known(("h",), lambda _, z: [40.0 + 0.0 * z[0]])
+    refinement = refined(line, ([30.0],), {"h": ("40.0",)}, times=0.5 * np.arange(5.0))
+    assert refinement.equations["h"].grade == "doubtful"
+
+
+def test_rows_at_rest_are_no_rows_to_test_an_equation_by():
+    """x decays to 0.1 within three rows and stays: four values, whatever y does meanwhile."""
+    falling = Known(("x", "y"), lambda _, z: [-3.0 * (z[0] - 0.1), -0.2 * z[1]])
+    config = JobConfig(space=SpaceConfig(operators=("+", "-", "*"), variables_of={"x": ("x",)}))
+    made = table(falling, ([4.7, 2.5],), np.arange(10.0))
+    rounded = replace(made, columns=np.where(np.arange(3)[:, None] == 1, np.round(made.columns, 1), made.columns))
+    preparation = prepare(rounded, config)
+    pool = pools(preparation, x=("0.3 - 3.0*x", "0.3 - 2.9*x - 0.01*x*x*x"), y=("-0.2*y",))
+    refinement = refine_all(preparation, config, pool)
+    assert check_of(refinement, "x", "distinct rows").value == 4
+    assert check_of(refinement, "y", "distinct rows").value == 10
+    assert refinement.equations["x"].grade == "doubtful"
+
+
 def is_same(known, refinement, **truths):
     """Tell whether equations have the truths' functions, with simple constants."""
     draw = np.random.default_rng(5).uniform(0.5, 2.0, (len(known.names), 20))

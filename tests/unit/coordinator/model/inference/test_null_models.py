@@ -55,3 +55,10 @@ def test_the_choice_among_many_columns_has_a_price() -> None:
     few, many = structure_price(program, 4), structure_price(program, 40)
     assert many - few == pytest.approx(3.0 * math.log(10.0))
     assert structure_price(program, 3) == few
+
+
+def test_a_walk_with_a_drift_has_the_line_taken_out_over_uneven_times():
+    times = [np.array([0.0, 1.0, 3.0, 4.0]), np.array([0.0, 2.0])]
+    lines = [5.0 + 2.5 * moments for moments in times]
+    assert squared_steps(lines, times) == pytest.approx(0.0, abs=1e-20)
+    assert squared_steps(lines) == pytest.approx(2.5**2 * (1.0 + 4.0 + 1.0 + 4.0))
