@@ -610,6 +610,8 @@ def refined_equation(
         # of several estimates. What is rough in the residuals is noise then.
         estimate = max(estimate, float(roughness(measurements, final.seen_fit.residuals)[index]))
         noise = max(noise, estimate)
+    covariance = _residual_covariance(final, index)
+    parameters = _fitted_to(final, index, covariance)
     evidence = Evidence(
         kind="groups" if final.by_group else "trajectories",
         error=error / problem.target.standard_deviation,
@@ -618,9 +620,9 @@ def refined_equation(
         target_r2=1.0 - mse / variance if variance else None,
         residuals=_pieces_of(final.seen_fit.residuals, measurements, index),
         innovations=innovations,
-        covariance=_residual_covariance(final, index) if innovations is None else None,
+        covariance=covariance if innovations is None else None,
         solver=final.task.solver,
-        parameters=(final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed),
+        parameters=parameters,
         noise=0.0 if is_interpolated else noise,
         noise_estimate=estimate,
         standard_deviation=_standard_deviation(measurements, index),
@@ -629,7 +631,7 @@ def refined_equation(
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
-        null_nats=_null_nats(final, index),
+        null_nats=_null_nats(final, index, parameters),
         constants=known.written,
         unit_coefficients=[coefficient.constant for coefficient in known.unit_coefficients],
         prediction=prediction,
@@ -749,6 +751,18 @@ def _residual_covariance(final: Final, index: int) -> FloatArray | None:
     return residual_covariance(measurements, final.free.fit, index)
 
 
+def _fitted_to(final: Final, index: int, covariance: FloatArray | None) -> float:
+    """Return how many numbers were fitted to the measurements of one state.
+
+    Of few rows that is what the projection on all that can be fitted takes from its residuals, by their `covariance`:
+    what another state does not need follows this one. Of many rows the numbers are shared evenly.
+    """
+    measurements = final.seen.estimator.measurements
+    if covariance is not None:
+        return len(covariance) - float(np.trace(covariance))
+    return (final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed)
+
+
 def _fits(long_run: LongRun, noise: float, index: int) -> bool | None:
     """Tell whether the equation of a state describes whole trajectories; None where that was not tested.
 
@@ -760,14 +774,15 @@ def _fits(long_run: LongRun, noise: float, index: int) -> bool | None:
     return r2 is None or r2 >= 1.0 - SETTINGS.inference.part - noise * noise
 
 
-def _null_nats(final: Final, index: int) -> float:
+def _null_nats(final: Final, index: int, parameters: float) -> float:
     """Return by how many nats an equation describes the measured state better than no equation does.
 
     Without an equation the state is constant along each trajectory, or a random walk: the better of both counts. A
     constant rate is compared with a walk that has a drift, since few rows of any smooth curve are about a line.
     Residuals about a constant count as many as are independent; beside the steps of a walk the innovations of
     correlated errors do. Rows count by their weights. Constants are the equation's own, or as many as each state has on
-    average, if that is more, and with them initial numbers beyond one for each trajectory.
+    average, or the `parameters` fitted to this one, if that is more, and with them initial numbers beyond one for each
+    trajectory.
     """
     measurements, fit, sensor = final.seen.estimator.measurements, final.seen_fit, final.comparison.errors
     program, is_given = final.shown[index], index in final.comparison.fixed
@@ -794,6 +809,7 @@ def _null_nats(final: Final, index: int) -> float:
     rows_of_one = max(float(lengths[index]) if len(lengths) > index else 1.0, 1.0)
     constants = 0.0 if is_given else max(len(constant_places(program)), final.free.fit.system.count / len(final.shown))
     constants += max(fit.starts.size / len(measurements.observed) - len(series), 0.0)
+    constants = max(constants, parameters - len(series))
     of_constant = log_bayes_factor(effective / rows_of_one - (len(series) - 1), constants, squares / deviations)
     innovations = squares
     if sensor is not None and sensor.shares[index] > 0.0:
