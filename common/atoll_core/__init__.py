@@ -11,8 +11,8 @@ It imports no other package of Atoll.
 VERSION = "0.1.0"
 """Version of the distribution; kept equal to pyproject.toml by a test."""
 
-PROTOCOL_VERSION = 11
+PROTOCOL_VERSION = 12
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION = 10
+ENGINE_REVISION = 11
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""
