@@ -78,8 +78,14 @@ def repeats_in_step(parts: Parts) -> bool:
 
 
 def _has_period(parts: Parts, period: int) -> bool:
-    long = [part for part in parts if len(part) >= 2 * period]
-    return bool(long) and all(np.array_equal(part[period:], part[:-period]) for part in long)
+    repeated = 0
+    for part in parts:
+        later, earlier = part[period:], part[:-period]
+        both = np.isfinite(later) & np.isfinite(earlier)
+        if not np.array_equal(later[both], earlier[both]):
+            return False
+        repeated += int(both.sum())
+    return repeated >= period
 
 
 def _finite(parts: Parts) -> FloatArray:

@@ -42,14 +42,15 @@ class Evidence:
     state, or target minus equation; a model is simulated to the end of all of them or of none. `parameters` is how many
     numbers were fitted to them: constants and initial values, each shared by as many states as it was fitted to.
     `noise` is the smoother's estimate of the measurement errors (0 for a state that was interpolated, of which
-    `noise_estimate` is what its second differences say), or the size of correlated errors of a sensor, and
-    `innovations` are the whitened residuals then; `covariance` (R, R) is that of residuals of independent errors of
-    variance one, None where it is not known; they stand in the one of so many `orders` of the rows in which neighbours
-    are most alike; `standard_deviation` is that of the measured values, in the state's
-    unit as the noise; `reference` judges the variance of the residuals, None where the noise is known;
-    `are_errors_summed` tells that errors add up along trajectories, as those of a solver do, and that constants were
-    fitted to short pieces therefore; `has_outliers` makes the tests robust. `held_out_r2` is the R2 of the simulations
-    of held-out trajectories; with `is_cross_validated`, of those left out one at a time.
+    `noise_estimate` is what its second differences say; it `is_noise_residual` where few rows hide it and what is rough
+    in the residuals is taken for it), or the size of correlated errors of a sensor, and `innovations` are the whitened
+    residuals then; `covariance` (R, R) is that of residuals of independent errors of variance one, None where it is not
+    known; they stand in the one of so many `orders` of the rows in which neighbours are most alike;
+    `standard_deviation` is that of the measured values, in the state's unit as the noise; `reference` judges the
+    variance of the residuals, None where the noise is known; `are_errors_summed` tells that errors add up along
+    trajectories, as those of a solver do, and that constants were fitted to short pieces therefore; `has_outliers`
+    makes the tests robust. `held_out_r2` is the R2 of the simulations of held-out trajectories; with
+    `is_cross_validated`, of those left out one at a time.
 
     `null_nats` is by how many nats the equation describes the rows better than no equation does (see `null_models`).
 
@@ -57,14 +58,14 @@ class Evidence:
     `alternative` is how many nats longer the description is with the next best equation that is another function and
     has no more constants; `rivals` are the odds of all other equations of a table without noise, `rivals_agree` tells
     that some agree along what was measured; `prediction` is how far the state can be predicted from other initial
-    states, None where that was not tested, for the reason `unpredicted`; `chaos` is what is known of a model whose
-    trajectories cannot be predicted for long. `fits_whole` tells whether it describes whole trajectories, None where
-    only pieces of `piece` rows were simulated; `predictable_rows` is over how many rows a driven model can be predicted
-    at all, where its errors grow so fast that this is less than a piece. `passes_pole` tells that its simulation goes
-    through a point where this equation has no finite value; `distinct_rows` counts rows that differ by more than
-    rounding, None where that is not known; `is_known` tells that the equation was given; `solver` names the one that
-    computed the table, whose errors are not in the residuals; `is_unsimulated` tells that there are trajectories, along
-    which it was not simulated.
+    states, which lie near measured ones where it `is_near`, None where that was not tested, for the reason
+    `unpredicted`; `chaos` is what is known of a model whose trajectories cannot be predicted for long. `fits_whole`
+    tells whether it describes whole trajectories, None where only pieces of `piece` rows were simulated;
+    `predictable_rows` is over how many rows a driven model can be predicted at all, where its errors grow so fast that
+    this is less than a piece. `passes_pole` tells that its simulation goes through a point where this equation has no
+    finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known;
+    `is_known` tells that the equation was given; `solver` names the one that computed the table, whose errors are not
+    in the residuals; `is_unsimulated` tells that there are trajectories, along which it was not simulated.
     `stopped` says what a limit of time has stopped, nothing where nothing was.
     """
 
@@ -77,6 +78,8 @@ class Evidence:
     parameters: float = 0.0
     noise: float = 0.0
     noise_estimate: float = 0.0
+    is_noise_residual: bool = False
+    is_near: bool = False
     standard_deviation: float = 1.0
     reference: ReferenceSmoother | None = None
     are_errors_summed: bool = False
@@ -194,8 +197,11 @@ def _nothing(name: str, reason: str) -> Check:
 _UNSIMULATED: Final = "it was not simulated along the trajectories"
 
 
-def _unsimulated(name: str) -> Check:
-    return Check(name, "not made", _UNSIMULATED)
+_UNDEFINED: Final = "the equation has no finite value on some rows: leave out divisions and logarithms, or these rows"
+
+
+def _unsimulated(evidence: Evidence, name: str) -> Check:
+    return Check(name, "not made", _UNDEFINED if evidence.kind == "target" else _UNSIMULATED)
 
 
 def _with_power(check: Check) -> Check:
@@ -244,7 +250,7 @@ def _time(evidence: Evidence) -> Check:
 def _freedom(evidence: Evidence) -> Check:
     name = "degrees of freedom"
     if not evidence.residuals:
-        return _unsimulated(name)
+        return _unsimulated(evidence, name)
     rows = evidence.rows if evidence.distinct_rows is None else min(evidence.rows, evidence.distinct_rows)
     free = rows - evidence.parameters
     if free >= 1.0:
@@ -257,7 +263,7 @@ def _freedom(evidence: Evidence) -> Check:
 def _null(evidence: Evidence) -> Check:
     name, least = "no equation", SETTINGS.inference.chance_nats
     if evidence.null_nats is None:
-        return _unsimulated(name)
+        return _unsimulated(evidence, name)
     nats = evidence.null_nats
     if nats >= least:
         return Check(name, "passed", f"it describes the rows {nats:.3g} nats better than no equation", nats, least)
@@ -280,7 +286,7 @@ def _held_out(evidence: Evidence) -> Check:
 def _residual_size(evidence: Evidence) -> Check:
     name = "residual size"
     if not evidence.residuals:
-        return _unsimulated(name)
+        return _unsimulated(evidence, name)
     left = evidence.left
     if not evidence.is_noisy:
         return _size_without_noise(evidence)
@@ -291,7 +297,11 @@ def _residual_size(evidence: Evidence) -> Check:
         reason = f"{size} are {statistics.ratio:.2g} times the noise (p = {statistics.too_large:.1g})"
         return Check(name, "failed", reason, statistics.ratio, SETTINGS.inference.excess, power)
     reason = f"{size} agree with the noise ({percent(evidence.relative_noise)})"
-    if statistics.ratio > SETTINGS.inference.excess:
+    if evidence.is_noise_residual:
+        reason, power = f"{size} are rough as noise is, which such few rows hide", evidence.largest_departure
+    if _are_of_integration(evidence):
+        reason = f"{size} are those of the integration, though the noise seems to be {percent(evidence.relative_noise)}"
+    if not evidence.is_noise_residual and statistics.ratio > SETTINGS.inference.excess:
         reason = f"{size} may be noise ({percent(evidence.relative_noise)}), of which so few rows tell little"
     return Check(name, "passed", reason, statistics.ratio, SETTINGS.inference.excess, power)
 
@@ -339,7 +349,7 @@ def _are_of_integration(evidence: Evidence) -> bool:
 def _residual_pattern(evidence: Evidence) -> Check:
     name = "residual pattern"
     if not evidence.residuals:
-        return _unsimulated(name)
+        return _unsimulated(evidence, name)
     if not evidence.statistics.standard_deviation > 0.0:
         return _nothing(name, "there are no residuals")
     statistics, limit = evidence.statistics, SETTINGS.inference.part
@@ -363,12 +373,16 @@ def _residual_pattern(evidence: Evidence) -> Check:
 def _whole(evidence: Evidence) -> Check:
     name = "whole trajectories"
     if not evidence.residuals:
-        return _unsimulated(name)
+        return _unsimulated(evidence, name)
     if evidence.chaos is not None:
         return _nothing(name, "errors of initial states grow in chaos, and the long run is compared")
-    if evidence.predictable_rows is not None:
-        reason = f"errors of initial states grow, so that {evidence.predictable_rows} rows can be predicted"
-        return _nothing(name, f"{reason}, and pieces of {evidence.piece} are")
+    if evidence.fits_whole is None and evidence.predictable_rows is not None:
+        reason = (
+            f"errors of initial states grow, so that no more than {evidence.predictable_rows} rows can be predicted, "
+        )
+        return Check(
+            name, "not made", f"{reason}and the long run of a driven model is not compared: measure shorter runs"
+        )
     if evidence.fits_whole is False:
         reason = f"it describes pieces of {evidence.piece} rows and not whole trajectories: what shows in the long "
         return Check(name, "failed", f"{reason}run is missing")
@@ -381,8 +395,10 @@ def _whole(evidence: Evidence) -> Check:
 def _long_run(evidence: Evidence) -> Check:
     """Check a chaotic model by a simulation far longer than errors of an initial state can be carried."""
     name, chaos = "long run", evidence.chaos
+    if chaos is None and not evidence.residuals:
+        return _unsimulated(evidence, name)
     if chaos is None:
-        return _nothing(name, "the model is not chaotic")
+        return _nothing(name, "no chaos was found, or whole trajectories tell")
     limit, value = SETTINGS.inference.improbable, chaos.probability
     if chaos.is_kept:
         return Check(
@@ -406,7 +422,7 @@ def _other_starts(evidence: Evidence) -> Check:
     """Check how far the model can be relied on elsewhere in the measured range."""
     name, known = "other initial states", evidence.prediction
     if not evidence.residuals:
-        return _unsimulated(name)
+        return _unsimulated(evidence, name)
     wrong = math.exp(-SETTINGS.inference.distinct_nats)
     if known is None:
         return Check(name, "not made", f"predictions from other initial states were not tested: {evidence.unpredicted}")
@@ -426,7 +442,8 @@ def _other_starts(evidence: Evidence) -> Check:
             f"the measured range ({percent(known.probability)} of the odds agree){_to_decide(known)}"
         )
         return Check(name, "failed", reason, known.probability, 1.0 - wrong)
-    reason = f"{percent(known.probability)} of the odds agree from {known.starts} other initial states"
+    where = " near the measured ones" if evidence.is_near else ""
+    reason = f"{percent(known.probability)} of the odds agree from {known.starts} other initial states{where}"
     return Check(name, "passed", reason, known.probability, 1.0 - wrong)
 
 
@@ -483,7 +500,7 @@ def _predicted_rows(evidence: Evidence) -> Check:
 def _distinct(evidence: Evidence) -> Check:
     count, least = evidence.distinct_rows, SETTINGS.checks.min_rows
     if count is None:
-        return Check("distinct rows", "not made", "rows were not counted")
+        return _unsimulated(evidence, "distinct rows")
     if count >= least:
         return Check("distinct rows", "passed", f"{count} rows differ", count, least)
     reason = (
@@ -494,7 +511,7 @@ def _distinct(evidence: Evidence) -> Check:
 
 def _poles(evidence: Evidence) -> Check:
     if not evidence.residuals:
-        return _unsimulated("poles")
+        return _unsimulated(evidence, "poles")
     if not evidence.passes_pole:
         return Check("poles", "passed", "its simulation passes no pole")
     reason = "its simulation passes a pole, where it has no value: measure there, or leave out divisions"
@@ -503,8 +520,10 @@ def _poles(evidence: Evidence) -> Check:
 
 def _alternatives(evidence: Evidence) -> Check:
     name, nats, least = "alternative equations", evidence.alternative, SETTINGS.inference.distinct_nats
+    if nats is None and not evidence.residuals:
+        return _unsimulated(evidence, name)
     if nats is None:
-        return _nothing(name, "no other equation with as few constants, which predicts something else, comes near")
+        return _nothing(name, "no other equation with as few constants, which predicts something else, was compared")
     if nats >= least:
         return Check(name, "passed", f"the next best equation fits worse (Δ log-likelihood {nats:.3g})", nats, least)
     where = _to_decide(evidence.prediction) if evidence.rivals_agree else ""
@@ -518,6 +537,8 @@ def _apart(nats: float) -> str:
 
 def _constants(evidence: Evidence) -> Check:
     name, constants = "constants", evidence.constants
+    if not constants and evidence.is_unsimulated:
+        return _unsimulated(evidence, name)
     if not constants:
         return _nothing(name, "it has no constants")
     bound = next((constant for constant in constants if constant.is_at_bound), None)
@@ -596,7 +617,7 @@ def _chance(evidence: Evidence) -> Check:
     """Check that the equation stands out from none as an exact one must: odds of 200."""
     nats, least = evidence.null_nats, SETTINGS.inference.exact_nats
     if nats is None:
-        return _unsimulated("odds against chance")
+        return _unsimulated(evidence, "odds against chance")
     outcome: CheckOutcome = "passed" if nats >= least else "failed"
     reason = f"it describes the rows {nats:.2g} nats better than no equation, and {least} are needed"
     return Check("odds against chance", outcome, reason, nats, least)

@@ -499,7 +499,7 @@ def long_run_of(final: Final) -> LongRun:
     predictable = max(predictable_rows(fit, final.comparison, growth) for growth in growths)
     if may_be and predictable < final.task.longest:
         if len(final.seen.estimator.measurements.inputs) and predictable < final.task.piece:
-            return LongRun(None, None, None, round(predictable))
+            return LongRun(fits, None, None, round(predictable))
         chaos = look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
         return LongRun(None, chaos, None if chaos is not None else _whole_r2(final))
     fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up
@@ -604,11 +604,13 @@ def refined_equation(
         noise, whitened = float(sensor.sigmas[index]), final.seen.estimator.whitened(final.seen_fit.residuals, sensor)
         innovations = _pieces_of(whitened, measurements, index)
     is_interpolated = smoothing.method == "interpolation" and smoothing.quantisation is None
-    estimate = float(measurements.noise[index])
+    estimate, is_noise_residual = float(measurements.noise[index]), False
     if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
         # Of rows so few that none has all the neighbours that predict it, interpolation hides noise: it takes the least
         # of several estimates. What is rough in the residuals is noise then.
-        estimate = max(estimate, float(roughness(measurements, final.seen_fit.residuals)[index]))
+        rough = float(roughness(measurements, final.seen_fit.residuals)[index])
+        is_noise_residual = rough > estimate
+        estimate = max(estimate, rough)
         noise = max(noise, estimate)
     covariance = _residual_covariance(final, index)
     parameters = _fitted_to(final, index, covariance)
@@ -625,6 +627,8 @@ def refined_equation(
         parameters=parameters,
         noise=0.0 if is_interpolated else noise,
         noise_estimate=estimate,
+        is_noise_residual=is_noise_residual,
+        is_near=measurements.has_smoothed_inputs,
         standard_deviation=_standard_deviation(measurements, index),
         reference=_reference_smoother(smoothing, noise) if innovations is None else None,
         are_errors_summed=final.are_errors_summed,

@@ -140,7 +140,8 @@ class _Elsewhere:
 
         Farther away states without an equation, which are inputs as they were measured, would not be as they are.
         """
-        points = points_between(self._measurements.smoothed)
+        groups = self._measurements.groups
+        points = points_between(self._measurements.smoothed) if groups is None else self._starts_of_groups(groups)
         begun = [self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))]
         return np.array(begun) + SETTINGS.inference.part * (points - np.array(begun))
 

@@ -70,14 +70,16 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     """Return the errors of the constants of a fit, by the errors of measurement by which systems are compared.
 
     Variances are corrected for the numbers fitted, and are as many times those of independent rows as rows count as one
-    (`ModelComparison.inflation`): what an equation leaves out varies as slowly as the states do.
+    (`ModelComparison.inflation`): what an equation leaves out varies as slowly as the states do. Or as many times as a
+    correlation asks for that the rows do not exclude, if that is more.
     """
     fit = model.fit
     counts, inflation = float(comparison.counts.sum()), comparison.inflation(model)
-    wide = widening(comparison.estimator.measurements, fit) if comparison.has_independent_errors else 1.0
+    noisy = comparison.has_independent_errors
+    wide = widening(comparison.estimator.measurements, fit, noisy) if noisy.any() else 1.0
     left = max(counts - fit.system.count - fit.starts.size, 1.0)
     certain = float(comparison.counts @ fit.errors.degrees_of_freedom) / counts
-    scale = wide * inflation * counts / left
+    scale = max(wide, inflation) * counts / left
     return Errors(
         fit.system.values, covariance(fit) * scale, max(left * certain / inflation, 1.0), scale,
         fit.system.lower, fit.system.upper,

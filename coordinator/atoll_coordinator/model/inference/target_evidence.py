@@ -76,20 +76,19 @@ def target_evidence(
 
 
 def _nearest(shown: Refined, problem: Problem) -> float | None:
-    """Return the nats of the next best equation with no more constants that says something else among the rows.
+    """Return the nats of the next best of its alternatives that says something else among the rows.
 
     None where there is none: predictions of an equation that agrees keep what a good one promises.
     """
     among = np.concatenate([problem.inputs, points_between(problem.inputs).T], axis=1)
     among = np.ascontiguousarray(among[:, np.isfinite(values_of(shown.program, among))])
-    own, most = values_of(shown.program, among), len(constant_places(shown.program))
+    own = values_of(shown.program, among)
     others = (alternative for alternative in shown.alternatives if not alternative.is_shown)
     return min(
         (
             other.nats
             for other in others
-            if len(constant_places(other.program)) <= most
-            and differ(values_of(other.program, among), own, math.sqrt(SETTINGS.inference.part))
+            if differ(values_of(other.program, among), own, math.sqrt(SETTINGS.inference.part))
         ),
         default=None,
     )

@@ -7,6 +7,7 @@ import math
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.model.inference.residual_covariance import whitened_columns
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -22,20 +23,24 @@ _DEPENDENT: Final = 1e-9
 """Singular values of unit columns, over the largest, below which they are linearly dependent."""
 
 
-def widening(measurements: Measurements, fit: TrajectoryFit) -> float:
+def widening(measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]) -> float:
     """Return how many times the variances of constants are those of independent errors, the correlation integrated out.
 
-    1 where there are so many rows that a correlation would have been found.
+    1 where there are so many rows that a correlation would have been found. What is left of states that are not noisy
+    (O,) goes together, and says nothing of errors of measurement.
     """
     columns = whitened_columns(measurements, fit)
     if columns is None or not fit.system.count:
         return 1.0
     counts = measurements.weights > 0.0
+    noisy = np.repeat(is_noisy, counts.sum(axis=1))
     sigmas = np.maximum(fit.errors.sigmas, 1e-300)[:, None]
     residuals = (np.sqrt(measurements.weights) * fit.residuals / sigmas)[counts]
     states, rows = np.nonzero(counts)
     owners = measurements.owners_of_rows[rows] + states * len(measurements.names)
-    return expected_widening(columns, residuals, owners, measurements.times[rows], fit.system.count)
+    return expected_widening(
+        columns[noisy], residuals[noisy], owners[noisy], measurements.times[rows][noisy], fit.system.count
+    )
 
 
 def expected_widening(
@@ -58,6 +63,9 @@ def expected_widening(
     if not (scales[:constants] > 0.0).all():
         return 1.0
     columns = columns[:, scales > 0.0] / scales[scales > 0.0]
+    basis, singular, _ = np.linalg.svd(columns[:, constants:], full_matrices=False)
+    free_of_copies = basis[:, singular > _DEPENDENT * singular.max(initial=0.0)]
+    columns = np.concatenate([columns[:, :constants], free_of_copies], axis=1)
     free = len(residuals) - columns.shape[1]
     if free < 1:
         return 1.0

@@ -26,6 +26,7 @@ from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program, constant_places, structure, with_constants
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.unit_coefficients import make_coefficients_explicit, write_factors
+from atoll_core.expression.writing.expansion import form_of
 from atoll_core.expression.writing.shortest import shortest, shortest_over
 
 
@@ -75,20 +76,36 @@ def fit_equation(
             refined = _as_found(refined, front)
             if not has_intervals:
                 return refined
-            return replace(refined, alternatives=_alternatives(refined, candidate, candidates, problem))
+            others = [
+                other
+                for other in candidates
+                if restrictions.are_kept(other.model.program)
+                and may_be_shown(other.model.program, config.space.max_size)
+            ]
+            return replace(refined, alternatives=_alternatives(refined, candidate, others, problem))
     return None
 
 
 def _alternatives(
     shown: Refined, chosen: Candidate, candidates: Sequence[Candidate], problem: Problem
 ) -> tuple[Alternative, ...]:
-    """Return the equation that is shown and what was compared with it, the shortest descriptions first."""
+    """Return the equation that is shown and what was compared with it, the shortest descriptions first.
+
+    Each form once. More constants always describe about as well: such candidates are no rivals, unless they describe
+    the rows far better. Constants are counted before they are made simple.
+    """
     variance = problem.target.standard_deviation**2
+    most = len(constant_places(chosen.fitted.program))
+    distinct = {form_of(shown.program): chosen}
+    for candidate in candidates:
+        nats, count = candidate.model.length - chosen.model.length, len(constant_places(candidate.fitted.program))
+        if count <= most or nats < -SETTINGS.inference.distinct_nats:
+            distinct.setdefault(form_of(candidate.model.program), candidate)
 
     def r2(mse: float) -> float | None:
         return 1.0 - mse / variance if variance and math.isfinite(mse) else None
 
-    others = [candidate for candidate in candidates if candidate is not chosen][: SETTINGS.effort.beam]
+    others = [candidate for candidate in distinct.values() if candidate is not chosen][: SETTINGS.effort.beam]
     return (
         Alternative(shown.program, 0.0, r2(shown.mse), is_shown=True, origin=shown.origin),
         *(

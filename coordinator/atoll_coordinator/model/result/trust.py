@@ -50,7 +50,8 @@ def verdict(
     judged = Verdict(shown.grade, shown.reason or "", shown.checks) if shown.grade is not None else None
     if judged is None:
         kind: JobKind = "trajectories" if has_trajectories else "target"
-        judged = judge(target_evidence(shown, problem, weights, kind=kind, is_known=why == _KNOWN))
+        stopped = "the choice of the equation" if why in ("max-time", "cancelled") or state == "cancelled" else ""
+        judged = judge(target_evidence(shown, problem, weights, kind=kind, is_known=why == _KNOWN, stopped=stopped))
     if judged.grade in ("exact", "good") and shown.units is not None and shown.units.faults:
         judged = with_objection(judged, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
     if judged.grade == "good" and why in _STOPPED and not (has_trajectories and why == "max-epochs"):

@@ -593,9 +593,9 @@ class ModelComparison:
         )
 
     @property
-    def has_independent_errors(self) -> bool:
-        """Whether errors of measurement are taken to be independent between rows, and there are some."""
-        return self.errors is None and bool(self._is_noisy.any())
+    def has_independent_errors(self) -> npt.NDArray[np.bool_]:
+        """Of which states (O,) errors of measurement are taken to be independent between rows, and there are some."""
+        return self._is_noisy & (self.errors is None)
 
     def inflation(self, model: FittedModel) -> float:
         """Return how many rows count as one in the covariance of constants: 1 where errors are independent."""

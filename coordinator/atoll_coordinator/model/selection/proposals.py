@@ -64,7 +64,7 @@ def propose_reduced(
     most, own = comparison.affordable(model, equation), model.programs[equation]
     long = [program for program in candidates if comparison.length(program) >= most][: SETTINGS.effort.beam]
     known = {structure(own), *map(structure, candidates)}
-    smaller = (shortened(reduced) for program in long for reduced in reductions(program))
+    smaller = (shortened(reduced) for program in long if not task.is_over for reduced in reductions(program))
     tried = {
         structure(program): program
         for program in smaller
@@ -73,16 +73,18 @@ def propose_reduced(
     squares = LeastSquares(
         task.dataset.problem(task.variables[equation]), restrictions=comparison.restrictions(equation)
     )
-    fitted = sorted(map(squares.fit, tried.values()), key=lambda one: one.mse)
+    fits = (squares.fit(program) for program in tried.values() if not task.is_over)
+    fitted = sorted(fits, key=lambda one: one.mse)
     kept = [one.program for one in fitted if math.isfinite(one.mse)][: SETTINGS.effort.beam]
-    return [*kept, *(whole for program in kept for whole in _with_whole_powers(program))] or [own]
+    whole = (whole for program in kept for whole in _with_whole_powers(program))
+    return [*kept, *filter(task.may_be_shown, whole)] or [own]
 
 
 def _with_whole_powers(program: Program) -> Iterator[Program]:
     """Yield the program with each constant exponent, and with all of them, as the whole number that is nearest."""
     nodes = program.nodes()
     exponents = {right: nodes[right][3] for code, _, right, _ in nodes if code == POW and nodes[right][0] == CONSTANT}
-    whole = {place: float(round(value)) for place, value in exponents.items() if round(value)}
+    whole = {place: float(round(value)) for place, value in exponents.items() if math.isfinite(value) and round(value)}
     choices = [{place: value} for place, value in whole.items()]
     for choice in [*choices, whole] if len(choices) > 1 else choices:
         yield shortened(with_constants(program, choice))
