@@ -15,8 +15,9 @@ from atoll_coordinator.model.regression.covariance import description_length, st
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import round_constants
-from atoll_core.config import BudgetConfig, EvolutionConfig, SpaceConfig
+from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, SpaceConfig
 from atoll_core.expression.program import Program
+from atoll_core.expression.writing.expansion import form_of
 from atoll_core.search.pareto import FrontEntry
 from tests.unit.coordinator.model.fitting import CONFIG, dataset, entry, parsed, problem, settings, shown
 
@@ -268,3 +269,18 @@ def test_threads_are_as_many_as_the_cores_that_may_be_used(monkeypatch):
     with pytest.raises(Begun) as begun:
         refine_all(preparation, CONFIG, {})
     assert begun.value.args == (1,)
+
+
+def test_rivals_of_a_target_are_distinct_in_form_and_no_longer_than_allowed():
+    """The same form with other constants is no rival, nor is what --max-size forbids."""
+    sought = problem(lambda x, y: 2.0 * x * np.exp(0.1 * y), 0.02, 40)
+    front = [entry(text, sought) for text in ("2.0*x", "2.0*x + 0.2*x*y", "1.9*x*exp(0.1*y)", "0.01 + 2.0*x")]
+    members = decode_members(front, len(sought.names))
+    for size in (None, 3):
+        config = JobConfig(space=SpaceConfig(max_size=size)) if size else CONFIG
+        refined = fit_equation(sought, config, members, has_intervals=True)
+        forms = [form_of(alternative.program) for alternative in refined.alternatives]
+        assert refined.alternatives[0].is_shown
+        assert len(forms) == len(set(forms)) > (1 if size is None else 0)
+        assert size is None or all(len(alternative.program) <= size for alternative in refined.alternatives)
+    assert fit_equation(sought, CONFIG, members).alternatives == ()

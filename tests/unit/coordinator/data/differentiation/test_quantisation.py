@@ -71,6 +71,15 @@ def test_few_rows_of_a_line_refute_the_step_that_they_show():
     assert is_refuted(find_quantisation([line]), [signal_of(line)])
 
 
+@pytest.mark.parametrize("rows", [6, 7])
+def test_a_wave_in_step_with_the_rows_of_short_trajectories_shows_none(rows):
+    """No trajectory has two periods, all together have many; a missing value is no other value."""
+    wave = np.array([1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0])[:rows]
+    parts = [wave.copy() for _ in range(5)]
+    parts[2][3] = math.nan
+    assert find_quantisation(parts) is None
+
+
 def signal_of(values):
     return Signal(0.1 * np.arange(float(len(values))), np.asarray(values, dtype=np.float64))
 

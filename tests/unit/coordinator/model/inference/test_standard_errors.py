@@ -15,6 +15,7 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     scaled_covariance,
     simulated,
 )
+from atoll_coordinator.model.inference.unknown_correlation import widening
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_core.expression.program import constant_places
@@ -253,3 +254,14 @@ def test_constants_are_fitted_by_weight_and_their_errors_say_so():
     )
     plain = alike.fit_model([DECAY.parsed("-0.45*x")], lengths=(None,))
     assert np.mean(told) < 0.5 * np.sqrt(estimate_errors(alike, plain).covariance[0, 0])
+
+
+def test_what_goes_together_in_a_state_without_noise_widens_no_interval():
+    """The second state leaves a small slow wave; beside it the first, which is noisy, is as sure as alone."""
+    noisy = np.array([True, False])
+    rows = measurements_of(recording(LOTKA, ([1.0, 3.0], [4.0, 1.0]), TIMES, 0.01), [0, 1])
+    comparison = compare(LOTKA, rows, 1e-8)
+    model = comparison.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
+    wave = np.stack([model.fit.residuals[0], 1e-4 * np.sin(np.arange(rows.rows) / 4.0)])
+    fit = replace(model.fit, residuals=wave)
+    assert widening(rows, fit, noisy) < 0.7 * widening(rows, fit, np.array([True, True]))

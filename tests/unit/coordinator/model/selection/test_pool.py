@@ -11,6 +11,7 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.pool import CandidatePool
 from atoll_coordinator.model.selection.task import ModellingTask
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.expression.program import structure
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
@@ -55,6 +56,21 @@ def test_beside_a_system_that_leaves_noise_alone_only_what_is_short_is_taken_in(
     assert all(math.isfinite(most) for most in asked[2:])
     assert pool.lists == before
     assert not pool.comparison.has_room(pool.best)
+
+
+def test_a_system_that_is_longer_than_laws_are_ends_no_stage(monkeypatch):
+    """However little it leaves: a law that was not proposed may be far shorter."""
+    measured = prepare(table(SPIRAL, ([3.0, 1.0], [1.0, 2.0]), 0.1 * np.arange(60.0)), CONFIG)
+    candidates = collect_candidates(measured.dataset, CONFIG, pools(measured, a=("b",), b=("-a",)))
+    exact = ModellingTask(measured.dataset, measured.recording, CONFIG, candidates)
+    pool = CandidatePool(exact, exact.comparison, {})
+    monkeypatch.setattr(pool.comparison, "has_room", lambda _: False)
+    pool.add(proposer(LONG))
+    assert pool.longest > SETTINGS.selection.usual_length
+    assert not pool.suffices
+    pool.add(proposer(TRUTH))
+    assert pool.longest < SETTINGS.selection.usual_length
+    assert pool.suffices
 
 
 def test_equations_that_are_given_have_no_other_candidates(task):
