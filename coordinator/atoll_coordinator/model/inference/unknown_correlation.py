@@ -17,8 +17,8 @@ from atoll_core.expression.kernels.tape import Ints
 
 _CORRELATIONS: Final = tuple(step / 10 for step in range(10))
 """Correlations of neighbouring rows that are integrated over. Before the data are seen, r is as likely as 1 - r says:
-intervals of 8 to 20 rows then hold the truth in 98 to 99 % of the tables with independent errors, and in 91 to 92 %
-with a correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for both, and none at all was 74 %."""
+intervals of 8 to 20 rows then hold the truth in 99 % of the tables with independent errors, and in 91 to 94 % with a
+correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for both, and none at all was 74 %."""
 _DEPENDENT: Final = 1e-9
 """Singular values of unit columns, over the largest, below which they are linearly dependent."""
 
