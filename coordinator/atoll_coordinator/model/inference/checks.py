@@ -11,6 +11,7 @@ Adding a kind of job means adding it to `JobKind` and to the `kinds` of every ru
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from functools import cached_property
 from typing import Final
 
@@ -66,6 +67,7 @@ class Evidence:
     finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known;
     `is_known` tells that the equation was given; `solver` names the one that computed the table, whose errors are not
     in the residuals; `is_unsimulated` tells that there are trajectories, along which it was not simulated.
+    `digits` is how many digits a target's values have that were rounded, None where they were not.
     `stopped` says what a limit of time has stopped, nothing where nothing was.
     """
 
@@ -107,6 +109,7 @@ class Evidence:
     orders: int = 1
     solver: str | None = None
     convergence_threshold: float = EXACT_ERROR
+    digits: int | None = None
     stopped: str = ""
 
     @cached_property
@@ -600,6 +603,21 @@ def _loosest(evidence: Evidence) -> Check:
     return Check(name, outcome, reason, share, limit)
 
 
+def _digits(evidence: Evidence) -> Check:
+    """Check that values with few digits are met by constants with as few: others follow the errors of rounding.
+
+    What is periodic in the last digit of a column can give the rounding of every row.
+    """
+    name, most = "digits of constants", evidence.digits
+    if most is None:
+        return _nothing(name, "the values are not rounded")
+    count = max((len(Decimal(repr(one.value)).normalize().as_tuple().digits) for one in evidence.constants), default=0)
+    if count <= most:
+        return Check(name, "passed", f"constants have {count} digits, and values {most}", count, most)
+    reason = f"values of {most} digits are met to rounding by constants of {count}: terms may follow errors of rounding"
+    return Check(name, "failed", reason, count, most)
+
+
 def _undecided(evidence: Evidence) -> Check:
     """Check that no other equation may be the law of a table without noise."""
     name, limit = "other laws", math.exp(-SETTINGS.inference.exact_nats)
@@ -665,6 +683,14 @@ RULES: Final[Sequence[Rule]] = (
     Rule("precision", "residuals without noise", "1e-6, or rounding", _everywhere(), _precision, is_exactness=True),
     Rule("odds against chance", "nats over no equation", "5.3", _everywhere(), _chance, is_exactness=True),
     Rule("precision of constants", "standard error over estimate", "1e-3", _everywhere(), _loosest, is_exactness=True),
+    Rule(
+        "digits of constants",
+        "digits beside those of the values",
+        "as many",
+        _target_alone(),
+        _digits,
+        is_exactness=True,
+    ),
     Rule("other laws", "odds of other equations", "1/200", _simulation_alone(), _undecided, is_exactness=True),
 )
 """All checks, those first that weigh most in a sentence."""

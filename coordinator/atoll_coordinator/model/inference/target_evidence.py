@@ -5,10 +5,12 @@ Letters: R rows, K constants.
 
 import math
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.data.differentiation.quantisation import find_quantisation
 from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, structure_price
 from atoll_coordinator.model.inference.residual_covariance import projected_away
@@ -126,7 +128,17 @@ def _with_rows(
         predicted_r2=1.0 - float(predicted @ predicted) / total,
         distinct_rows=distinct,
         null_nats=_null_nats(regression, values * roots, total, distinct, price),
+        digits=_digits(problem.target.values),
     )
+
+
+def _digits(values: FloatArray) -> int | None:
+    """Return how many digits the values (R,) have that were rounded in decimals, None where they were not."""
+    rounded = values[np.isfinite(values) & (values != 0.0)]
+    quantisation = find_quantisation([values])
+    if quantisation is None or quantisation.kind not in ("decimals", "digits") or not len(rounded):
+        return None
+    return max(len(Decimal(repr(value)).normalize().as_tuple().digits) for value in rounded.tolist())
 
 
 def _linearised(

@@ -1,5 +1,7 @@
 """What the rows of a target say: an equation that is as near, and predicts something else, is a doubt."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,3 +42,21 @@ def test_what_is_as_near_and_predicts_something_else_is():
     verdict = judged(("9.0*sin(a)", 0.5))
     assert verdict.grade == "doubtful"
     assert verdict.reason == "Another equation describes the data about as well (0.5 nats apart)."
+
+
+def test_a_wave_in_the_last_digit_does_not_make_an_equation_exact():
+    """2.4 x + 4.2 rounded to hundredths errs by a function of the last digit of x, which has a period of 0.05."""
+    x = np.round(np.random.default_rng(3).uniform(1.0, 6.0, 26), 2)
+    values = np.round(4.2 + 2.4 * x, 2)
+    table = Problem(("x",), x[None], Target("y", "y", values, 0.0, float(values.std())))
+
+    def judged_as_exact(number, error):
+        constant = Constant(number, number, 1e-14, (number, number))
+        shown = Refined(0, from_infix(f"{number}*x + 4.2", ("x",)), error, error**2, (constant,))
+        evidence = target_evidence(shown, table, None)
+        return judge(replace(evidence, error=error, residuals=[np.full(26, 1e-15)], predicted_r2=1.0, noise=0.0))
+
+    assert judged_as_exact(2.4, 1e-14).grade == "exact"
+    wave = judged_as_exact(2.400000078645654, 1e-14)
+    assert wave.grade == "good"
+    assert "may follow errors of rounding" in wave.reason
