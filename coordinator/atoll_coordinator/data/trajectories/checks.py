@@ -127,7 +127,8 @@ def _count_turns(steps: FloatArray, usual: float, turn: float) -> int:
     for index in np.flatnonzero(steps > max(0.5 * turn, _JUMP * usual)).tolist():
         near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
         around = max((size for size in near if size < 0.5 * turn), default=0.0)
-        count += abs(float(steps[index]) - turn) <= _JUMP * around + SETTINGS.common.negligible * turn
+        beside = min(_JUMP * around, usual)  # what is left without the turn is no larger than other steps
+        count += abs(float(steps[index]) - turn) <= beside + SETTINGS.common.negligible * turn
     return count
 
 

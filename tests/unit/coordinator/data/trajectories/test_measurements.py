@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from atoll_coordinator.data.trajectories.checks import check_no_turns
 from atoll_core.config import Angle, DataConfig
 from atoll_core.errors import DataError
 from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
@@ -216,3 +217,10 @@ def test_an_input_may_be_nothing_but_zeros():
     columns = oscillator()
     measurements = measurements_of(table_of(columns | {"y": 0.0 * columns["y"]}), DataConfig(inputs=("y",)))
     assert measurements.roles.inputs == ("y",)
+
+
+def test_a_fall_in_few_rows_is_no_turn():
+    """4.5 to 0.5 is less than a turn by far more than the other steps are long."""
+    check_no_turns("x", [np.array([5.4, 4.5, 0.5, 0.7, 1.8])])
+    with pytest.raises(DataError, match="wrapped angle"):
+        check_no_turns("x", [np.array([5.0, 5.6, 6.1, 0.4, 0.9, 1.4])])
