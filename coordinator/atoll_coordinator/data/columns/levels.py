@@ -84,7 +84,7 @@ def _has_period(parts: Parts, period: int) -> bool:
         both = np.isfinite(later) & np.isfinite(earlier)
         if not np.array_equal(later[both], earlier[both]):
             return False
-        repeated += int(both.sum())
+        repeated += int(np.count_nonzero(both))
     return repeated >= period
 
 

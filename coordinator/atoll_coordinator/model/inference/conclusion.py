@@ -613,7 +613,7 @@ def refined_equation(
         estimate = max(estimate, rough)
         noise = max(noise, estimate)
     covariance = _residual_covariance(final, index)
-    parameters = _fitted_to(final, index, covariance)
+    parameters = _fitted_to(final, index, None if is_interpolated else covariance)
     evidence = Evidence(
         kind="groups" if final.by_group else "trajectories",
         error=error / problem.target.standard_deviation,
@@ -759,7 +759,8 @@ def _fitted_to(final: Final, index: int, covariance: FloatArray | None) -> float
     """Return how many numbers were fitted to the measurements of one state.
 
     Of few rows that is what the projection on all that can be fitted takes from its residuals, by their `covariance`:
-    what another state does not need follows this one. Of many rows the numbers are shared evenly.
+    what another state does not need follows this one. Of many rows, and where there is no noise, the numbers are shared
+    evenly.
     """
     measurements = final.seen.estimator.measurements
     if covariance is not None:

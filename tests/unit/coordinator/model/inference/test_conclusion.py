@@ -91,7 +91,7 @@ def test_an_exact_line_of_five_rows_is_not_exact():
 def test_rows_at_rest_are_no_rows_to_test_an_equation_by():
     """x decays to 0.1 within three rows and stays: three values, whatever y does meanwhile."""
     falling = Known(("x", "y"), lambda _, z: [-3.0 * (z[0] - 0.1), -0.2 * z[1]])
-    config = JobConfig(space=SpaceConfig(operators=("+", "-", "*"), variables_of={"x": ("x",)}))
+    config = JobConfig(space=SpaceConfig(operators=("-", "*"), variables_of={"x": ("x",), "y": ("y",)}))
     made = table(falling, ([4.7, 2.5],), np.arange(10.0))
     rounded = replace(made, columns=np.where(np.arange(3)[:, None] == 1, np.round(made.columns, 1), made.columns))
     preparation = prepare(rounded, config)
