@@ -819,6 +819,7 @@ def _null_nats(final: Final, index: int, parameters: float) -> float:
     innovations = squares
     if sensor is not None and sensor.shares[index] > 0.0:
         innovations = float(final.seen.estimator.squared_innovations(fit.residuals, sensor)[index])
+        constants += 1.0  # the correlation was fitted as well, and a walk has none
     of_walk = log_bayes_factor(effective - drift - (len(series) - 1), max(constants - drift, 0.0), innovations / steps)
     return min(of_constant, of_walk) - (0.0 if is_given else structure_price(program, len(final.task.dataset.names)))
 
