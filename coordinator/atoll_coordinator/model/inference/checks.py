@@ -301,7 +301,10 @@ def _residual_size(evidence: Evidence) -> Check:
         return Check(name, "failed", reason, statistics.ratio, SETTINGS.inference.excess, power)
     reason = f"{size} agree with the noise ({percent(evidence.relative_noise)})"
     if evidence.is_noise_residual:
-        reason, power = f"{size} are rough as noise is, which such few rows hide", evidence.largest_departure
+        reason, power = (
+            f"{size} are as rough as noise, which so few rows do not show otherwise",
+            evidence.largest_departure,
+        )
     if _are_of_integration(evidence):
         reason = f"{size} are those of the integration, though the noise seems to be {percent(evidence.relative_noise)}"
     if not evidence.is_noise_residual and statistics.ratio > SETTINGS.inference.excess:
@@ -401,7 +404,7 @@ def _long_run(evidence: Evidence) -> Check:
     if chaos is None and not evidence.residuals:
         return _unsimulated(evidence, name)
     if chaos is None:
-        return _nothing(name, "no chaos was found, or whole trajectories tell")
+        return _nothing(name, "whole trajectories are tested, or no chaos was found")
     limit, value = SETTINGS.inference.improbable, chaos.probability
     if chaos.is_kept:
         return Check(
@@ -613,8 +616,8 @@ def _digits(evidence: Evidence) -> Check:
         return _nothing(name, "the values are not rounded")
     count = max((len(Decimal(repr(one.value)).normalize().as_tuple().digits) for one in evidence.constants), default=0)
     if count <= most:
-        return Check(name, "passed", f"constants have {count} digits, and values {most}", count, most)
-    reason = f"values of {most} digits are met to rounding by constants of {count}: terms may follow errors of rounding"
+        return Check(name, "passed", f"constants have {count} digits at most, and the values {most}", count, most)
+    reason = f"the values have {most} digits and a constant has {count}: its term may follow errors of rounding"
     return Check(name, "failed", reason, count, most)
 
 

@@ -532,3 +532,12 @@ def test_the_nearest_state_is_near_in_all_that_is_measured():
     region = elsewhere(fine, [[1.0, 0.0]], TIMES)
     start = region._measurements.smoothed[:, 18] + region._width * [0.01, 0.04]
     assert region._rows_measured_from(start) == pytest.approx(COUNT * 21 / 39, abs=1)
+
+
+def test_beside_smoothed_states_other_initial_states_are_near_those_of_trajectories():
+    """A tenth of the way to others: farther away the smoothed state would not be as it was measured."""
+    rows = replace(measurements(DRIVEN, ([1.0], [3.0]), TIMES), has_smoothed_inputs=True)
+    near, far = _Elsewhere(rows, 1e-6, is_near=False).starts, spread_of(replace(rows, has_smoothed_inputs=False))
+    begun = np.array([[1.0], [3.0]] * (len(near) // 2))
+    assert np.abs(near - begun) == pytest.approx(0.1 * np.abs(far - begun), abs=1e-6)
+    assert len(np.unique(near, axis=0)) > 2

@@ -379,3 +379,13 @@ def test_the_best_of_several_orders_of_rows_is_a_pattern_less_often() -> None:
     alone = patterned.statistics.patterned
     assert replace(patterned, orders=5).statistics.patterned == pytest.approx(5.0 * alone)
     assert replace(patterned, orders=10**9).statistics.patterned == 1.0
+
+
+def test_noise_that_is_known_from_the_residuals_alone_is_said_to_be() -> None:
+    """Few rows hide it: what is rough in the residuals stands for it, and a departure that matters is none of these."""
+    rough = replace(NOISY, residuals=noise(0.1), noise=0.1, is_noise_residual=True)
+    check = next(check for check in judge(rough).checks if check.name == "residual size")
+    assert (check.outcome, check.power) == ("passed", rough.largest_departure)
+    assert "as rough as noise" in check.reason
+    large = replace(rough, residuals=noise(1.0), noise=1.0)
+    assert outcomes(large)["residual size"] == "not made"  # a quarter of the variance is no small departure

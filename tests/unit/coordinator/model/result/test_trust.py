@@ -147,3 +147,15 @@ def test_a_search_that_was_stopped_leaves_no_good_equation(why: str, said: str) 
     assert verdict.checks[-1].outcome == "not made"
     exact = verdict_on(replace(judged, grade="exact"), why=why, has_trajectories=True)
     assert exact.grade == "exact"
+
+
+@pytest.mark.parametrize(("state", "why"), [("done", "max-time"), ("cancelled", "cancelled"), ("cancelled", "target")])
+def test_the_check_of_time_does_not_pass_where_an_equation_that_nobody_refined_was_stopped(
+    state: str, why: str
+) -> None:
+    """Neither a target nor an equation that was to be simulated."""
+    shown = Refined(0, from_infix("x", ("x",)), 1e-12, 1e-24)
+    for has_trajectories in (False, True):
+        verdict = verdict_on(shown, state, why, has_trajectories=has_trajectories)
+        assert verdict.grade == "doubtful"
+        assert next(check.outcome for check in verdict.checks if check.name == "time") == "not made"
