@@ -78,6 +78,11 @@ def constant_places(program: Program) -> list[int]:
     return np.flatnonzero(program.operators == np.int8(CONSTANT)).tolist()
 
 
+def variables_of(program: Program) -> set[int]:
+    """Return the variables of `program`, as indices of the inputs."""
+    return set(program.left[program.operators == np.int8(VARIABLE)].tolist())
+
+
 def with_constants(program: Program, values: Mapping[int, float]) -> Program:
     """Return `program` with other values at the constants of these indices, otherwise as it is."""
     constants = program.constants.copy()

@@ -8,8 +8,7 @@ import numpy as np
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.bounds import EquationBounds, equation_bounds
-from atoll_core.expression.operators import VARIABLE
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Program, constant_places, variables_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ class Restrictions:
 
     def has_required(self, program: Program) -> bool:
         """Tell whether all variables that an equation must have are in `program`."""
-        return self.required <= set(program.left[program.operators == VARIABLE].tolist())
+        return self.required <= variables_of(program)
 
 
 NONE = Restrictions()

@@ -62,8 +62,7 @@ from atoll_coordinator.model.shooting.variance import estimate_variances
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
-from atoll_core.expression.operators import VARIABLE
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.program import Program, constant_places, structure, variables_of
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.unit_coefficients import (
     ExplicitCoefficients,
@@ -647,7 +646,7 @@ def refined_equation(
         rivals=rivals if task.is_nearly_clean else 0.0,
         rivals_agree=not is_told,
         passes_pole=_passes_pole(final, program),
-        distinct_rows=_distinct_rows(measurements, index, _variables_of(program, task.dataset.names)),
+        distinct_rows=_distinct_rows(measurements, index, {task.dataset.names[one] for one in variables_of(program)}),
         stopped="the choice of the equations" if task.has_been_stopped else "",
     )
     verdict = judge(evidence)
@@ -664,11 +663,6 @@ def _disputed_state(ranking: Ranking, index: int) -> dict[str, float]:
     """Return the state beside the measured ones where an equation and its alternatives differ most."""
     comparison, others = ranking.selection.comparison, [one.model for one in ranking.alternatives[index]]
     return comparison.disputed_state(ranking.selection.model, others, index)
-
-
-def _variables_of(program: Program, names: Sequence[str]) -> set[str]:
-    """Return the names of the variables that a program has."""
-    return {names[int(program.left[node])] for node in np.flatnonzero(program.operators == VARIABLE)}
 
 
 def _distinct_rows(measurements: Measurements, index: int, used: Collection[str]) -> int:
@@ -807,7 +801,7 @@ def _null_nats(final: Final, index: int, parameters: float) -> float:
     if not (deviations > 0.0 and steps > 0.0):
         return math.inf
     drift = 0
-    if not _variables_of(program, final.task.dataset.names):  # a constant rate is the drift of a random walk
+    if not variables_of(program):  # a constant rate is the drift of a random walk
         drift, least = 1, deviations * EXACT_ERROR**2
         squares, steps = max(squares, least), max(squared_steps(series, times), 2.0 * least)
     lengths = final.free.fit.errors.lengths

@@ -21,8 +21,7 @@ from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray, IntArray, Problem
 from atoll_core.expression.evaluation import values_and_gradient, values_of
-from atoll_core.expression.operators import VARIABLE
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Program, constant_places, variables_of
 
 _MOST_ROWS: Final = 250
 """Rows up to which the covariance of residuals is made; of more the distribution of correlations is about normal."""
@@ -107,7 +106,7 @@ def _with_rows(
     total = _squares_about_mean(values, roots)
     if regression is None or not total > 0.0:
         return evidence
-    used = sorted({int(program.left[node]) for node in np.flatnonzero(program.operators == VARIABLE)})
+    used = sorted(variables_of(program))
     distinct = _distinct_rows(inputs[used]) if used else _distinct_rows(inputs)
     square = float(regression.errors @ regression.errors)
     predicted = regression.errors / np.maximum(1.0 - (regression.basis**2).sum(axis=1), EXACT_ERROR)
