@@ -13,6 +13,7 @@ from benchmarks.corpus.cases import LEAST_T
 from benchmarks.first_hour.cases import FEWEST_ROWS
 from benchmarks.first_hour.tables import Columns
 from benchmarks.harness.solving import DivergedError
+from benchmarks.verdicts.identification import Measurements, leads
 from benchmarks.verdicts.simulation import Run, Texts, least_t, prediction_r2, simulate, with_numbers
 
 Laws = Mapping[str, str | None]
@@ -36,8 +37,8 @@ class Drawn:
     """One table. `columns` are what the file has, in its order; `texts` are columns of words, written before these.
 
     `laws` has the laws by group, "" where there are no groups, over the names of `clean`: the columns (R,) without
-    errors, with velocities where these are sought. `identify` computes `t`, `predict` is None where nothing can be
-    predicted.
+    errors, with velocities where these are sought. `identify` computes `t`, `decide` the leads, `predict` is None where
+    nothing can be predicted.
     """
 
     kind: str
@@ -48,11 +49,17 @@ class Drawn:
     identify: Callable[[], Mapping[str, float]] = dict
     predict: Predict | None = None
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    decide: Callable[[], Mapping[str, float]] | None = None
 
     @cached_property
     def t(self) -> Mapping[str, float]:
         """Estimate over standard error of the least known constant of each equation, by variable."""
         return self.identify()
+
+    @cached_property
+    def leads(self) -> Mapping[str, float] | None:
+        """Nats by which each law describes the rows better than other textbook forms, None where that is not sought."""
+        return None if self.decide is None else self.decide()
 
     @property
     def rows(self) -> int:
@@ -65,7 +72,7 @@ class Drawn:
         return 0 if "--target" in self.words else len(set(self.texts["run"])) if "run" in self.texts else 1
 
     def is_identified(self, variable: str) -> bool:
-        """Whether the data tell the law from others: enough rows, and no constant that may be zero."""
+        """Whether the data tell the law from shorter ones: enough rows, and no constant that may be zero."""
         return self.rows >= FEWEST_ROWS and self.t.get(variable, 0.0) >= LEAST_T
 
     def csv(self) -> str:
@@ -156,6 +163,17 @@ class Measured:
         """Return by variable how well the least known constant can be known with errors of the states in the file."""
         least = least_t(self.texts, self.runs, dict(zip(self.states, errors.tolist(), strict=True)), self.own)
         return self._by_variable(least)
+
+    def leads(self, columns: Columns, errors: FloatArray) -> dict[str, float]:
+        """Return by variable how many nats better its law describes the only run's columns than other textbook forms.
+
+        A law without rivals leads by infinitely many.
+        """
+        (run,), (clean,) = self.runs, self.solutions()
+        values = {state: columns[state] for state in self.states}
+        measured = Measurements(values, dict(zip(self.states, errors.tolist(), strict=True)))
+        found = leads(self.texts, run, clean, measured)
+        return self._by_variable({state: found.get(state, math.inf) for state in self.texts})
 
     def predict(self, models: Mapping[str, Mapping[str, str | None]]) -> Predictions:
         """Return R² by variable along the fresh runs, and along the same ones lasting twice as long."""

@@ -62,6 +62,7 @@ def _measured(kind: str, law: Law, rows: int, level: float, digits: int, rng: np
         whole.clean([states]),
         lambda: whole.t(errors),
         whole.predict,
+        decide=lambda: whole.leads(columns, errors),
     )
 
 

@@ -18,6 +18,7 @@ from benchmarks.judging.forms import judge_form
 from benchmarks.judging.generalisation import is_foretold
 from benchmarks.judging.rules import Kind
 from benchmarks.verdicts.drawn import Drawn, Predictions
+from benchmarks.verdicts.identification import DECIDED
 
 End = Literal["done", "refused", "broke", "late"]
 
@@ -43,8 +44,9 @@ class EquationOutcome:
     """One equation: the law (None: there is none), what was shown, its form, R² from other states, and its verdict.
 
     `r2` is -inf where the model cannot be simulated, None where there is nothing to judge by; `beyond` is R² beyond
-    what was measured. `is_identified`: the data tell the law from others. `covered` of the `intervals` (95 %) of the
-    constants of a right equation hold the truth.
+    what was measured. `is_identified`: the data tell the law from shorter ones; `lead`: by how many nats a right one
+    describes them better than other textbook forms, None where that is not known. `covered` of the `intervals` (95 %)
+    of the constants of a right equation hold the truth.
     """
 
     variable: str
@@ -59,6 +61,12 @@ class EquationOutcome:
     beyond: float | None = None
     covered: int = 0
     intervals: int = 0
+    lead: float | None = None
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether it is identified, and the data tell its law from other textbook forms as far as that is known."""
+        return self.is_identified and (self.lead is None or self.lead >= DECIDED)
 
     @property
     def is_right(self) -> bool:
@@ -169,12 +177,15 @@ def _equation(
     t = drawn.t.get(variable)
     form: Kind = next((form for form in forms if form != "right"), "right")
     intervals = [one for group, law in laws.items() for one in _intervals(drawn, _of_group(equation, group), form, law)]
+    is_identified = None not in laws.values() and drawn.is_identified(variable)
+    leads = drawn.leads if is_identified and form == "right" else None  # it takes seconds, and nothing else asks for it
     return EquationOutcome(
         variable, next(iter(laws.values())), equation.get("expression"),
         form, _known(near),
         equation.get("verdict") or NO_MODEL, equation.get("reason"),
-        None not in laws.values() and drawn.is_identified(variable), t,
+        is_identified, t,
         _known(far), sum(one.is_covered for one in intervals), len(intervals),
+        None if leads is None else leads.get(variable),
     )  # fmt: skip
 
 

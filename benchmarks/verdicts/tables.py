@@ -20,11 +20,12 @@ LONGEST: Final = 110
 
 HEADS: Final = (
     "tables", "broke, late", "refused", "equations", "exact", "false", "good", "false", "other form", "wrong beyond",
-    "saturated", "doubtful, none", "identified", "of these right", "right, doubted", "intervals hold",
-    "cut", "s: median, most",
+    "saturated", "doubtful, none", "identified", "of these right", "right, doubted",
+    "decided, right", "of these doubted", "intervals hold", "cut", "s: median, most",
 )  # fmt: skip
 """Of "exact" and "good" equations together: ``other form`` than the law's; of these ``wrong beyond`` what was measured,
 although they predict from other initial states; ``saturated``: of models with as many numbers as the table has values.
+``identified``: a shorter law would not do; ``decided``: nor would another textbook form, where these were compared.
 Of the constants of right equations: in how many 95 % intervals the true value lies.
 """
 
@@ -67,6 +68,7 @@ def _row(title: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     exact, good = ([one for one in equations if one.grade == grade] for grade in CONFIDENT)
     identified = [one for one in equations if one.is_identified]
     right = [one for one in identified if one.is_right]
+    decided = [one for one in right if one.is_decided]
     seconds = [outcome.seconds for outcome in outcomes]
     return (
         title,
@@ -85,6 +87,8 @@ def _row(title: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         str(len(identified)),
         str(len(right)),
         str(sum(one.grade not in CONFIDENT for one in right)),
+        str(len(decided)),
+        str(sum(one.grade not in CONFIDENT for one in decided)),
         f"{sum(one.covered for one in equations)}/{sum(one.intervals for one in equations)}",
         str(sum(outcome.is_cut for outcome in outcomes)),
         f"{np.median(seconds):.1f}, {max(seconds):.0f}",
@@ -105,7 +109,8 @@ def cases(outcomes: Sequence[Outcome]) -> list[str]:
         if equation.is_false:
             lines.append(f"FALSE {equation.grade}: {where}: {equation.variable} = {text}, not {equation.law}; R2 {r2}")
         elif equation.is_identified and equation.is_right and equation.grade not in CONFIDENT:
-            lines.append(f"DOUBTED: {where}: {equation.variable} = {text}; {equation.reason}")
+            lead = "" if equation.lead is None else f" (leads by {equation.lead:.2g})"
+            lines.append(f"DOUBTED: {where}: {equation.variable} = {text}{lead}; {equation.reason}")
     lines += [f"{outcome.end.upper()}: {outcome.key.title} ({outcome.kind}): {outcome.sentence}" for outcome in outcomes
               if outcome.end != "done"]  # fmt: skip
     return sorted(lines)

@@ -112,7 +112,7 @@ def test_a_summary_counts_false_verdicts_and_right_laws_that_are_doubted() -> No
     doubted, false = shown(DECAY, "doubtful", x="-0.24*x"), shown(DECAY, "good", x="-0.1*x - 3.0")
     outcomes = [outcome(doubted), outcome(false, Key("few-rows", 18), limit=30.0, is_cut=True, numbers=9, values=9)]
     counts = " ".join(summary(outcomes).splitlines()[-1].split())
-    assert counts == "few-rows 2 0 0 2 0 0 1 1 1 0 1 1 2 1 1 0/0 1 2.0, 2"
+    assert counts == "few-rows 2 0 0 2 0 0 1 1 1 0 1 1 2 1 1 1 1 0/0 1 2.0, 2"
     assert "decay" in by_kind(outcomes)
     said = "\n".join(cases(outcomes))
     assert "FALSE good: few-rows 18" in said

@@ -1,5 +1,6 @@
 """Drawn tables: equal seeds give equal tables, which the command line reads, and whose laws are right."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,7 @@ def test_a_seed_gives_one_table_that_the_command_line_reads(key: Key, tmp_path: 
 
 @pytest.mark.parametrize("key", [key for key in TABLES if key not in LAWLESS_OR_LONG], ids=lambda key: key.title)
 def test_the_laws_are_right_and_foretell(key: Key) -> None:
-    drawn = table_of(key)
+    drawn = replace(table_of(key), decide=None)  # which takes seconds
     result = result_of(drawn)
     if key.campaign == "limits":
         result["equations"] += [{"variable": "z", "expression": drawn.laws[""]["x"], "verdict": "good"}]

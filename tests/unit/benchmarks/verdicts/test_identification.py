@@ -1,0 +1,51 @@
+"""Which laws a short table tells from other textbook forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from atoll_core.data.dataset import FloatArray
+from benchmarks.verdicts.few_rows import draw
+from benchmarks.verdicts.identification import DECIDED, RIVALS, Measurements, leads
+from benchmarks.verdicts.laws import LAWS
+from benchmarks.verdicts.simulation import Run, simulate, with_numbers
+
+DECAY = {"x": "-k1*x"}
+
+
+def lead_of(noise: float, duration: float, rows: int = 10) -> float:
+    """Return the lead of a decay over the other forms, its noise given as a share of the initial value."""
+    run = Run({"k1": 0.7}, (20.0,), np.linspace(0.0, duration, rows))
+    clean: FloatArray = simulate(with_numbers(DECAY, run.constants), run)
+    values = clean[:, 0] + 20.0 * noise * np.random.default_rng(3).standard_normal(rows)
+    return leads(DECAY, run, clean, Measurements({"x": values}, {"x": 20.0 * noise}))["x"]
+
+
+def test_a_decay_is_told_where_it_was_followed_and_noise_is_small() -> None:
+    assert lead_of(0.005, 4.0) > 10.0 * DECIDED
+
+
+def test_a_decay_is_not_told_from_a_few_noisy_rows_of_its_beginning() -> None:
+    assert lead_of(0.05, 0.4, 5) < DECIDED
+
+
+def test_a_misfit_is_in_deviations_of_the_errors() -> None:
+    run = Run({"k1": 0.5}, (2.0,), np.array([0.0, 1.0]))
+    left = Measurements({"x": np.array([2.0, 1.0])}, {"x": 0.1}).misfit(DECAY, run)
+    assert left == pytest.approx([0.0, 10.0 * (2.0 * math.exp(-0.5) - 1.0)], abs=1e-4)
+
+
+def test_every_law_of_a_rate_has_rivals_with_as_many_constants() -> None:
+    laws = {text.replace("x_dot", "v") for law in LAWS.values() for text in law.equations.values() if "k" in text}
+    assert laws == set(RIVALS)
+
+
+def test_drawn_tables_say_how_far_each_law_leads() -> None:
+    decay, spring = draw(0), draw(5)
+    assert decay.leads is not None
+    assert set(decay.leads) == {"x"}
+    assert spring.leads is not None
+    assert math.isfinite(spring.leads["x"])
+    control = next(one for one in map(draw, range(9)) if "no law" in one.kind)
+    assert control.leads is None
