@@ -102,7 +102,8 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     """Raise DataError when a state jumps by a full turn, as a wrapped angle does.
 
     A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out. Noise is
-    none: it makes steps of all sizes up to the largest, whereas a jump stands out from all others.
+    none: it makes steps of all sizes up to the largest, whereas a jump stands out from all others. Of few rows that lie
+    far apart a fall may be about a turn by chance: with the probability of the share of a turn by which it may miss it.
     """
     parts = [part[np.isfinite(part)] for part in parts]
     values = np.concatenate(parts)
@@ -110,26 +111,34 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     for turn, called, suffix in _TURNS:
         if not 0.5 * turn < width <= (1.0 + SETTINGS.common.negligible) * turn:
             continue
-        steps = [np.abs(np.diff(part)) for part in parts]
-        usual = max(float(np.max(sizes[sizes < 0.5 * turn], initial=0.0)) for sizes in steps)
-        jumps = sum(_count_turns(sizes, usual, turn) for sizes in steps)
-        if jumps:
-            count = f"{jumps} time{'s' if jumps > 1 else ''}"
+        steps = [np.diff(part) for part in parts]
+        usual = max(float(np.max(np.abs(each)[np.abs(each) < 0.5 * turn], initial=0.0)) for each in steps)
+        margins = [margin for each in steps for margin in _margins_of_turns(each, usual, turn)]
+        by_chance = math.prod(min(2.0 * margin / turn, 1.0) for margin in margins)
+        if margins and by_chance <= SETTINGS.checks.by_chance:
+            count = f"{len(margins)} time{'s' if len(margins) > 1 else ''}"
             raise DataError(
                 f"state '{name}' jumps by about {called} {count}, as a wrapped angle does; "
                 f"add --angle {name}{suffix} so that it is unwrapped"
             )
 
 
-def _count_turns(steps: FloatArray, usual: float, turn: float) -> int:
-    """Count sizes of steps that stand out from `usual` ones and differ from `turn` by little more than those beside."""
-    count = 0
-    for index in np.flatnonzero(steps > max(0.5 * turn, _JUMP * usual)).tolist():
+def _margins_of_turns(steps: FloatArray, usual: float, turn: float) -> list[float]:
+    """Return for each step that is about a `turn` how far it is from going on as before once that is taken out.
+
+    Its size stands out from `usual` ones, and differs from the turn by little more than those beside it.
+    """
+    margins = []
+    for index in np.flatnonzero(np.abs(steps) > max(0.5 * turn, _JUMP * usual)).tolist():
+        step = float(steps[index])
         near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
-        around = max((size for size in near if size < 0.5 * turn), default=0.0)
+        near = [other for other in near if abs(other) < 0.5 * turn]
+        around = max(map(abs, near), default=0.0)
         beside = min(_JUMP * around, usual)  # what is left without the turn is no larger than other steps
-        count += abs(float(steps[index]) - turn) <= beside + SETTINGS.common.negligible * turn
-    return count
+        if abs(abs(step) - turn) <= beside + SETTINGS.common.negligible * turn:
+            left = step - math.copysign(turn, step)
+            margins.append(max((abs(left - other) for other in near), default=usual))
+    return margins
 
 
 def _check_count(table: Table, count: int) -> None:

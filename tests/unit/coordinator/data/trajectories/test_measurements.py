@@ -224,3 +224,8 @@ def test_a_fall_in_few_rows_is_no_turn():
     check_no_turns("x", [np.array([5.4, 4.5, 0.5, 0.7, 1.8])])
     with pytest.raises(DataError, match="wrapped angle"):
         check_no_turns("x", [np.array([5.0, 5.6, 6.1, 0.4, 0.9, 1.4])])
+
+
+def test_prey_that_are_eaten_between_two_rows_do_not_turn():
+    """5.6 to 0.2 is about a turn, but nothing goes on as before once it is taken out."""
+    check_no_turns("x", [np.array([4.2, 5.6, 0.2, 0.0, 0.1, 0.0, 0.0, -0.1, -0.1, -0.1])])
