@@ -14,5 +14,5 @@ VERSION = "0.1.0"
 PROTOCOL_VERSION = 12
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION = 11
+ENGINE_REVISION = 12
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""

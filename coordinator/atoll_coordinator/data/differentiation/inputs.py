@@ -131,11 +131,31 @@ def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArra
     if kind != "smooth" or not samples:
         return 0.0
     errors = [error for sample in samples for error in _left_out_errors(kind, *sample)]
-    numbers = [value for _, part in samples for value in part.tolist()]
-    mean = math.fsum(numbers) / len(numbers)
-    spread = math.fsum((value - mean) ** 2 for value in numbers) / len(numbers)
+    spread = _variance([value for _, part in samples for value in part.tolist()])
     square = math.fsum(error * error for error in errors) / len(errors)
     return math.sqrt(square / spread) / 16.0 if spread > 0.0 else 0.0
+
+
+def unknown_share(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind) -> float:
+    """Return the share of the variance of an input that its rows do not tell in the middle between them.
+
+    Of a smooth curve that is the square of its relative error. Others are taken to go like a random walk, a Brownian
+    bridge between two rows: at rows that are left out, one in two, its variance is twice the one in the middle between
+    rows. A held input is known everywhere.
+    """
+    samples = [pair for pair in zip(times, _scaled(values)[0], strict=True) if len(pair[0]) > _LEAST_SMOOTH]
+    if kind == "held" or not samples:
+        return 0.0
+    if kind == "smooth":
+        return relative_curve_error(times, values, kind) ** 2
+    errors = [error for sample in samples for error in _left_out_errors(kind, *sample)]
+    spread = _variance([value for _, part in samples for value in part.tolist()])
+    return 0.5 * math.fsum(error * error for error in errors) / len(errors) / spread if spread > 0.0 else 0.0
+
+
+def _variance(numbers: Sequence[float]) -> float:
+    mean = math.fsum(numbers) / len(numbers)
+    return math.fsum((value - mean) ** 2 for value in numbers) / len(numbers)
 
 
 def _scaled(values: Sequence[FloatArray]) -> tuple[list[FloatArray], int]:

@@ -67,6 +67,8 @@ class Evidence:
     finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known;
     `is_known` tells that the equation was given; `solver` names the one that computed the table, whose errors are not
     in the residuals; `is_unsimulated` tells that there are trajectories, along which it was not simulated.
+    `unknown_input` names the input of the model of whose variance the rows leave most unknown between them, the share
+    `unknown_share`; "" without inputs.
     `digits` is how many digits a target's values have that were rounded, None where they were not.
     `stopped` says what a limit of time has stopped, nothing where nothing was.
     """
@@ -109,6 +111,8 @@ class Evidence:
     orders: int = 1
     solver: str | None = None
     convergence_threshold: float = EXACT_ERROR
+    unknown_input: str = ""
+    unknown_share: float = 0.0
     digits: int | None = None
     stopped: str = ""
 
@@ -515,6 +519,20 @@ def _distinct(evidence: Evidence) -> Check:
     return Check("distinct rows", "failed", reason, count, least)
 
 
+def _inputs(evidence: Evidence) -> Check:
+    name, share, most = "inputs between rows", evidence.unknown_share, SETTINGS.inference.part
+    if not evidence.unknown_input:
+        return _nothing(name, "the equations have no input")
+    if share <= most:
+        reason = f"the rows leave {percent(share)} of the variance of '{evidence.unknown_input}' unknown between them"
+        return Check(name, "passed", reason, share, most)
+    reason = (
+        f"how '{evidence.unknown_input}' goes between its rows is not known ({percent(share)} of its variance): add "
+        f"--hold {evidence.unknown_input} if it is constant from row to row, or sample it faster"
+    )
+    return Check(name, "not made", reason, share, most)
+
+
 def _poles(evidence: Evidence) -> Check:
     if not evidence.residuals:
         return _unsimulated(evidence, "poles")
@@ -669,6 +687,7 @@ RULES: Final[Sequence[Rule]] = (
     Rule("time", "what a limit of time has stopped", "nothing", _everywhere(), _time),
     Rule("degrees of freedom", "rows less the numbers fitted to them", "1", _everywhere(), _freedom),
     Rule("distinct rows", "rows that differ by more than rounding", "5", _everywhere(), _distinct),
+    Rule("inputs between rows", "variance of inputs between rows", "0.1", _simulation_alone(), _inputs),
     Rule("no equation", "nats over a constant and a random walk", "4.6", _everywhere(), _null),
     Rule("held-out trajectories", "R2 of trajectories left out", "0.9 less the noise", _simulation_alone(), _held_out),
     Rule("rows left out", "R2 of rows left out one at a time", "0.9", _target_alone(), _predicted_rows),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from atoll_coordinator.data.differentiation.inputs import unknown_share
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.recording import Smoothing
 from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
@@ -613,6 +614,7 @@ def refined_equation(
         noise = max(noise, estimate)
     covariance = _residual_covariance(final, index)
     parameters = _fitted_to(final, index, None if is_interpolated else covariance)
+    unknown_input, share = _unknown_input(final)
     evidence = Evidence(
         kind="groups" if final.by_group else "trajectories",
         error=error / problem.target.standard_deviation,
@@ -647,6 +649,8 @@ def refined_equation(
         rivals_agree=not is_told,
         passes_pole=_passes_pole(final, program),
         distinct_rows=_distinct_rows(measurements, index, {task.dataset.names[one] for one in variables_of(program)}),
+        unknown_input=unknown_input,
+        unknown_share=share,
         stopped="the choice of the equations" if task.has_been_stopped else "",
     )
     verdict = judge(evidence)
@@ -677,6 +681,22 @@ def _distinct_rows(measurements: Measurements, index: int, used: Collection[str]
         values = values[[place for place, name in enumerate(names) if place == index or name in used]]
     scales = np.maximum(np.nanstd(values, axis=1), 1e-300)[:, None]
     return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
+
+
+def _unknown_input(final: Final) -> tuple[str, float]:
+    """Return the input of the equations whose rows leave most of its variance unknown between them, and the share."""
+    recording, names = final.task.recording, final.task.dataset.names
+    used = {names[one] for program in final.shown for one in variables_of(program)}
+    times = [part.times for part in recording.trajectories]
+    shares = [
+        (unknown_share(times, [part.inputs[place] for part in recording.trajectories], kind), name)
+        for place, (name, symbol, kind) in enumerate(
+            zip(recording.inputs, recording.input_symbols, recording.input_kinds, strict=False)
+        )
+        if symbol in used
+    ]
+    share, name = max(shares, default=(0.0, ""))
+    return name, share
 
 
 def _passes_pole(final: Final, program: Program) -> bool:

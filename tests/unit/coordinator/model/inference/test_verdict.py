@@ -61,7 +61,13 @@ def test_of_checks_that_apply_all_have_a_reason_and_passed(evidence: Evidence) -
         assert check.reason
         assert check.outcome == "passed" or (check.outcome, check.name) in {
             ("not applicable", name)
-            for name in ("held-out trajectories", "long run", "alternative equations", "digits of constants")
+            for name in (
+                "held-out trajectories",
+                "long run",
+                "alternative equations",
+                "digits of constants",
+                "inputs between rows",
+            )
         }
     names = [check.name for check in make_checks(evidence)]
     assert names == [rule.name for rule in RULES if not rule.kinds[evidence.kind] and not rule.is_exactness]
@@ -164,6 +170,7 @@ def test_a_check_that_fails_makes_an_equation_doubtful(change: dict[str, object]
         ({"fits_whole": None}, "whole trajectories", "only pieces of 500 rows were simulated"),
         ({"prediction": replace(SURE, followed=9, unfinished=3)}, "other initial states", "takes more steps"),
         ({"chaos": Chaos(2.0, False, None, is_unfinished=True)}, "long run", "a long simulation takes more steps"),
+        ({"unknown_input": "u", "unknown_share": 0.3}, "inputs between rows", "(30 % of its variance): add --hold u"),
     ],
 )
 @pytest.mark.parametrize("evidence", [NOISY, CLEAN, replace(NOISY, kind="groups")], ids=["noisy", "clean", "groups"])
