@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -114,6 +115,16 @@ class Final:
     def shown(self) -> tuple[Program, ...]:
         """The equations as they are shown."""
         return self.equations.rounded.programs
+
+    @cached_property
+    def fitted(self) -> tuple[float, ...]:
+        """How many numbers were fitted to the measurements of each state, see `_fitted_to`."""
+        return tuple(_fitted_to(self, index) for index, _ in enumerate(self.task.variables))
+
+    @cached_property
+    def null_nats(self) -> tuple[float, ...]:
+        """By how many nats each equation describes its state better than no equation does, see `_null_nats`."""
+        return tuple(_null_nats(self, index, self.fitted[index]) for index, _ in enumerate(self.task.variables))
 
     @property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
@@ -603,7 +614,7 @@ def refined_equation(
     if sensor is not None and sensor.shares[index] > 0.0:
         noise, whitened = float(sensor.sigmas[index]), final.seen.estimator.whitened(final.seen_fit.residuals, sensor)
         innovations = _pieces_of(whitened, measurements, index)
-    is_interpolated = smoothing.method == "interpolation" and smoothing.quantisation is None
+    is_interpolated = _is_interpolated(smoothing)
     estimate, is_noise_residual = float(measurements.noise[index]), False
     if smoothing.method == "interpolation" and np.bincount(measurements.owners_of_rows).max() <= 2 * HALF_WIDTHS:
         # Of rows so few that none has all the neighbours that predict it, interpolation hides noise: it takes the least
@@ -613,8 +624,8 @@ def refined_equation(
         estimate = max(estimate, rough)
         noise = max(noise, estimate)
     covariance = _residual_covariance(final, index)
-    parameters = _fitted_to(final, index, None if is_interpolated else covariance)
     unknown_input, share = _unknown_input(final)
+    baseless = _baseless(final, index)
     evidence = Evidence(
         kind="groups" if final.by_group else "trajectories",
         error=error / problem.target.standard_deviation,
@@ -625,7 +636,7 @@ def refined_equation(
         innovations=innovations,
         covariance=covariance if innovations is None else None,
         solver=final.task.solver,
-        parameters=parameters,
+        parameters=final.fitted[index],
         noise=0.0 if is_interpolated else noise,
         noise_estimate=estimate,
         is_noise_residual=is_noise_residual,
@@ -636,10 +647,11 @@ def refined_equation(
         has_outliers=smoothing.outliers > 0,
         held_out_r2=held_out_r2,
         is_cross_validated=final.unseen is None,
-        null_nats=_null_nats(final, index, parameters),
+        null_nats=final.null_nats[index],
         constants=known.written,
         unit_coefficients=[coefficient.constant for coefficient in known.unit_coefficients],
-        prediction=prediction,
+        prediction=None if baseless else prediction,
+        unpredicted=f"they follow from '{baseless}', whose equation says no more of its rows than none",
         chaos=long_run.chaos,
         fits_whole=_fits(long_run, noise / _standard_deviation(measurements, index), index),
         piece=final.task.piece,
@@ -769,17 +781,47 @@ def _residual_covariance(final: Final, index: int) -> FloatArray | None:
     return residual_covariance(measurements, final.free.fit, index)
 
 
-def _fitted_to(final: Final, index: int, covariance: FloatArray | None) -> float:
+def _is_interpolated(smoothing: Smoothing) -> bool:
+    """Tell whether a state was taken to have no noise."""
+    return smoothing.method == "interpolation" and smoothing.quantisation is None
+
+
+def _fitted_to(final: Final, index: int) -> float:
     """Return how many numbers were fitted to the measurements of one state.
 
-    Of few rows that is what the projection on all that can be fitted takes from its residuals, by their `covariance`:
+    Of few rows that is what the projection on all that can be fitted takes from its residuals, by their covariance:
     what another state does not need follows this one. Of many rows, and where there is no noise, the numbers are shared
     evenly.
     """
-    measurements = final.seen.estimator.measurements
+    recording, measurements = final.task.recording, final.seen.estimator.measurements
+    smoothing = recording.smoothing[recording.states.index(final.task.variables[index])]
+    covariance = None if _is_interpolated(smoothing) else _residual_covariance(final, index)
     if covariance is not None:
         return len(covariance) - float(np.trace(covariance))
     return (final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed)
+
+
+def _baseless(final: Final, index: int) -> str:
+    """Return a state that the predictions of another one follow from, and whose equation is no better than none.
+
+    An equation that stands in for none makes up its simulation, and what follows from it, along what was measured
+    alone. "" where there is no such state; equations that were given need no evidence.
+    """
+    task, recording = final.task, final.task.recording
+    owners = {symbol: column for column, symbol in zip(recording.states, recording.state_symbols, strict=True)}
+    owners |= dict(zip(recording.velocity_symbols, recording.states, strict=False))
+    needed, waiting = {task.variables[index]}, [index]
+    while waiting:
+        symbols = (task.dataset.names[one] for one in variables_of(final.shown[waiting.pop()]))
+        new = {owners[symbol] for symbol in symbols if symbol in owners} - needed
+        needed |= new
+        waiting += [task.variables.index(name) for name in new if name in task.variables]
+    others = (place for place, name in enumerate(task.variables) if name in needed and place != index)
+    least = SETTINGS.inference.chance_nats
+    return next(
+        (task.variables[one] for one in others if final.null_nats[one] < least and one not in final.comparison.fixed),
+        "",
+    )
 
 
 def _fits(long_run: LongRun, noise: float, index: int) -> bool | None:

@@ -70,6 +70,18 @@ def test_a_constant_rate_of_few_rows_is_no_more_than_a_walk_with_a_drift(rows, g
     assert check_of(refinement, "h", "no equation").outcome == ("passed" if grade == "good" else "failed")
 
 
+@pytest.mark.parametrize("rows", [7, 60])
+def test_what_follows_from_an_equation_that_is_no_better_than_none_was_not_tested(rows):
+    """x follows from y, and seven rows of y are a walk with a drift as well as a law."""
+    falling = Known(("x", "y"), lambda _, z: [z[1], 0.5 + 0.0 * z[0]])
+    refinement = refined(falling, ([1.0, -2.0],), {"x": ("y",), "y": ("0.5",)}, times=8.0 / rows * np.arange(rows),
+                         noise=0.02, seed=3)  # fmt: skip
+    made, is_baseless = check_of(refinement, "x", "other initial states"), rows == 7
+    assert ((made.outcome, "they follow from 'y'" in made.reason) == ("not made", True)) == is_baseless
+    assert check_of(refinement, "y", "no equation").outcome == ("failed" if is_baseless else "passed")
+    assert "follow from" not in check_of(refinement, "y", "other initial states").reason
+
+
 def test_an_exact_line_of_five_rows_is_not_exact():
     line = Known(("h",), lambda _, z: [40.0 + 0.0 * z[0]])
     refinement = refined(line, ([30.0],), {"h": ("40.0",)}, times=0.5 * np.arange(5.0))
