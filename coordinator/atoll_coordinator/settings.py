@@ -29,7 +29,7 @@ class CheckSettings:
     """Fewest rows of a trajectory that has a derivative, of a span, and of any search: a cubic and one to judge it."""
     smallest: float = 1e-150
     """Guard: numbers below this, or above its inverse, have no square that can be told from zero or infinity."""
-    by_chance: float = 0.05
+    by_chance: float = 0.01
     """Probability, at most, that jumps are as near to a full turn by chance where a column is taken for an angle."""
 
 

@@ -134,9 +134,9 @@ KINDS = [
     kind("a drift in time", drifting, {"N": None}, grades=UNKNOWN),
     kind("a drive that was not measured", shaken, {"x": "v", "v": None}, "period|go on with different rates"),
     kind("three levels", in_three_levels, {"x": "v", "v": "-x"}, "takes 3 values only"),
-    kind("a clipped sensor", clipped, PREY, "clipped|7", clean=hunted),
+    kind("a clipped sensor", clipped, PREY, "of a sensor at the end of its range", clean=hunted),
     kind("a total beside its parts", lambda: joined(noisy(hunted(), 0.01, 15), s=noisy(hunted(), 0.01, 15)["x"]
-         + 2.0 * noisy(hunted(), 0.01, 15)["y"]), PREY, "s", clean=hunted),
+         + 2.0 * noisy(hunted(), 0.01, 15)["y"]), PREY, r"'s' is x \+ 2\*y in every row", clean=hunted),
 ]  # fmt: skip
 
 

@@ -62,8 +62,8 @@ def modules(folder: Path) -> list[Path]:
     return sorted(folder.rglob("*.py")) if folder.is_dir() else [folder]
 
 
-def is_numpy(node: ast.expr) -> bool:
-    return isinstance(node, ast.Name) and node.id in {"np", "numpy"}
+def is_module(node: ast.expr, *names: str) -> bool:
+    return isinstance(node, ast.Name) and node.id in names
 
 
 def of_its_own_order(source: str) -> Iterator[str]:
@@ -71,11 +71,11 @@ def of_its_own_order(source: str) -> Iterator[str]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
             yield "@"
-        elif isinstance(node, ast.Attribute) and is_numpy(node.value):
+        elif isinstance(node, ast.Attribute) and is_module(node.value, "np", "numpy"):
             if node.attr in REDUCTIONS | FUNCTIONS:
                 yield f"np.{node.attr}"
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and not is_numpy(node.func.value):
-            if node.func.attr in REDUCTIONS:
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            if node.func.attr in REDUCTIONS and not is_module(node.func.value, "np", "numpy", "math"):
                 yield f".{node.func.attr}"
         elif isinstance(node, ast.Import | ast.ImportFrom):
             names = [getattr(node, "module", None) or "", *(name.name for name in node.names)]

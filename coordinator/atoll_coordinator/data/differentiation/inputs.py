@@ -22,6 +22,9 @@ from atoll_core.data.dataset import FloatArray
 _LEAST_SMOOTH: Final = 4
 """Rows from which a cubic with continuous second derivatives is determined; fewer are taken as shape-preserving."""
 
+_BETWEEN_SMOOTH: Final = 1.0 / 16.0
+"""Error of a cubic spline between rows over its error at rows that are left out, one in two."""
+
 
 @dataclass(frozen=True, eq=False)
 class InputCurve:
@@ -133,24 +136,26 @@ def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArra
     errors = [error for sample in samples for error in _left_out_errors(kind, *sample)]
     spread = _variance([value for _, part in samples for value in part.tolist()])
     square = math.fsum(error * error for error in errors) / len(errors)
-    return math.sqrt(square / spread) / 16.0 if spread > 0.0 else 0.0
+    return _BETWEEN_SMOOTH * math.sqrt(square / spread) if spread > 0.0 else 0.0
 
 
-def unknown_share(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind) -> float:
-    """Return the share of the variance of an input that its rows do not tell in the middle between them.
+def unknown_variance(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind | None) -> float | None:
+    """Return the variance of an input about its curve in the middle between its rows; None where too few rows tell.
 
-    Of a smooth curve that is the square of its relative error. Others are taken to go like a random walk, a Brownian
-    bridge between two rows: at rows that are left out, one in two, its variance is twice the one in the middle between
-    rows. A held input is known everywhere.
+    Of a smooth curve that is the square of its error. Others are taken to go like a random walk, a Brownian bridge
+    between two rows: at rows that are left out, one in two, its variance is twice the one in the middle between rows. A
+    held input is known everywhere. Noise of an input counts, since its curve leads through it.
     """
-    samples = [pair for pair in zip(times, _scaled(values)[0], strict=True) if len(pair[0]) > _LEAST_SMOOTH]
-    if kind == "held" or not samples:
+    if kind == "held":
         return 0.0
-    if kind == "smooth":
-        return relative_curve_error(times, values, kind) ** 2
+    scaled, exponent = _scaled(values)
+    samples = [pair for pair in zip(times, scaled, strict=True) if len(pair[0]) > _LEAST_SMOOTH]
+    if not samples:
+        return None
+    kind = choose_input_kind(times, values) if kind is None else kind
     errors = [error for sample in samples for error in _left_out_errors(kind, *sample)]
-    spread = _variance([value for _, part in samples for value in part.tolist()])
-    return 0.5 * math.fsum(error * error for error in errors) / len(errors) / spread if spread > 0.0 else 0.0
+    square = math.fsum(error * error for error in errors) / len(errors)
+    return math.ldexp(square * (_BETWEEN_SMOOTH**2 if kind == "smooth" else 0.5), 2 * exponent)
 
 
 def _variance(numbers: Sequence[float]) -> float:

@@ -103,7 +103,9 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
 
     A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out. Noise is
     none: it makes steps of all sizes up to the largest, whereas a jump stands out from all others. Of few rows that lie
-    far apart a fall may be about a turn by chance: with the probability of the share of a turn by which it may miss it.
+    far apart a fall may be about a turn by chance: where none of n other steps is half a turn, the next one is with a
+    probability of 1/(n + 2) (Laplace's rule of succession), and about a turn with that of the share of a turn by which
+    it may miss it.
     """
     parts = [part[np.isfinite(part)] for part in parts]
     values = np.concatenate(parts)
@@ -114,12 +116,13 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
         steps = [np.diff(part) for part in parts]
         usual = max(float(np.max(np.abs(each)[np.abs(each) < 0.5 * turn], initial=0.0)) for each in steps)
         margins = [margin for each in steps for margin in _margins_of_turns(each, usual, turn)]
-        by_chance = math.prod(min(2.0 * margin / turn, 1.0) for margin in margins)
+        others = sum(map(len, steps)) - len(margins)
+        by_chance = math.prod(min(2.0 * margin / turn, 1.0) / (others + 2) for margin in margins)
         if margins and by_chance <= SETTINGS.checks.by_chance:
             count = f"{len(margins)} time{'s' if len(margins) > 1 else ''}"
             raise DataError(
                 f"state '{name}' jumps by about {called} {count}, as a wrapped angle does; "
-                f"add --angle {name}{suffix} so that it is unwrapped"
+                f"add --angle {name}{suffix} so that it is unwrapped, or give it in another unit if it is no angle"
             )
 
 

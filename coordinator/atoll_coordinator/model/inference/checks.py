@@ -10,11 +10,12 @@ Adding a kind of job means adding it to `JobKind` and to the `kinds` of every ru
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
 from typing import Final
 
+from atoll_coordinator.data.columns.finding import listed
 from atoll_coordinator.model.inference.residuals import (
     ReferenceSmoother,
     ResidualStatistics,
@@ -67,8 +68,8 @@ class Evidence:
     finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known;
     `is_known` tells that the equation was given; `solver` names the one that computed the table, whose errors are not
     in the residuals; `is_unsimulated` tells that there are trajectories, along which it was not simulated.
-    `unknown_input` names the input of the model of whose variance the rows leave most unknown between them, the share
-    `unknown_share`; "" without inputs.
+    `unknown_inputs` are the shares of the variance of a rate that each input makes between its rows, where it is not
+    known, by name; NaN where too few rows tell, empty without inputs; `held_inputs` names all that are held.
     `digits` is how many digits a target's values have that were rounded, None where they were not.
     `stopped` says what a limit of time has stopped, nothing where nothing was.
     """
@@ -111,8 +112,8 @@ class Evidence:
     orders: int = 1
     solver: str | None = None
     convergence_threshold: float = EXACT_ERROR
-    unknown_input: str = ""
-    unknown_share: float = 0.0
+    unknown_inputs: Mapping[str, float] = field(default_factory=dict)
+    held_inputs: Sequence[str] = ()
     digits: int | None = None
     stopped: str = ""
 
@@ -520,17 +521,27 @@ def _distinct(evidence: Evidence) -> Check:
 
 
 def _inputs(evidence: Evidence) -> Check:
-    name, share, most = "inputs between rows", evidence.unknown_share, SETTINGS.inference.part
-    if not evidence.unknown_input:
+    name, most, shares = "inputs between rows", SETTINGS.inference.part, evidence.unknown_inputs
+    if not shares:
         return _nothing(name, "the equations have no input")
-    if share <= most:
-        reason = f"the rows leave {percent(share)} of the variance of '{evidence.unknown_input}' unknown between them"
-        return Check(name, "passed", reason, share, most)
+    if any(map(math.isnan, shares.values())):
+        untold = [one for one, share in shares.items() if math.isnan(share)]
+        return Check(name, "not made", f"too few rows tell how {_quoted(untold)} goes between them: sample more rows")
+    unknown, worst = [one for one, share in shares.items() if share > most], max(shares.values())
+    if not unknown:
+        reason = f"the rows tell how inputs go between them, but for {percent(max(worst, 1e-3))} of a rate at most"
+        return Check(name, "passed", reason, worst, most)
+    held = listed(sorted({*evidence.held_inputs, *unknown}))
+    verb, they = ("goes", "it is") if len(unknown) == 1 else ("go", "they are")
     reason = (
-        f"how '{evidence.unknown_input}' goes between its rows is not known ({percent(share)} of its variance): add "
-        f"--hold {evidence.unknown_input} if it is constant from row to row, or sample it faster"
+        f"how {_quoted(unknown)} {verb} between rows is not known, and makes {percent(worst)} of the variance of a "
+        f"rate: add --hold {held} if {they} constant from row to row, else sample faster"
     )
-    return Check(name, "not made", reason, share, most)
+    return Check(name, "not made", reason, worst, most)
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return " and ".join(f"'{name}'" for name in names)
 
 
 def _poles(evidence: Evidence) -> Check:
@@ -687,7 +698,7 @@ RULES: Final[Sequence[Rule]] = (
     Rule("time", "what a limit of time has stopped", "nothing", _everywhere(), _time),
     Rule("degrees of freedom", "rows less the numbers fitted to them", "1", _everywhere(), _freedom),
     Rule("distinct rows", "rows that differ by more than rounding", "5", _everywhere(), _distinct),
-    Rule("inputs between rows", "variance of inputs between rows", "0.1", _simulation_alone(), _inputs),
+    Rule("inputs between rows", "share of a rate that inputs make between rows", "0.1", _simulation_alone(), _inputs),
     Rule("no equation", "nats over a constant and a random walk", "4.6", _everywhere(), _null),
     Rule("held-out trajectories", "R2 of trajectories left out", "0.9 less the noise", _simulation_alone(), _held_out),
     Rule("rows left out", "R2 of rows left out one at a time", "0.9", _target_alone(), _predicted_rows),

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from atoll_coordinator.data.differentiation.inputs import unknown_share
+from atoll_coordinator.data.differentiation.inputs import unknown_variance
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
-from atoll_coordinator.data.recording import Smoothing
+from atoll_coordinator.data.recording import Recording, Smoothing
 from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
 from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
@@ -64,6 +64,7 @@ from atoll_coordinator.model.shooting.variance import estimate_variances
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
+from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program, constant_places, structure, variables_of
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.unit_coefficients import (
@@ -125,6 +126,13 @@ class Final:
     def null_nats(self) -> tuple[float, ...]:
         """By how many nats each equation describes its state better than no equation does, see `_null_nats`."""
         return tuple(_null_nats(self, index, self.fitted[index]) for index, _ in enumerate(self.task.variables))
+
+    @cached_property
+    def visited(self) -> FloatArray:
+        """The variables of the equations (V, R) at all rows, states as they are simulated."""
+        measurements = self.seen.estimator.measurements
+        points = np.concatenate([self.seen_fit.simulated, measurements.inputs])
+        return points[[measurements.variables.index(name) for name in self.task.dataset.names]]
 
     @property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
@@ -624,8 +632,8 @@ def refined_equation(
         estimate = max(estimate, rough)
         noise = max(noise, estimate)
     covariance = _residual_covariance(final, index)
-    unknown_input, share = _unknown_input(final)
-    baseless = _baseless(final, index)
+    followed = _followed(final, index)
+    baseless = _baseless(final, index, followed)
     evidence = Evidence(
         kind="groups" if final.by_group else "trajectories",
         error=error / problem.target.standard_deviation,
@@ -661,8 +669,8 @@ def refined_equation(
         rivals_agree=not is_told,
         passes_pole=_passes_pole(final, program),
         distinct_rows=_distinct_rows(measurements, index, {task.dataset.names[one] for one in variables_of(program)}),
-        unknown_input=unknown_input,
-        unknown_share=share,
+        unknown_inputs=_unknown_inputs(final, [index, *followed]),
+        held_inputs=_held_inputs(task.recording),
         stopped="the choice of the equations" if task.has_been_stopped else "",
     )
     verdict = judge(evidence)
@@ -671,7 +679,8 @@ def refined_equation(
     together = final.equations.rounded.together
     return Refined(
         member, program, error, mse, known.written, known.unit_coefficients, alternatives, verdict.grade,
-        verdict.reason, verdict.checks, origin, prediction, simple_together=together[index] if together else None,
+        verdict.reason, verdict.checks, origin, evidence.prediction,
+        simple_together=together[index] if together else None,
     )  # fmt: skip
 
 
@@ -695,28 +704,47 @@ def _distinct_rows(measurements: Measurements, index: int, used: Collection[str]
     return len(np.unique(np.nan_to_num(np.round(values / (EXACT_ERROR * scales))) + 0.0, axis=1).T)
 
 
-def _unknown_input(final: Final) -> tuple[str, float]:
-    """Return the input of the equations whose rows leave most of its variance unknown between them, and the share."""
-    recording, names = final.task.recording, final.task.dataset.names
-    used = {names[one] for program in final.shown for one in variables_of(program)}
-    times = [part.times for part in recording.trajectories]
-    shares = [
-        (unknown_share(times, [part.inputs[place] for part in recording.trajectories], kind), name)
-        for place, (name, symbol, kind) in enumerate(
-            zip(recording.inputs, recording.input_symbols, recording.input_kinds, strict=False)
-        )
-        if symbol in used
-    ]
-    share, name = max(shares, default=(0.0, ""))
-    return name, share
+def _unknown_inputs(final: Final, equations: Sequence[int]) -> dict[str, float]:
+    """Return the share of the variance of a rate that each input makes between its rows, where it is not known.
+
+    The largest of some equations. NaN where too few rows tell.
+    """
+    recording, shares = final.task.recording, dict[str, float]()
+    kinds = recording.input_kinds or [None] * len(recording.inputs)
+    for place, (name, symbol, kind) in enumerate(zip(recording.inputs, recording.input_symbols, kinds, strict=True)):
+        column = final.task.dataset.names.index(symbol) if symbol in final.task.dataset.names else -1
+        using = [final.shown[one] for one in equations if column in variables_of(final.shown[one])]
+        if using:
+            parts = recording.trajectories
+            variance = unknown_variance([part.times for part in parts], [part.inputs[place] for part in parts], kind)
+            by = math.nan if variance is None else math.sqrt(variance)
+            shares[name] = max(_share_of_rate(program, final.visited, column, by) for program in using)
+    return shares
+
+
+def _share_of_rate(program: Program, points: FloatArray, column: int, by: float) -> float:
+    """Return the variance of what a change of one variable `by` so much makes of a rate at some points, over its own.
+
+    At most 1; 0 where it changes nothing, NaN for a change that is not known.
+    """
+    if math.isnan(by):
+        return math.nan
+    moved = points.copy()
+    moved[column] += by
+    rates, changed = values_of(program, points), values_of(program, moved)
+    is_finite = np.isfinite(rates) & np.isfinite(changed)
+    change = float(np.mean((changed - rates)[is_finite] ** 2)) if is_finite.any() else 0.0
+    return change / (change + float(np.var(rates[is_finite]))) if change > 0.0 else 0.0
+
+
+def _held_inputs(recording: Recording) -> list[str]:
+    kinds = zip(recording.inputs, recording.input_kinds, strict=False)
+    return [name for name, kind in kinds if kind == "held"]
 
 
 def _passes_pole(final: Final, program: Program) -> bool:
     """Tell whether the simulation of the model goes from one row to the next through a pole of an equation."""
-    measurements, names = final.seen.estimator.measurements, final.task.dataset.names
-    points = np.concatenate([final.seen_fit.simulated, measurements.inputs])
-    points = points[[measurements.variables.index(name) for name in names]]
-    owners = measurements.owners_of_rows
+    points, owners = final.visited, final.seen.estimator.measurements.owners_of_rows
     rows = np.flatnonzero(owners[1:] == owners[:-1])
     return bool(find_poles(program, points[:, rows], points[:, rows + 1]))
 
@@ -801,12 +829,8 @@ def _fitted_to(final: Final, index: int) -> float:
     return (final.free.fit.system.count + final.seen_fit.starts.size) / len(measurements.observed)
 
 
-def _baseless(final: Final, index: int) -> str:
-    """Return a state that the predictions of another one follow from, and whose equation is no better than none.
-
-    An equation that stands in for none makes up its simulation, and what follows from it, along what was measured
-    alone. "" where there is no such state; equations that were given need no evidence.
-    """
+def _followed(final: Final, index: int) -> list[int]:
+    """Return the other equations that the simulation of one state follows from, directly or through others."""
     task, recording = final.task, final.task.recording
     owners = {symbol: column for column, symbol in zip(recording.states, recording.state_symbols, strict=True)}
     owners |= dict(zip(recording.velocity_symbols, recording.states, strict=False))
@@ -816,11 +840,18 @@ def _baseless(final: Final, index: int) -> str:
         new = {owners[symbol] for symbol in symbols if symbol in owners} - needed
         needed |= new
         waiting += [task.variables.index(name) for name in new if name in task.variables]
-    others = (place for place, name in enumerate(task.variables) if name in needed and place != index)
-    least = SETTINGS.inference.chance_nats
+    return [place for place, name in enumerate(task.variables) if name in needed and place != index]
+
+
+def _baseless(final: Final, index: int, followed: Sequence[int]) -> str:
+    """Return a state that the predictions of another one follow from, and whose equation is no better than none.
+
+    An equation that stands in for none makes up its simulation, and what follows from it, along what was measured
+    alone. "" where there is no such state; equations that were given need no evidence.
+    """
+    least, given = SETTINGS.inference.chance_nats, final.comparison.fixed
     return next(
-        (task.variables[one] for one in others if final.null_nats[one] < least and one not in final.comparison.fixed),
-        "",
+        (final.task.variables[one] for one in followed if final.null_nats[one] < least and one not in given), ""
     )
 
 

@@ -9,7 +9,7 @@ from atoll_coordinator.data.differentiation.inputs import (
     choose_input_kind,
     estimate_input_slopes,
     relative_curve_error,
-    unknown_share,
+    unknown_variance,
 )
 
 
@@ -109,18 +109,27 @@ def test_switched_inputs_have_no_such_error():
 def test_a_random_walk_is_unknown_between_its_rows_by_a_quarter_of_the_variance_of_a_step():
     """A Brownian bridge: s (1 - s) of it at the share s of the way."""
     walk = np.cumsum(np.random.default_rng(4).standard_normal(4000))
-    share = unknown_share([np.arange(4000.0)], [walk], "shape-preserving")
-    assert share * walk.var() == pytest.approx(0.25, rel=0.15)
+    variance = unknown_variance([np.arange(4000.0)], [walk], "shape-preserving")
+    assert variance == pytest.approx(0.25, rel=0.15)
+    scaled = unknown_variance([np.arange(4000.0)], [1e6 * walk], "shape-preserving")
+    assert scaled == pytest.approx(1e12 * variance, rel=1e-9)
 
 
 def test_what_is_drawn_anew_in_each_row_is_unknown_and_a_smooth_or_held_input_is_not():
     times, draw = np.arange(200.0), np.random.default_rng(5)
-    assert unknown_share([times], [draw.uniform(size=200)], "shape-preserving") > 0.5
-    assert unknown_share([times], [draw.uniform(size=200)], "held") == 0.0
-    assert unknown_share([times], [np.sin(0.3 * times)], "smooth") < 1e-6
-    assert unknown_share([times[:3]], [draw.uniform(size=3)], "shape-preserving") == 0.0
+    anew = draw.uniform(size=200)
+    assert unknown_variance([times], [anew], "shape-preserving") > 0.5 * anew.var()
+    assert unknown_variance([times], [anew], None) > 0.25 * anew.var()
+    assert unknown_variance([times], [anew], "held") == 0.0
+    assert unknown_variance([times], [np.sin(0.3 * times)], "smooth") < 1e-6
+    assert unknown_variance([times], [np.full(200, 7.0)], "smooth") == 0.0
+
+
+def test_of_four_rows_nothing_tells_how_an_input_goes_between_them():
+    assert unknown_variance([np.arange(4.0)], [np.arange(4.0)], "shape-preserving") is None
 
 
 def test_an_input_that_is_switched_now_and_then_is_known_between_its_rows():
     times = np.arange(300.0)
-    assert unknown_share([times], [(times % 60.0 < 25.0) * 1.0], "shape-preserving") < 0.1
+    switched = (times % 60.0 < 25.0) * 1.0
+    assert unknown_variance([times], [switched], "shape-preserving") < 0.1 * switched.var()

@@ -226,6 +226,20 @@ def test_a_fall_in_few_rows_is_no_turn():
         check_no_turns("x", [np.array([5.0, 5.6, 6.1, 0.4, 0.9, 1.4])])
 
 
+@pytest.mark.parametrize(("rows", "noise"), [(9, 0.0), (25, 0.01), (60, 0.01), (60, 0.03)])
+def test_noisy_turns_are_seen(rows, noise):
+    """Noise of a share of a turn; the more other rows show no jump, the less likely is one by chance."""
+    seen = 0
+    for seed in range(40):
+        draw = np.random.default_rng([rows, seed])
+        phases = 0.3 + 1.4 * np.linspace(0.0, 1.0, rows) + noise * draw.standard_normal(rows)
+        try:
+            check_no_turns("x", [360.0 * (phases % 1.0)])
+        except DataError:
+            seen += 1
+    assert seen >= 30
+
+
 def test_prey_that_are_eaten_between_two_rows_do_not_turn():
     """5.6 to 0.2 is about a turn, but nothing goes on as before once it is taken out."""
     check_no_turns("x", [np.array([4.2, 5.6, 0.2, 0.0, 0.1, 0.0, 0.0, -0.1, -0.1, -0.1])])

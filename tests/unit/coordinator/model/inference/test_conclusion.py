@@ -14,7 +14,13 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.batches import Batches
 from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
 from atoll_coordinator.model.inference import conclusion
-from atoll_coordinator.model.inference.conclusion import _no_elaborations, _shortened, _show, _standard_deviation
+from atoll_coordinator.model.inference.conclusion import (
+    _no_elaborations,
+    _share_of_rate,
+    _shortened,
+    _show,
+    _standard_deviation,
+)
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
@@ -80,6 +86,7 @@ def test_what_follows_from_an_equation_that_is_no_better_than_none_was_not_teste
     assert ((made.outcome, "they follow from 'y'" in made.reason) == ("not made", True)) == is_baseless
     assert check_of(refinement, "y", "no equation").outcome == ("failed" if is_baseless else "passed")
     assert "follow from" not in check_of(refinement, "y", "other initial states").reason
+    assert (refinement.equations["x"].prediction is None) == is_baseless
 
 
 def test_an_exact_line_of_five_rows_is_not_exact():
@@ -355,6 +362,40 @@ def test_a_measured_input_is_part_of_the_model():
         DRIVEN, ([2.0], [-1.0]), {"x": ("-0.5*x", "1.2*u - 0.5*x")}, noise=0.03, seed=105, config=config
     )
     assert is_near(DRIVEN, refinement, x="1.5*u - 0.8*x")
+
+
+LEVELS = np.random.default_rng(8).uniform(0.0, 2.0, 200)
+
+
+def held(t):
+    """Return levels that are drawn anew for each row of `TIMES`."""
+    return LEVELS[np.minimum(np.floor(t / (TIMES[1] - TIMES[0]) + 1e-6).astype(int), len(LEVELS) - 1)]
+
+
+@pytest.mark.parametrize("hold", [(), ("u",)])
+def test_what_follows_from_an_input_that_is_unknown_between_its_rows_was_not_tested(hold):
+    """x and v, which is x's rate, follow from it; y does not."""
+    driven = Known(("x", "v", "y"), lambda t, z: [z[1], -2.0 * z[0] - 0.6 * z[1] + 1.5 * held(t), -0.3 * z[2]],
+                   {"u": (held, np.zeros_like)})  # fmt: skip
+    config = JobConfig(space=NO_LIBRARIES, data=DataConfig(inputs=("u",), hold=hold))
+    pool = {"x": ("v",), "v": ("1.5*u - 2.0*x - 0.6*v",), "y": ("-0.3*y",)}
+    refinement = refined(driven, ([1.0, 0.0, 2.0],), pool, noise=0.01, seed=105, config=config)
+    made = {name: check_of(refinement, name, "inputs between rows") for name in "xvy"}
+    assert {name: check.outcome for name, check in made.items()} == {
+        "x": "passed" if hold else "not made", "v": "passed" if hold else "not made", "y": "not applicable"
+    }  # fmt: skip
+    assert hold or "add --hold u if it is constant" in made["x"].reason
+
+
+def test_what_an_input_makes_between_rows_is_a_share_of_the_rate():
+    """An input of 2 whose rows leave 0.002 of it unknown makes little of a rate that x changes by three."""
+    points = np.array([np.linspace(1.0, 7.0, 50), np.full(50, 2.0)])
+    program = from_infix("1.5*u - 0.8*x", ("x", "u"))
+    rate = 1.5 * points[1] - 0.8 * points[0]
+    assert _share_of_rate(program, points, 1, 0.002) == pytest.approx(0.003**2 / rate.var(), rel=1e-3)
+    assert _share_of_rate(program, points, 1, 100.0) > 0.99
+    assert _share_of_rate(program, points, 1, 0.0) == 0.0
+    assert math.isnan(_share_of_rate(program, points, 1, math.nan))
 
 
 def test_with_order_2_positions_alone_are_measured():

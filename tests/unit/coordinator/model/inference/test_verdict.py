@@ -170,7 +170,12 @@ def test_a_check_that_fails_makes_an_equation_doubtful(change: dict[str, object]
         ({"fits_whole": None}, "whole trajectories", "only pieces of 500 rows were simulated"),
         ({"prediction": replace(SURE, followed=9, unfinished=3)}, "other initial states", "takes more steps"),
         ({"chaos": Chaos(2.0, False, None, is_unfinished=True)}, "long run", "a long simulation takes more steps"),
-        ({"unknown_input": "u", "unknown_share": 0.3}, "inputs between rows", "(30 % of its variance): add --hold u"),
+        (
+            {"unknown_inputs": {"u": 0.3, "w 1": 0.2, "v": 0.01}, "held_inputs": ("h",)},
+            "inputs between rows",
+            "is not known, and makes 30 % of the variance of a rate: add --hold 'h,u,w 1'",
+        ),
+        ({"unknown_inputs": {"u": math.nan}}, "inputs between rows", "too few rows tell how 'u' goes between"),
     ],
 )
 @pytest.mark.parametrize("evidence", [NOISY, CLEAN, replace(NOISY, kind="groups")], ids=["noisy", "clean", "groups"])
