@@ -10,6 +10,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.inputs import unknown_variance
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
 from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
@@ -585,12 +586,27 @@ def _fits_in_whole(final: Final) -> bool | None:
     return True
 
 
+def _odds(nats: float) -> float:
+    """Return the odds of a description that is longer by so many nats, at most one."""
+    return math.exp(-max(nats, 0.0))
+
+
+def _evidence_nats(model: FittedModel) -> float:
+    """Return the nats of a description without those of its structures: misfit and constants (Schwarz 1978)."""
+    return model.nats - math.fsum(map(structure_length, model.programs))
+
+
 def predictions_of(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction]:
     """Return how far each state can be foretold from other initial states, see `foretell`."""
     ranking = final.ranking
-    least = ranking.selection.model.nats
+    own = ranking.selection.model
     rivals = [
-        Rival(alternative.model.fit.system, equation, math.exp(-max(alternative.model.nats - least, 0.0)))
+        Rival(
+            alternative.model.fit.system,
+            equation,
+            _odds(alternative.model.nats - own.nats),
+            _odds(_evidence_nats(alternative.model) - _evidence_nats(own)),
+        )
         for equation, alternatives in enumerate(ranking.alternatives)
         for alternative in alternatives
     ]

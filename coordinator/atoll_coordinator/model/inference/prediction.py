@@ -8,6 +8,10 @@ about as well and yet foretell something else from initial states that were not 
 happens there. So the model, its alternatives and draws of its constants are simulated from such states; what share of
 the odds foretells what the model does is the probability that it can be relied upon.
 
+That an equation is short makes it more plausible where something was measured. Where a model leads beyond the measured
+range nothing speaks for its structure: there the odds are those of the data alone, and rivals of all equations count,
+since with another equation for one variable those of the others would be others.
+
 Letters: D states, O measured ones, N rows, P fitted constants, G initial states.
 """
 
@@ -36,12 +40,14 @@ from atoll_core.expression.kernels.tape import Ints
 class Rival:
     """A system that may be right in place of the model: another equation for one variable, or other constants.
 
-    Rivals of one `group` exclude one another; `odds` are those against the model, whose own are one.
+    Rivals of one `group` exclude one another; `odds` are those against the model, whose own are one, `odds_of_data` the
+    same without what makes a structure plausible.
     """
 
     system: System
     group: int
     odds: float
+    odds_of_data: float
 
 
 def foretell(
@@ -67,16 +73,18 @@ def foretell(
         return [Prediction(len(own), 0, 0.0, math.inf, unfinished=unfinished) for _ in states]
     horizon = elsewhere.horizon(model, own)
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
-    misses = _Misses(courses, len(states))
+    misses, misses_of_data = _Misses(courses, len(states)), _Misses(courses, len(states))
 
     def add(rival: Rival) -> None:
         rival_courses = elsewhere.courses(rival.system, followed)
-        misses.add(rival, [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses])
+        compared = [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses]
+        misses.add(rival.group, rival.odds, compared)
+        misses_of_data.add(rival.group, rival.odds_of_data, compared)
 
     for rival in rivals:
         add(rival)
     for count, system in enumerate(islice(drawn, _MOST_DRAWS), 1):
-        add(Rival(system, _DRAWN, 1.0))
+        add(Rival(system, _DRAWN, 1.0, 1.0))
         if count >= SETTINGS.effort.beam and all(misses.is_decided(state) for state in states):
             break
     distances = elsewhere.distances(courses)
@@ -84,10 +92,12 @@ def foretell(
     novelty = float(np.median(np.concatenate(distances)))
 
     def predicted(state: int) -> Prediction:
-        disputed = misses.unlike(state)
-        start = elsewhere.named(followed[farthest if disputed is None else disputed])
         reached = elsewhere.reached(courses, state)
-        probability = misses.agreement(state)
+        probability, disputed = misses.agreement(state), misses.unlike(state)
+        least = min(states, key=misses_of_data.agreement)
+        if reached is not None and misses_of_data.agreement(least) < probability:
+            probability, disputed = misses_of_data.agreement(least), misses_of_data.unlike(least)
+        start = elsewhere.named(followed[farthest if disputed is None else disputed])
         is_disputed = disputed is not None
         return Prediction(len(own), len(followed), probability, novelty, reached, start, is_disputed, unfinished)
 
@@ -305,7 +315,7 @@ class _Misses:
         self._against: dict[int, FloatArray] = {}
         self._unlike = [(0.0, -1)] * states
 
-    def add(self, rival: Rival, courses: Sequence[Course]) -> None:
+    def add(self, group: int, odds: float, courses: Sequence[Course]) -> None:
         """Take in what a rival foretells from the same initial states.
 
         One that runs away foretells otherwise; where it takes too many steps, it is not known what it foretells.
@@ -320,17 +330,17 @@ class _Misses:
             agrees = _r2([course for course, _ in pairs], [own for _, own in pairs]) > 1.0 - SETTINGS.inference.part
         else:
             return
-        self._odds[rival.group] = self._odds.get(rival.group, 0.0) + rival.odds
-        against = self._against.setdefault(rival.group, np.zeros(states))
-        against += rival.odds * ~agrees
+        self._odds[group] = self._odds.get(group, 0.0) + odds
+        against = self._against.setdefault(group, np.zeros(states))
+        against += odds * ~agrees
         for state in np.flatnonzero(~agrees).tolist():
             for place, (course, own) in enumerate(zip(courses, self._courses, strict=True)):
                 if isinstance(course, str):
                     size = math.inf if course == "ran away" else 0.0
                 else:
                     size = float(np.abs(course[state] - own[state]).max())
-                if rival.odds * size > self._unlike[state][0]:
-                    self._unlike[state] = (rival.odds * size, place)
+                if odds * size > self._unlike[state][0]:
+                    self._unlike[state] = (odds * size, place)
 
     def agreement(self, state: int) -> float:
         """Return the share of the odds that foretells what the model does."""

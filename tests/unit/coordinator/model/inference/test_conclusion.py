@@ -12,6 +12,7 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.batches import Batches
+from atoll_coordinator.model.criteria import system_length
 from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
 from atoll_coordinator.model.inference import conclusion
 from atoll_coordinator.model.inference.conclusion import (
@@ -20,6 +21,7 @@ from atoll_coordinator.model.inference.conclusion import (
     _shortened,
     _show,
     _standard_deviation,
+    predictions_of,
 )
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
@@ -27,6 +29,7 @@ from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.refinement import Alternative, Pool
 from atoll_coordinator.model.selection import joint_search, piece_lengths
 from atoll_coordinator.model.selection.candidates import collect_candidates, form
+from atoll_coordinator.model.selection.comparison import FittedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset, Target
@@ -87,6 +90,29 @@ def test_what_follows_from_an_equation_that_is_no_better_than_none_was_not_teste
     assert check_of(refinement, "y", "no equation").outcome == ("failed" if is_baseless else "passed")
     assert "follow from" not in check_of(refinement, "y", "other initial states").reason
     assert (refinement.equations["x"].prediction is None) == is_baseless
+
+
+def test_the_odds_of_the_data_have_no_price_of_structures(monkeypatch):
+    """An equation with a sine that fits as well with as many constants is as likely."""
+
+    def model(text, misfit):
+        program = from_infix(text, ("x",))
+        nats = system_length(misfit, [program], len(constant_places(program)), constant_nats=2.0)
+        return FittedModel((program,), SimpleNamespace(system=text), misfit, nats)
+
+    monkeypatch.setattr(conclusion, "foretell", lambda rows, system, rivals, *given, **options: rivals)
+    monkeypatch.setattr(conclusion, "scaled_covariance", lambda *given: (None,))
+    rivals = [model("-0.8*sin(x)*cos(x)", 7.0), model("-0.8*sin(x)*cos(x)", 9.0), model("0.1 - 0.8*x", 6.0)]
+    ranking = SimpleNamespace(
+        selection=SimpleNamespace(model=model("-0.8*x", 7.0)),
+        alternatives=[[SimpleNamespace(model=rival) for rival in rivals]],
+    )
+    any_fit = SimpleNamespace(fit=SimpleNamespace(system=SimpleNamespace(count=0)))
+    seen = SimpleNamespace(estimator=SimpleNamespace(measurements=None, tolerance=0.0))
+    final = SimpleNamespace(ranking=ranking, free=any_fit, seen=seen, seen_fit=SimpleNamespace(system=None))
+    made = predictions_of(final, None, is_near=False)
+    assert [rival.odds_of_data for rival in made] == pytest.approx([1.0, math.exp(-2.0), math.exp(-1.0)])
+    assert all(rival.odds < rival.odds_of_data for rival in made)
 
 
 def test_an_exact_line_of_five_rows_is_not_exact():

@@ -57,12 +57,15 @@ def test_a_model_without_rivals_is_relied_upon(lotka, truth):
 
 def test_a_rival_that_foretells_the_same_does_not_count(lotka, truth):
     near = system(LOTKA, "3.01*x - 2*x*y - x**2", LOTKA_TEXT[1])
-    assert [prediction.probability for prediction in foretell(lotka, truth, [Rival(near, 0, 1.0)], 1e-6)] == [1.0, 1.0]
+    assert [prediction.probability for prediction in foretell(lotka, truth, [Rival(near, 0, 1.0, 1.0)], 1e-6)] == [
+        1.0,
+        1.0,
+    ]
 
 
 def test_a_rival_that_foretells_otherwise_takes_its_share_of_the_odds(lotka, truth):
     other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1])
-    x, y = foretell(lotka, truth, [Rival(other, 0, 0.25)], 1e-6)
+    x, y = foretell(lotka, truth, [Rival(other, 0, 0.25, 0.25)], 1e-6)
     assert x.probability == pytest.approx(0.8)
     assert x.is_disputed
     for name, low, high in (("x", 0.0, 8.0), ("y", 0.0, 3.1)):
@@ -72,19 +75,19 @@ def test_a_rival_that_foretells_otherwise_takes_its_share_of_the_odds(lotka, tru
 
 def test_rivals_of_two_equations_are_independent(lotka, truth):
     one, other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), system(LOTKA, LOTKA_TEXT[0], "-0.5*y")
-    x, _ = foretell(lotka, truth, [Rival(one, 0, 1.0), Rival(other, 1, 1.0)], 1e-6)
+    x, _ = foretell(lotka, truth, [Rival(one, 0, 1.0, 1.0), Rival(other, 1, 1.0, 1.0)], 1e-6)
     assert x.probability == pytest.approx(0.25)
 
 
 def test_rivals_of_one_equation_exclude_one_another(lotka, truth):
     one, other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), system(LOTKA, "-0.6*x", LOTKA_TEXT[1])
-    x, _ = foretell(lotka, truth, [Rival(one, 0, 1.0), Rival(other, 0, 1.0)], 1e-6)
+    x, _ = foretell(lotka, truth, [Rival(one, 0, 1.0, 1.0), Rival(other, 0, 1.0, 1.0)], 1e-6)
     assert x.probability == pytest.approx(1.0 / 3.0)
 
 
 def test_a_rival_that_runs_away_foretells_otherwise(lotka, truth):
     other = system(LOTKA, "3*x*x", LOTKA_TEXT[1])
-    assert foretell(lotka, truth, [Rival(other, 0, 1.0)], 1e-6)[0].probability == pytest.approx(0.5)
+    assert foretell(lotka, truth, [Rival(other, 0, 1.0, 1.0)], 1e-6)[0].probability == pytest.approx(0.5)
 
 
 def test_a_model_that_runs_away_is_followed_nowhere(lotka):
@@ -110,6 +113,17 @@ def test_what_goes_beyond_the_measured_range_is_said():
     assert foretell(whole, system(SWING, "-0.1*x", "-0.1*y"), [], 1e-6)[0].reached is None
 
 
+@pytest.mark.parametrize(("times", "is_left"), [(0.02 * np.arange(50.0), True), (TIMES, False)])
+def test_beyond_the_measured_range_the_odds_are_those_of_the_data_for_all_equations(times, is_left):
+    """A rival of y's equation alone that is less plausible, and fits as well: x goes beyond, or not."""
+    rows = measurements(SWING, [[1.0, 0.0]], times)
+    rival = Rival(system(SWING, "y", "-2*x*(1 + 0.9*x) - 0.3*y"), 1, 1e-3, 1.0)
+    x, _ = foretell(rows, system(SWING, "y", "-2*x - 0.3*y"), [rival], 1e-6)
+    assert (x.reached is not None) == is_left
+    assert x.probability == pytest.approx(0.5 if is_left else 0.999, abs=1e-3)
+    assert x.is_disputed
+
+
 def test_a_process_that_leaves_the_measured_range_as_it_was_measured_to_is_followed_so_far():
     """Growth measured to 20 leads from 10 to 200; nothing says that it should not, nor that it should."""
     grown = measurements(GROWTH, [[1.0]], TIMES_OF_GROWTH)
@@ -117,9 +131,9 @@ def test_a_process_that_leaves_the_measured_range_as_it_was_measured_to_is_follo
     (prediction,) = foretell(grown, truth, [], 1e-6)
     assert (prediction.starts, prediction.followed) == (12, 12)
     rival = system(GROWTH, "0.3*x + 0.0001*x*x")
-    assert foretell(grown, truth, [Rival(rival, 0, 1.0)], 1e-6)[0].probability == 1.0
+    assert foretell(grown, truth, [Rival(rival, 0, 1.0, 1.0)], 1e-6)[0].probability == 1.0
     other = system(GROWTH, "0.1*x*x")
-    assert foretell(grown, truth, [Rival(other, 0, 1.0)], 1e-6)[0].probability == 0.5
+    assert foretell(grown, truth, [Rival(other, 0, 1.0, 1.0)], 1e-6)[0].probability == 0.5
 
 
 @pytest.mark.parametrize(
@@ -149,14 +163,14 @@ def test_running_out_of_steps_is_said_to_be_that(lotka, truth):
     fast = system(LOTKA, "6000*(y - 2)", "-6000*(x - 2)")
     for prediction in foretell(lotka, fast, [], 1e-6):
         assert (prediction.starts, prediction.followed, prediction.unfinished) == (12, 0, 12)
-    x, _ = foretell(lotka, truth, [Rival(fast, 0, 1.0)], 1e-6)
+    x, _ = foretell(lotka, truth, [Rival(fast, 0, 1.0, 1.0)], 1e-6)
     assert (x.probability, x.is_disputed) == (1.0, False)
 
 
 def test_what_a_rival_foretells_where_it_has_enough_steps_counts(lotka, truth):
     """It turns the faster the farther away it begins, at the rate that it keeps."""
     partly = system(LOTKA, "500*(x**2 + y**2 - 1)**3*(y - 2)", LOTKA_TEXT[1])
-    x, _ = foretell(lotka, truth, [Rival(partly, 0, 1.0)], 1e-6)
+    x, _ = foretell(lotka, truth, [Rival(partly, 0, 1.0, 1.0)], 1e-6)
     assert (x.probability, x.is_disputed) == (0.5, True)
 
 
@@ -226,7 +240,7 @@ def test_with_inputs_other_initial_states_take_those_of_a_measured_trajectory():
     """A rival with another answer to the input is found, and a model that runs away with it as well."""
     driven = measurements(DRIVEN, [[1.0]], TIMES)
     law, other = (system_of([DRIVEN.parsed(text)], DRIVEN.names, DRIVEN.names) for text in ("-0.8*x + 1.5*u", "-0.8*x"))
-    (prediction,) = foretell(driven, law, [Rival(other, 0, 1.0)], 1e-6)
+    (prediction,) = foretell(driven, law, [Rival(other, 0, 1.0, 1.0)], 1e-6)
     assert prediction.followed == prediction.starts
     assert prediction.probability < 0.6
     (alone,) = foretell(driven, law, [], 1e-6)
@@ -366,7 +380,7 @@ def test_what_can_be_foretold_ends_where_a_tenth_of_the_variance_is_lost(monkeyp
 
 
 def test_what_a_rival_foretells_after_chaos_has_set_in_does_not_count(monkeypatch, lotka, truth):
-    slower = Rival(system(LOTKA, "2*x - 2*x*y - x**2", LOTKA_TEXT[1]), 0, 1.0)
+    slower = Rival(system(LOTKA, "2*x - 2*x*y - x**2", LOTKA_TEXT[1]), 0, 1.0, 1.0)
     assert foretell(lotka, truth, [slower], 1e-6)[0].probability == 0.5
     monkeypatch.setattr(_Elsewhere, "horizon", lambda *_: 10)
     assert foretell(lotka, truth, [slower], 1e-6)[0].probability == 1.0
@@ -391,7 +405,7 @@ def test_a_rival_is_disputed_where_it_weighs_most(lotka, truth):
     own, theirs = (elsewhere.courses(courses_system, range(12)) for courses_system in (truth, other))
     sizes = [np.abs(one[0] - two[0]).max() for one, two in zip(own, theirs, strict=True)]
     for odds in (0.25, 1.0):
-        x, _ = foretell(lotka, truth, [Rival(other, 0, odds)], 1e-6)
+        x, _ = foretell(lotka, truth, [Rival(other, 0, odds, odds)], 1e-6)
         assert x.measure_from == elsewhere.named(int(np.argmax(sizes)))
 
 
@@ -427,7 +441,7 @@ RAMP = np.array([[0.0, 0.1, 0.2, 0.3]])
 )
 def test_a_rival_that_runs_away_from_one_state_alone_foretells_otherwise_there(courses, agreement, place):
     misses = _Misses([RAMP, RAMP], 1)
-    misses.add(Rival(None, 0, 1.0), courses)
+    misses.add(0, 1.0, courses)
     assert (misses.agreement(0), misses.unlike(0)) == (agreement, place)
 
 
