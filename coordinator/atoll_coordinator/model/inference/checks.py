@@ -70,7 +70,8 @@ class Evidence:
     in the residuals; `is_unsimulated` tells that there are trajectories, along which it was not simulated.
     `unknown_inputs` are the shares of the variance of a rate that each input makes between its rows, where it is not
     known, by name; NaN where too few rows tell, empty without inputs; `held_inputs` names all that are held.
-    `digits` is how many digits a target's values have that were rounded, None where they were not.
+    `digits` is how many digits a target's values have that were rounded, None where they were not; `unfitted` counts
+    constants that are as the search left them, so that nothing is known of their errors.
     `stopped` says what a limit of time has stopped, nothing where nothing was.
     """
 
@@ -115,6 +116,7 @@ class Evidence:
     unknown_inputs: Mapping[str, float] = field(default_factory=dict)
     held_inputs: Sequence[str] = ()
     digits: int | None = None
+    unfitted: int = 0
     stopped: str = ""
 
     @cached_property
@@ -574,6 +576,11 @@ def _constants(evidence: Evidence) -> Check:
     name, constants = "constants", evidence.constants
     if not constants and evidence.is_unsimulated:
         return _unsimulated(evidence, name)
+    if evidence.unfitted:
+        many = f"{evidence.unfitted} constants are" if evidence.unfitted > 1 else "constant is"
+        return Check(
+            name, "not made", f"how well its {many} determined is not known: seek a shorter equation, --max-size"
+        )
     if not constants:
         return _nothing(name, "it has no constants")
     bound = next((constant for constant in constants if constant.is_at_bound), None)

@@ -65,6 +65,7 @@ def target_evidence(
         target_r2=1.0 - shown.mse / variance if variance and math.isfinite(shown.mse) else None,
         constants=shown.constants,
         unit_coefficients=[coefficient.constant for coefficient in shown.unit_coefficients],
+        unfitted=0 if is_known or shown.constants else len(constant_places(shown.program)),
         is_known=is_known,
         is_unsimulated=kind != "target",
         convergence_threshold=target.convergence_threshold(),

@@ -60,3 +60,13 @@ def test_a_wave_in_the_last_digit_does_not_make_an_equation_exact():
     wave = judged_as_exact(2.400000078645654, 1e-14)
     assert wave.grade == "good"
     assert "may follow errors of rounding" in wave.reason
+
+
+@pytest.mark.parametrize(("text", "grade"), [("2.0*a", "doubtful"), ("a + a", "good")])
+def test_constants_that_were_not_fitted_again_are_not_known(text, grade):
+    """As the search left them; an equation without constants has none to be known."""
+    errors = VALUES - 2.0 * INPUTS[0]
+    shown = Refined(0, parsed(text), float(np.abs(errors).mean()), float(np.mean(errors**2)), ())
+    verdict = judge(target_evidence(shown, PROBLEM, None))
+    assert verdict.grade == grade
+    assert ("its constant is determined is not known" in verdict.reason) == (grade == "doubtful")

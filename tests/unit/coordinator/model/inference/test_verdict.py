@@ -175,6 +175,7 @@ def test_a_check_that_fails_makes_an_equation_doubtful(change: dict[str, object]
             "inputs between rows",
             "is not known, and makes 30 % of the variance of a rate: add --hold 'h,u,w 1'",
         ),
+        ({"unfitted": 6}, "constants", "how well its 6 constants are determined is not known"),
         ({"unknown_inputs": {"u": math.nan}}, "inputs between rows", "too few rows tell how 'u' goes between"),
     ],
 )
