@@ -187,15 +187,17 @@ def search_locally(
 
 
 def search_terms(
-    task: ModellingTask, comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]], until: int
-) -> FittedModel:
+    task: ModellingTask, comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]],
+    pairs: Sequence[Sequence[Program]], until: int,
+) -> FittedModel:  # fmt: skip
     """Return the end of the descent from the best system by one term more or less in one equation.
 
     Each is fitted along the trajectories, begun from the system as it is, until the estimator's work is `until`. All
     terms are tried, however little room the residuals seem to leave: the constants of a system make up for a term that
     is missing as far as they can, so that noise hides the pattern that is left. The expanded sum itself is tried as
     well: each of its terms can go, or lose its coefficient. Where an equation has functions, the
-    best of its candidates (`lists`) without any is another beginning: no single term leads from the one to the other.
+    best of its candidates (`lists`) without any is another beginning, and so is the best of some sums of two terms
+    (`pairs`): no single term leads from the one to the other.
     """
 
     def around(equation: int, program: Program) -> Iterator[Program]:
@@ -210,9 +212,10 @@ def search_terms(
     equations = [index for index, _ in enumerate(best.programs) if index not in comparison.fixed]
     descent = LocalSearch(comparison, around, until, is_thorough=False)
     end = descent.improve(best, equations)
-    for equation in equations if lists else ():
-        if _kind(end.programs[equation]):
+    for equation in equations:
+        if lists and _kind(end.programs[equation]):
             end = _restarted(comparison, descent, end, equation, lists[equation])
+        end = _restarted(comparison, descent, end, equation, pairs[equation])
     return end if end is best else reduce_all(comparison, end)
 
 

@@ -31,6 +31,7 @@ from atoll_coordinator.model.selection.proposals import (
     propose_further_sums,
     propose_like,
     propose_nearest,
+    propose_pairs,
     propose_reduced,
     propose_sums,
 )
@@ -243,8 +244,9 @@ def with_other_terms(selection: SelectedModel) -> SelectedModel:
     if task.is_nearly_clean or task.solver is not None or is_of_rates or comparison.is_exact(best):
         return selection
     until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures(best)}
+    pairs = [() if name in task.known else propose_pairs(task, name) for name in task.variables]
     while not task.is_over:
-        other = search_terms(task, comparison, best, selection.lists, until)
+        other = search_terms(task, comparison, best, selection.lists, pairs, until)
         if _structures(other) in seen:
             break
         seen.add(_structures(other))

@@ -7,16 +7,18 @@ is not known), and returns programs and libraries of terms.
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, combinations
+from operator import itemgetter
 
 import numpy as np
 
+from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.sparse.pursuit import PURSUED, Pursuit
 from atoll_coordinator.model.structure.moves.reductions import reductions
-from atoll_coordinator.model.structure.term_libraries import fractions, libraries
+from atoll_coordinator.model.structure.term_libraries import fractions, libraries, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem
 from atoll_core.expression.builder import Expression
@@ -109,6 +111,26 @@ def propose_all(task: ModellingTask, name: str, most: float) -> Proposals:
     columns, operators = task.columns(name), task.operators(name)
     terms = chain(libraries(columns, operators), fractions(columns, operators, task.sizes))
     return task.candidates[name].programs, terms
+
+
+def propose_pairs(task: ModellingTask, name: str) -> list[Program]:
+    """Return the sums of two products up to the second degree, those that leave least of the derivatives first.
+
+    Noise can hide that a sum such as that of logistic growth, of which each part alone describes less than a constant
+    does, describes as much: no change of one term leads from the one to the other.
+    """
+    problem = task.dataset.problem(name)
+    terms = next(libraries(task.columns(name), task.operators(name)), [])
+    columns = np.array([values_of(sum_of([term], [1.0]), problem.inputs) for term in terms])
+    fitted = list[tuple[float, Program]]()
+    for first, second in combinations(range(len(terms)), 2):
+        both = columns[[first, second]]
+        if np.isfinite(both).all():
+            factors = coefficients_of(both, problem.target.values)
+            left = problem.target.values - factors @ both
+            program = sum_of([terms[first], terms[second]], factors.tolist())
+            fitted.append((float(left @ left), program))
+    return [program for _, program in sorted(fitted, key=itemgetter(0)) if task.may_be_shown(program)]
 
 
 def propose_further_sums(task: ModellingTask, name: str, most: float) -> Proposals:
