@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from atoll_core.errors import StoreError
+from atoll_core.errors import StoreError, WrongStoreError
 
 FILE_NAME: Final = "atoll.sqlite3"
 _APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's head
@@ -129,6 +129,7 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     file = directory / FILE_NAME if directory else None
     with translated(file):
         if file is not None:
+            _require_no_orphan(file)
             with contextlib.suppress(OSError):  # of which SQLite tells
                 file.touch(mode=0o600)  # what users have measured is nobody else's, nor what SQLite puts beside it
         connection = sqlite3.connect(
@@ -143,6 +144,16 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     return connection
 
 
+def _require_no_orphan(file: Path) -> None:
+    """Raise WrongStoreError where a store was moved away without what it had written last: SQLite would delete that."""
+    wal = file.with_name(f"{file.name}-wal")
+    if not file.exists() and wal.exists() and wal.stat().st_size:
+        raise WrongStoreError(
+            f"{wal} is there, but not its store {file.name}; put that back, make a store of a copy with "
+            "`coordinator restore`, or move both away"
+        )
+
+
 def connect_to_read(directory: Path) -> sqlite3.Connection:
     """Connect to the store's file in `directory`, which is open already, to read alone: it waits for no writer."""
     file = directory / FILE_NAME
@@ -154,17 +165,15 @@ def connect_to_read(directory: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def translated(place: Path | None) -> Iterator[None]:
-    """Turn what SQLite raises about the store at `place` into a StoreError."""
+    """Turn what SQLite raises about the store at `place` into a StoreError, of a damaged one a WrongStoreError."""
     try:
         yield
     except sqlite3.Error as error:
-        raise StoreError(f"the store {place or 'in memory'} fails: {error}; {_advice(error)}") from error
-
-
-def _advice(error: sqlite3.Error) -> str:
-    if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
-        return "restore it from a copy, or choose another directory with --state"
-    return "check that its directory can be written and that there is room"
+        if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
+            advice = "restore it from a copy, or choose another directory with --state"
+            raise WrongStoreError(f"the store {place or 'in memory'} fails: {error}; {advice}") from error
+        advice = "check that its directory can be written and that there is room"
+        raise StoreError(f"the store {place or 'in memory'} fails: {error}; {advice}") from error
 
 
 def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
@@ -177,9 +186,9 @@ def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if application != _APPLICATION and (tables or application):
-        raise StoreError(f"{file} is a database, but not a store of this program; name another")
+        raise WrongStoreError(f"{file} is a database, but not a store of this program; name another")
     if version > SCHEMA_VERSION:
-        raise StoreError(
+        raise WrongStoreError(
             f"the store {file} was written by a newer version (layout {version}, this version knows {SCHEMA_VERSION}); "
             "use that version, or name another"
         )
@@ -196,7 +205,7 @@ def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
     if not version:
         _baptize(connection)
     if connection.execute("UPDATE realm SET incarnation = incarnation + 1").rowcount != 1:
-        raise StoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
+        raise WrongStoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
     connection.execute("COMMIT")
 
 
@@ -206,7 +215,7 @@ def _check(connection: sqlite3.Connection, file: Path | None) -> None:
         return
     (finding,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if finding != "ok":
-        raise StoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
+        raise WrongStoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
 
 
 def _migrate(connection: sqlite3.Connection, version: int) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import hashlib
+import os
 import sqlite3
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from atoll_coordinator.service.store.checkpoint_table import MAX_FAILED
 from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import LEAST_COMMITS, MAX_EVENTS, EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.lock import Lock, last_beat
 from atoll_coordinator.service.store.schema import FILE_NAME, SCHEMA_VERSION
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError, StoreError
@@ -313,6 +315,32 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_sentence_and_left_alone(
         Store.open(tmp_path)
     assert "\n" not in str(caught.value)
     assert (tmp_path / FILE_NAME).read_bytes() == before
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o022])
+def test_nobody_else_may_lock_a_store_or_look_into_its_folder(tmp_path: Path, umask: int) -> None:
+    """A lock is taken by whoever may open its file, if only to read it."""
+    former = os.umask(umask)
+    try:
+        state = tmp_path / "of" / "atoll" / "state"
+        with Store.open(state) as store:
+            beat = last_beat(state)
+            assert beat is not None
+            Lock.seize(state, beat)
+            store.put_blob(b"measured")
+            modes = {path.name: path.stat().st_mode & 0o777 for path in state.iterdir()}
+    finally:
+        os.umask(former)
+    assert state.stat().st_mode & 0o777 == 0o700
+    assert [folder.stat().st_mode & 0o022 for folder in (state.parent, state.parent.parent)] == [0, 0]
+    assert {FILE_NAME, f"{FILE_NAME}-wal", "lock", "takeover"} <= modes.keys()
+    assert set(modes.values()) == {0o600}
+
+
+def test_the_lock_of_an_earlier_version_is_closed_to_others(tmp_path: Path) -> None:
+    (tmp_path / "lock").touch(mode=0o644)
+    Store.open(tmp_path).close()
+    assert (tmp_path / "lock").stat().st_mode & 0o777 == 0o600
 
 
 def test_a_state_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
