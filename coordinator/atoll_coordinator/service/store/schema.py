@@ -105,6 +105,59 @@ CREATE TABLE usage (
 )
 """
 
+_OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
+_ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
+
+_LAYOUT_8_HOLDINGS: Final = f"""
+ALTER TABLE jobs ADD COLUMN prepared_digest TEXT;
+ALTER TABLE jobs ADD COLUMN submitted_s REAL;
+CREATE INDEX jobs_by_prepared ON jobs (prepared_digest) WHERE prepared_digest IS NOT NULL;
+DROP INDEX jobs_by_submitter;
+CREATE INDEX jobs_by_submitter ON jobs (submitter);
+CREATE INDEX jobs_by_submitter_and_state ON jobs (submitter, state);
+CREATE INDEX open_jobs_by_submitter ON jobs (submitter) WHERE {_OPEN};
+CREATE INDEX shared_jobs ON jobs (number) WHERE shared;
+CREATE INDEX shared_jobs_by_state ON jobs (state) WHERE shared;
+CREATE INDEX shared_open_jobs ON jobs (number) WHERE shared AND {_OPEN};
+CREATE INDEX jobs_by_submitter_and_id ON jobs (submitter, id);
+CREATE INDEX shared_jobs_by_id ON jobs (id) WHERE shared;
+CREATE INDEX ended_jobs_by_submitter ON jobs (submitter, ended_at, coalesce(finished, submitted), number)
+    WHERE {_ENDED};
+ALTER TABLE realm ADD COLUMN blob_bytes INTEGER NOT NULL DEFAULT 0;
+UPDATE realm SET blob_bytes = (SELECT coalesce(sum(size), 0) FROM blobs);
+DROP INDEX sizes_of_blobs;
+CREATE TABLE uses (
+    owner TEXT NOT NULL, digest TEXT NOT NULL, kind TEXT NOT NULL, size INTEGER NOT NULL, live INTEGER NOT NULL,
+    ended INTEGER NOT NULL, PRIMARY KEY (owner, digest, kind)
+) WITHOUT ROWID;
+INSERT INTO uses SELECT coalesce(submitter, ''), table_digest, 'table', coalesce(size, 0), sum({_OPEN}), sum({_ENDED})
+    FROM jobs LEFT JOIN blobs ON digest = table_digest GROUP BY 1, 2;
+INSERT INTO uses SELECT coalesce(submitter, ''), dataset_digest, 'made', coalesce(size, 0), sum({_OPEN}), sum({_ENDED})
+    FROM jobs LEFT JOIN blobs ON digest = dataset_digest WHERE dataset_digest IS NOT NULL GROUP BY 1, 2;
+INSERT INTO uses SELECT '*', digest, kind, max(size), sum(live), sum(ended) FROM uses GROUP BY digest, kind;
+CREATE TABLE holdings (
+    owner TEXT PRIMARY KEY, tables INTEGER NOT NULL, results INTEGER NOT NULL, live INTEGER NOT NULL,
+    freeable INTEGER NOT NULL
+);
+INSERT INTO holdings SELECT owner, sum((kind = 'table') * size), 0, sum((live > 0) * size), sum((live = 0) * size)
+    FROM uses GROUP BY owner;
+UPDATE holdings SET results = (
+    SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE coalesce(submitter, '') = owner OR owner = '*'
+);
+ALTER TABLE events ADD COLUMN owner TEXT;
+ALTER TABLE events ADD COLUMN shared INTEGER NOT NULL DEFAULT 0;
+UPDATE events SET shared = 1 WHERE job IS NULL AND kind NOT IN ('deleted', 'broken', 'log');
+UPDATE events SET (owner, shared) = (SELECT submitter, shared FROM jobs WHERE id = job)
+    WHERE job IN (SELECT id FROM jobs);
+CREATE INDEX events_by_owner ON events (owner) WHERE owner IS NOT NULL;
+CREATE INDEX shared_events ON events (number) WHERE shared;
+CREATE INDEX logs ON events (number) WHERE kind = 'log';
+CREATE INDEX logs_by_owner ON events (owner) WHERE owner IS NOT NULL AND kind = 'log';
+CREATE INDEX shared_logs ON events (number) WHERE shared AND kind = 'log'
+"""
+"""So that no question and no decision takes longer with all that is stored: lists have an index for each way in which
+they are asked for, and bytes are added up as they change."""
+
 _LAYOUTS: Final = (
     _LAYOUT_1,
     ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
@@ -113,6 +166,7 @@ _LAYOUTS: Final = (
     _LAYOUT_5_SERVED,
     _LAYOUT_6_ENDED_JOBS,
     _LAYOUT_7_USERS,
+    _LAYOUT_8_HOLDINGS,
 )
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""
