@@ -62,7 +62,7 @@ def test_what_a_search_has_found_is_shown_without_a_worker_and_time_goes_on() ->
     kill_all(world)
     start_alone(world)
     after = world.client.status("job")
-    assert after.state == "refining"
+    assert (after.state, after.held) == ("refining", False)
     assert after.elapsed >= before.elapsed > 30.0
     assert "waits for a worker" in (after.reason or "")
     assert [each.expression for each in after.variables] == [each.expression for each in before.variables]

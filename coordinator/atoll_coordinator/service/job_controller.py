@@ -146,7 +146,7 @@ class JobController:
         self.queue.take_over(job.id)
         actions = self._set_up(job, record, prepared, now)
         if not job.has_ended:
-            job.hold(self.queue.is_held(job.id))
+            job.hold(job.state == "running")
             self.events.record("resumed", "the coordinator was started again; it goes on from what is stored", job.id)
             self._channel.publish(job.announcement())
         return actions

@@ -76,8 +76,9 @@ def read(
     order = "ASC" if after else "DESC"
     sources = ("TRUE",) if viewer is None else ("owner = :name AND owner IS NOT NULL", "shared")
     which = ("AND job = :job " if job is not None else "") + ("AND kind = 'log' " if of_workers else "")
+    index = "INDEXED BY events_of_job" if job is not None else ""
     parts = (
-        f"SELECT * FROM (SELECT job, time, kind, contents, number FROM events WHERE {whose} {which}"
+        f"SELECT * FROM (SELECT job, time, kind, contents, number FROM events {index} WHERE {whose} {which}"
         f"AND number > :after ORDER BY number {order} LIMIT :limit)"
         for whose in sources
     )

@@ -77,6 +77,7 @@ QUESTIONS: dict[str, Callable[[Store], object]] = {
     "own by their beginning": lambda store: store.count_jobs("0", ANN),
     "events": lambda store: store.events(None, 0, 20),
     "own events": lambda store: store.events(None, 0, 20, ANN),
+    "events of a job": lambda store: store.events("000015", 0, 20, Viewer("bob")),
     "own events after": lambda store: store.events(None, 1, 20, ANN),
     "lines of logs": lambda store: store.events(None, 0, 20, of_workers=True),
     "own lines of logs": lambda store: store.events(None, 0, 20, ANN, of_workers=True),
