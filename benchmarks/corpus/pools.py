@@ -20,9 +20,11 @@ from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.tasks.outcomes import RefiningFailed
 from atoll_coordinator.service.tasks.task_controller import TaskController
+from atoll_coordinator.tasks.preparing import Prepared
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
+from atoll_core.wire.values import decode_value
 from benchmarks.corpus.cases import Case, Key, make_case
 from benchmarks.corpus.outcomes import Outcome, judge_job
 from benchmarks.harness.campaign import attempt
@@ -61,7 +63,7 @@ class KeptPool:
 def keep(controller: TaskController, searched: Searched, config: JobConfig, seconds: float | None, now: float) -> None:
     """Keep what refining would be given in the file that the environment names; in place of `TaskController.refine`."""
     del seconds, now
-    prepared = controller.prepared(searched.job)
+    prepared = decode_value(controller.encoded(searched.job), Prepared)
     kept = KeptPool(prepared.preparation, config, searched.pools, prepared.laws)
     Path(os.environ[FILE]).write_bytes(pickle.dumps(kept))
     controller.post(RefiningFailed(searched.job, Refinement()))

@@ -1,6 +1,17 @@
 """The one tree of errors. Every message is one sentence: what was found, what was expected, what to do."""
 
-from typing import NamedTuple
+import errno
+from typing import Final, NamedTuple
+
+_PASSING: Final = frozenset({
+    errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EBUSY,
+    errno.ESTALE, errno.ETIMEDOUT, errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.ENETDOWN,
+})  # fmt: skip
+
+
+def may_pass(error: OSError) -> bool:
+    """Tell whether what the system refused may be had later, with the same options: a full disk, an address in use."""
+    return error.errno in _PASSING
 
 
 class Field(NamedTuple):
@@ -52,6 +63,12 @@ class UsageError(AtollError):
     exit_code = 2
 
 
+class NotNowError(UsageError):
+    """Raised when what was asked for cannot be had now, which may pass: a port in use, a full disk. Try again."""
+
+    exit_code = 1
+
+
 class DataError(AtollError):
     """Raised when measurements cannot be read or cannot be used as they are."""
 
@@ -87,4 +104,10 @@ class RemoteProtocolError(AtollError):
 
 
 class StoreError(AtollError):
-    """Raised when the coordinator's store cannot be opened, read or written."""
+    """Raised when the coordinator's store cannot be opened, read or written, which may pass: a disk that is full."""
+
+
+class WrongStoreError(StoreError):
+    """Raised when what was named is no store, or none of this version, or is there already: name something else."""
+
+    exit_code = 2

@@ -14,6 +14,7 @@ from pathlib import Path
 from deploy.rehearsal.image import build_image, remove_containers
 from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError
 from deploy.rehearsal.manifests import check_compose, check_kubernetes
+from deploy.rehearsal.mistakes import rehearse_mistakes
 from deploy.rehearsal.services import rehearse_adapt, rehearse_containers, rehearse_slurm, rehearse_systemd
 
 SERVICES = ("containers", "slurm", "adapt", "systemd")
@@ -21,6 +22,7 @@ SERVICES = ("containers", "slurm", "adapt", "systemd")
 STEPS: dict[str, Callable[[Machine], str]] = {
     "compose": check_compose,
     "kubernetes": check_kubernetes,
+    "mistakes": rehearse_mistakes,
     "image": build_image,
     "containers": rehearse_containers,
     "slurm": rehearse_slurm,

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from atoll_core.wire.addresses import Destination
     from atoll_core.wire.security.credentials import Credentials
 
-_WAIT_S: Final = 10.0
 _GRACE_S: Final = 30.0
 _MOST_PROCESSES: Final = 1024
 _LONGEST_BATCH_ID: Final = 10
@@ -35,7 +34,7 @@ exit codes: 0 the coordinator ended or the worker was told to end, 1 failed, 2 b
 after 1 s, then 2 s and so on up to 30 s; one that dies five times within a minute is not, and counts as failed
 
 examples:
-  island-worker --connect tcp/192.168.1.5:7447               one process per core, until the coordinator ends
+  island-worker --connect tcp/192.168.1.5:7447               one process per core; for a restart of it they wait an hour
   ATOLL_CONNECT=tcp/lab1:7447 island-worker --processes 4    the address from the environment
   island-worker --connect tcp/lab1:7447 --wait 3600          wait up to an hour for a coordinator to come (back)
   island-worker --connect tls/lab1:7447 --tls-ca authority.pem --tls-cert certificate.pem --tls-key key.pem
@@ -81,8 +80,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         "--wait",
         metavar="SECONDS",
         type=seconds,
-        default=_WAIT_S,
-        help="how long the coordinator may be away, at the start or later (default: %(default)g)",
+        help="how long the coordinator may be away, at the start or later (default: 10 at the start, 3600 later)",
     )
     parser.add_argument(
         "--lifetime",
@@ -142,8 +140,10 @@ def _destination(options: argparse.Namespace, credentials: "Credentials | None")
         from pathlib import Path
 
         from atoll_core.wire.connect_file import address_in
+        from atoll_island_worker.connection.connection import START_S
 
-        return destination(address_in(Path(options.connect_file), options.wait), credentials)
+        wait_s = START_S if options.wait is None else options.wait
+        return destination(address_in(Path(options.connect_file), wait_s), credentials)
     connect = options.connect or os.environ.get("ATOLL_CONNECT")
     if not connect:
         raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")

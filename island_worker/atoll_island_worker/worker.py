@@ -28,7 +28,14 @@ from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.views import Counters, WorkerState
 from atoll_core.wire.rejects import Rejects
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
-from atoll_island_worker.connection.connection import GRACE, GRACE_S, GREET, LIFETIME, CoordinatorConnection
+from atoll_island_worker.connection.connection import (
+    GRACE,
+    GRACE_S,
+    GREET,
+    LIFETIME,
+    START_S,
+    CoordinatorConnection,
+)
 from atoll_island_worker.connection.requests import FETCH, FETCH_INPUTS, Request, Requests
 from atoll_island_worker.datasets import Datasets
 from atoll_island_worker.job_logs import JobLogs
@@ -54,7 +61,7 @@ class Worker:
         bus: Bus,
         compute: ComputeThread,
         name: str,
-        wait_s: float,
+        wait_s: float | None = None,
         lifetime_s: float | None = None,
         grace_s: float = GRACE_S,
         task_process: TaskProcess | None = None,
@@ -396,14 +403,15 @@ OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
 
 
 def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of the command line
-    connect: str | Destination, name: str, wait_s: float, lifetime_s: float | None, grace_s: float, on_signal: OnSignal,
-    show: Callable[[str], None] | None = None, tasks: Starter | None = None,
+    connect: str | Destination, name: str, wait_s: float | None, lifetime_s: float | None, grace_s: float,
+    on_signal: OnSignal, show: Callable[[str], None] | None = None, tasks: Starter | None = None,
 ) -> int:  # fmt: skip
     """Connect to the coordinator at `connect` as worker `name` and work until it ends or lets us go.
 
     Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
-    any later absence of the coordinator. `on_signal` has a function called when this process is told to end,
-    `show` is called with each sentence of the warm-up. `tasks` starts processes for tasks, interpreters unless given.
+    any later absence of the coordinator (None: `START_S`, then `RETURN_S`). `on_signal` has a function called when this
+    process is told to end, `show` is called with each sentence of the warm-up. `tasks` starts processes for tasks,
+    interpreters unless given.
 
     Returns:
         The exit code.
@@ -418,7 +426,7 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
     compute = ComputeThread(show)
     compute.warm_up()
     try:
-        with open_client(connect, wait_s=wait_s) as bus:
+        with open_client(connect, wait_s=START_S if wait_s is None else wait_s) as bus:
             logs = JobLogs(time.monotonic)
             logging.getLogger().addHandler(logs)
             worker = Worker(bus, compute, name, wait_s, lifetime_s, grace_s, TaskProcess(tasks), logs)

@@ -126,10 +126,10 @@ def test_a_worker_whose_coordinator_stays_away_says_so_and_ends_with_3(place: Pa
 def test_two_coordinators_share_neither_a_port_nor_a_store(place: Path) -> None:
     with serving(place, "four") as (address, _):
         same_port = done(place, "coordinator", "serve", "--listen", address, "--state", "five")
-        assert same_port.returncode == 2
+        assert same_port.returncode == 1, "it may pass: a supervisor starts it again"
         assert "the port is in use" in same_port.stderr
         same_store = done(place, "coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", "four")
-        assert same_store.returncode == 2
+        assert same_store.returncode == 1
         assert "is in use by another coordinator" in same_store.stderr
         for answer in (same_port, same_store):
             assert answer.stderr.count("\n") == 1
@@ -217,7 +217,7 @@ def test_a_job_through_two_routers_one_of_which_is_killed_under_way_has_the_same
             assert client.result("j")["digest"] == digest
             assert {worker.worker for worker in client.workers() if worker.state != "lost"} == {"near", "far"}
             second = done(place, "coordinator", "serve", "--router", site, "--state", "two")
-            assert second.returncode == 2
+            assert second.returncode == 1
             assert "a coordinator is there already" in second.stderr
             health = done(place, "coordinator", "doctor", "--connect", site, "data.csv", "--state", ".")
             assert health.returncode == 0, health.stdout

@@ -91,7 +91,7 @@ def test_a_paused_job_stays_so_when_the_coordinator_is_started_again() -> None:
         world.service = world.start_service()
         world.client.pause(10.0)
         view = world.client.status("job")
-        assert (view.state, view.paused) == ("queued", True)
+        assert (view.state, view.paused, view.held, view.workers) == ("running", True, True, 0)
         world.client.pause_job("job", paused=False)
         assert world.finish().state == "done"
     assert comparable(world.result()) == alone()

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll_core.command_line import TLS_OPTIONS
-from atoll_core.errors import RefusedError, UsageError
+from atoll_core.errors import NotNowError, RefusedError, UsageError, may_pass
 from atoll_core.wire.security.credentials import Credentials, check_welcome, speaks_tls
 
 _PROTOCOLS: Final = ("tcp", "tls", "quic")
@@ -145,7 +145,8 @@ def bindable(address: Address) -> Address:
     """Return `address` with port 0 replaced by a free one, after checking that a router could listen there.
 
     Raises:
-        UsageError: the port is in use or may not be used, or the host is not one of this machine's.
+        UsageError: the port may not be used; NotNowError where it is in use, or the host is not one of this machine's,
+            or not yet.
     """
     if address.is_socket:
         return _bindable_socket(address)
@@ -158,7 +159,8 @@ def bindable(address: Address) -> Address:
             probe.bind(place)
             return Address(address.protocol, address.host, probe.getsockname()[1])
     except OSError as error:
-        raise UsageError(_cannot_listen(address, error)) from error
+        passes = error.errno == socket.EAI_AGAIN if isinstance(error, socket.gaierror) else may_pass(error)
+        raise (NotNowError if passes else UsageError)(_cannot_listen(address, error)) from error
 
 
 def _bindable_socket(address: Address) -> Address:
@@ -167,7 +169,7 @@ def _bindable_socket(address: Address) -> Address:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise UsageError(f"cannot listen on {address}: the folder {folder} is not there or cannot be written")
     if why_unreachable(address) is None:
-        raise UsageError(f"cannot listen on {address}: another program listens there; choose another with --listen")
+        raise NotNowError(f"cannot listen on {address}: another program listens there; choose another with --listen")
     return address
 
 

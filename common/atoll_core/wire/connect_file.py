@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from atoll_core.errors import UnreachableError, UsageError
+from atoll_core.errors import NotNowError, UnreachableError, UsageError, may_pass
 from atoll_core.wire.addresses import parse_address, why_unreachable
 
 MOST_BYTES: Final = 64 * 1024
@@ -25,7 +25,7 @@ def announced(path: Path | None, addresses: Sequence[str]) -> Iterator[None]:
     """Keep `addresses` in the file at `path` while the block lasts; without effect when it is None.
 
     Raises:
-        UsageError: the file cannot be written.
+        UsageError: the file cannot be written; NotNowError where that may pass.
     """
     if path is None:
         yield
@@ -36,7 +36,7 @@ def announced(path: Path | None, addresses: Sequence[str]) -> Iterator[None]:
         draft.write_text(text, "utf-8")
         draft.replace(path)  # whole or not at all: who reads it meanwhile finds the old one, or none
     except OSError as error:
-        raise UsageError(
+        raise (NotNowError if may_pass(error) else UsageError)(
             f"the addresses cannot be written to {path} ({error.strerror}); name another file with --connect-file"
         ) from error
     try:

@@ -39,6 +39,7 @@ from atoll_core.wire.messages.views import (
     CoordinatorView,
     EventView,
     IslandView,
+    JobState,
     JobView,
     WorkerService,
     WorkerView,
@@ -191,10 +192,14 @@ class Client:
         return tuple(view for page in reversed(pages) for view in page)
 
     def page_of_jobs(
-        self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = MAX_PAGE_JOBS
-    ) -> messages.JobList:
-        """Return one page of what `jobs` returns: those that came before the job of that number, None: the last."""
-        question = messages.Jobs(prefix=prefix, is_open=is_open, before=before, limit=limit)
+        self, prefix: str = "", *, is_open: bool = False, state: JobState | None = None, before: int | None = None,
+        limit: int = MAX_PAGE_JOBS,
+    ) -> messages.JobList:  # fmt: skip
+        """Return one page of what `jobs` returns: those that came before the job of that number, None: the last.
+
+        With a `state` it has those in that state alone, which the coordinator finds without reading others.
+        """
+        question = messages.Jobs(prefix=prefix, is_open=is_open, state=state, before=before, limit=limit)
         return self._ask(question, messages.JobList, "the list of jobs")
 
     def status(self, job: str, limit_s: float = ANSWER_LIMIT_S) -> JobView:

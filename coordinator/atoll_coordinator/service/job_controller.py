@@ -10,6 +10,7 @@ the time: whoever reads one of them reads what ends a job and what follows from 
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 from pydantic import ValidationError
@@ -120,8 +121,35 @@ class JobController:
                 except ValidationError as error:
                     self._end_without_job(record.id, checks.settings_reason(error))
                 else:
-                    self._add(Job(record, config, now), _HAD_BEGUN_S if record.state != "queued" else now)
-                    self.workers.crash_loops.recover(record.id)
+                    self._take_over(record, config, now)
+
+    def _take_over(self, record: JobRecord, config: JobConfig, now: float) -> None:
+        """Let a job of the store go on: one whose data are prepared there from what it had found, without a worker."""
+        has_begun = record.state != "queued"
+        if record.submitted_s is not None:
+            record = replace(record, elapsed=max(record.elapsed, self._store.served_s - record.submitted_s))
+        self._add(Job(record, config, now), _HAD_BEGUN_S if has_begun else now, has_begun=has_begun)
+        self.workers.crash_loops.recover(record.id)
+        if record.prepared_digest is None or record.dataset_digest is None:
+            return
+        try:
+            self._store.get_blob(record.dataset_digest)  # workers would ask for ever for one that is damaged
+            prepared = self.tasks.take_prepared(record.id, self._store.get_blob(record.prepared_digest))
+        except (KeyError, RemoteProtocolError):  # damaged, or of another version: its data are prepared again
+            return
+        self._change(record.id, "taking over a job", now, lambda job: self._go_on(job, record, prepared, now))
+
+    def _go_on(self, job: Job, record: JobRecord, prepared: Prepared, now: float) -> Sequence[JobAction]:
+        """Continue a job as it was when the coordinator ended; its next turn is decided with those of the others."""
+        job.start_preparing()
+        self.begun[job.id] = job
+        self.queue.take_over(job.id)
+        actions = self._set_up(job, record, prepared, now)
+        if not job.has_ended:
+            job.hold(job.state == "running")
+            self.events.record("resumed", "the coordinator was started again; it goes on from what is stored", job.id)
+            self._channel.publish(job.announcement())
+        return actions
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
         """Take in a job. The same id with the same contents again changes nothing, nor does it whose job it is.
@@ -143,7 +171,7 @@ class JobController:
         submitted = self._clock()
         record = JobRecord(
             body.job, body.name, spec, body.table, submitted,
-            priority=body.priority, submitter=submitter, shared=int(body.shared),
+            priority=body.priority, submitter=submitter, shared=int(body.shared), submitted_s=self._store.served_s,
         )  # fmt: skip
         self._store.add_job(record)
         with self.guarded(body.job, "taking in a job", now):
@@ -151,11 +179,16 @@ class JobController:
             self.events.record_submission(body)
         self._take_turns(now)
 
-    def _add(self, job: Job, asked_at: float) -> None:
-        """Let a job join those that wait; `asked_at` is the bus's second from which on it has."""
+    def _add(self, job: Job, asked_at: float, *, has_begun: bool = False) -> None:
+        """Let a job join those that wait; `asked_at` is the bus's second from which on it has.
+
+        One that `has_begun` before a restart goes on under a paused queue as well.
+        """
         self.jobs[job.id] = job
         self.live_of[job.submitter] += 1
-        self.queue.add(job.id, job.submitter, job.priority, asked_at, is_paused=job.is_paused)
+        self.queue.add(
+            job.id, job.submitter, job.priority, asked_at, is_paused=job.is_paused, had_begun=has_begun
+        )  # fmt: skip
 
     def set_limits(self, limits: Limits, now: float) -> None:
         """Let other limits hold from now on: jobs beyond them are held, and what is stored already stays."""
@@ -274,7 +307,17 @@ class JobController:
         )
 
     def cancel(self, job_id: str, now: float) -> None:
-        """End a job and keep what it has found; without effect when it has ended."""
+        """End a job and keep what it has found; without effect when it has ended.
+
+        Raises:
+            RefusedError: What the store has of its search cannot be kept before its data are prepared again.
+        """
+        job = self.jobs.get(job_id)
+        if job is not None and job.prepared is None and self._store.has_search(job_id):
+            raise RefusedError(
+                f"job {job_id} goes on from a search that is stored, of which nothing could be kept before its data "
+                "are prepared again; start a worker, and cancel it when `status` shows equations"
+            )
         self._change(job_id, "cancelling", now, Job.cancel)
 
     def begin_preparing(self, job_id: str, now: float) -> None:
@@ -296,6 +339,18 @@ class JobController:
         unknown = checks.epoch_limit_reason(job.config, prepared)
         if unknown is not None:
             return job.fail("data", unknown)
+        actions = self._set_up(job, record, prepared, now)
+        if job.has_ended:
+            return actions
+        self.queue.search(job.id)
+        job.hold(self.queue.is_held(job.id))
+        self._store.begin_search(job.id, data, self.tasks.encoded(job.id))
+        self.events.record_preparation(job)
+        self._channel.publish(job.announcement())
+        return actions
+
+    def _set_up(self, job: Job, record: JobRecord, prepared: Prepared, now: float) -> Sequence[JobAction]:
+        """Set up the search of a job whose data are prepared, from what the store has of it; it may fail."""
         try:
             cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job.id).items()}
             stored = self._stored_checkpoints(job, prepared)
@@ -305,13 +360,7 @@ class JobController:
         reason = checks.resume_reason(prepared, record.dataset_digest, bool(cuts), resumed)
         if reason is not None:
             return job.fail("internal", reason)
-        actions = job.start(prepared, cuts, now, resumed)
-        self.queue.search(job.id)
-        job.hold(self.queue.is_held(job.id))
-        self._store.begin_search(job.id, data)
-        self.events.record_preparation(job)
-        self._channel.publish(job.announcement())
-        return actions
+        return job.start(prepared, cuts, now, resumed)
 
     def _stored_checkpoints(self, job: Job, prepared: Prepared) -> dict[str, tuple[int, bytes]]:
         """Return epoch and contents of the checkpoints from which a search goes on, by variable.
@@ -481,7 +530,7 @@ class JobController:
         if now - self._saved_at >= _SAVE_S:
             self._saved_at = now
             unsaved = self._task_time.take_unsaved()
-            if unsaved:
+            if unsaved or self.jobs:
                 self._store.add_usage(_day_of(self._store), unsaved)
             self._task_time.begin_day(_day_of(self._store))
 
@@ -643,6 +692,7 @@ class JobController:
                     self._channel.publish(action.commit)
                 case Refine():
                     self.queue.remove(job.id)
+                    self._store.update_job(job.id, state="refining")
                     if job.prepared is not None:
                         self.events.record_refining(job.id)
                         searched = Searched(job.id, tuple(outcomes_of(job)))

@@ -22,6 +22,11 @@ from atoll_island_worker.session.events import Reset
 
 _LOG = logging.getLogger(__name__)
 
+START_S: Final = 10.0
+RETURN_S: Final = 3600.0
+"""How long a worker waits for a coordinator, unless told otherwise: at the start, where the address may be wrong, and
+for the return of one that it has worked for, which is restarted, upgraded, or waits for room on its disk."""
+
 GREET_TIMEOUT_S: Final = 2.0
 GREET_PAUSE_S: Final = 0.2
 STALE_PAUSE_S: Final = 2.0
@@ -51,12 +56,12 @@ class CoordinatorConnection:
     """
 
     def __init__(
-        self, bus: Bus, requests: Requests, name: str, wait_s: float, lifetime_s: float | None, grace_s: float
+        self, bus: Bus, requests: Requests, name: str, wait_s: float | None, lifetime_s: float | None, grace_s: float
     ) -> None:
         """Set up, without a greeting yet.
 
         Args:
-            wait_s: how long the coordinator may be away, at the start or later.
+            wait_s: how long the coordinator may be away, at the start or later; None: `START_S`, then `RETURN_S`.
             lifetime_s: after so many seconds the worker drains; None: never.
             grace_s: how long a drain may take; 0: the worker ends at once.
         """
@@ -69,7 +74,7 @@ class CoordinatorConnection:
         self._bus = bus
         self._requests = requests
         self._name = name
-        self._wait_s = wait_s
+        self._given_wait_s = wait_s
         self._lifetime_s = lifetime_s
         self._grace_s = grace_s
         self._fingerprint = ""
@@ -190,6 +195,13 @@ class CoordinatorConnection:
             self.greet()
 
     # ---------------------------------------------------------------------------------------- absence
+
+    @property
+    def _wait_s(self) -> float:
+        """How long the coordinator may be away now."""
+        if self._given_wait_s is not None:
+            return self._given_wait_s
+        return START_S if self.welcome is None else RETURN_S
 
     def coordinator_heard(self) -> None:
         """Take in that the coordinator has said something."""

@@ -11,14 +11,15 @@ from atoll_island_worker.processes.supervisor import Command
 def worker_command(
     connect: Destination,
     name: str,
-    wait_s: float,
+    wait_s: float | None,
     grace_s: float = 0.0,
     lifetime_s: float | None = None,
     further: Sequence[str] = (),
 ) -> Command:
     """Return the command of one worker process that ends with this one; `further` are options for it."""
     options = ["--connect", str(connect), *tls_options(connect)]
-    options += ["--processes", "1", "--name", name, "--wait", f"{wait_s:g}", "--grace", f"{grace_s:g}"]
+    options += ["--processes", "1", "--name", name, "--grace", f"{grace_s:g}"]
+    options += ["--wait", f"{wait_s:g}"] if wait_s is not None else []
     options += ["--lifetime", f"{lifetime_s:g}"] if lifetime_s is not None else []
     return [sys.executable, "-m", "atoll_island_worker", *options, *further, "--parent", str(os.getpid())]
 

@@ -114,7 +114,6 @@ class TaskRunner:
         self._asked: dict[int, tuple[str, Query]] = {}
         self._tokens = 0
         self._cache = ByteCache()
-        self._contexts = ByteCache()
 
     @property
     def is_idle(self) -> bool:
@@ -325,7 +324,7 @@ class TaskRunner:
     def _pull_batch(self, result: BatchResult | None) -> None:
         assert self._helped is not None
         helped = self._helped.help
-        contexts = self._contexts.digests[-64:]
+        contexts = self._cache.digests[-64:]
         self._requests.ask_batch(helped.worker, PullBatch(task=helped.task, result=result, contexts=contexts))
 
     def _batch_came(self, task: str, payload: bytes | None) -> None:
@@ -338,8 +337,8 @@ class TaskRunner:
         match body:
             case GivenBatch():
                 if body.context:
-                    self._contexts.add(hashlib.sha256(body.context).hexdigest(), body.context)
-                context = self._contexts.get(body.digest)
+                    self._cache.add(hashlib.sha256(body.context).hexdigest(), body.context)
+                context = self._cache.get(body.digest)
                 if context is None:
                     raise RemoteProtocolError(f"a batch came with the context {body.digest}, which is not here")
                 self._helped, helped.batch = helped, body.number

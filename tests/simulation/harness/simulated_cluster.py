@@ -185,7 +185,7 @@ class World(Programs):
         super().__init__(seed, plan, has_own_router, compute, expected)
         self.preparer = prepare
         self.refiner = refiner
-        self.store = Store.open(None)
+        self.store = Store.open(None, lambda: self.network.now)
         self.service = self.start_service()
         for index in range(workers):
             self.start_worker(f"w{index}", **options)

@@ -27,9 +27,9 @@ def _no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float]]:
+def worked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, float | None]]:
     """What the one process was told to do."""
-    calls: list[tuple[str, str, float]] = []
+    calls: list[tuple[str, str, float | None]] = []
     monkeypatch.setattr(worker_module, "run_worker", lambda to, *others: calls.append((str(to), *others[:2])) or 0)
     return calls
 
@@ -64,19 +64,19 @@ def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
     assert output.out == ""
 
 
-def test_one_process_works_under_the_name_it_was_given(worked: list[tuple[str, str, float]]) -> None:
+def test_one_process_works_under_the_name_it_was_given(worked: list[tuple[str, str, float | None]]) -> None:
     assert cli.main(["--connect", "tcp/a:1", "--processes", "1", "--name", "w1", "--wait", "2.5"]) == 0
     assert worked == [("tcp/a:1", "w1", 2.5)]
 
 
 def test_the_address_may_come_from_the_environment_and_the_name_from_host_and_process(
-    worked: list[tuple[str, str, float]], monkeypatch: pytest.MonkeyPatch
+    worked: list[tuple[str, str, float | None]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ATOLL_CONNECT", "tcp/b:2")
     monkeypatch.setattr("socket.gethostname", lambda: "lab 1.example.org")
     monkeypatch.setattr("os.getpid", lambda: 17)
     assert cli.main(["--processes", "1"]) == 0
-    assert worked == [("tcp/b:2", "lab-1-17", 10.0)]
+    assert worked == [("tcp/b:2", "lab-1-17", None)]
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def loads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_several_processes_are_forked_when_all_is_loaded_and_have_numbered_names(
-    monkeypatch: pytest.MonkeyPatch, loads: list[str], worked: list[tuple[str, str, float]]
+    monkeypatch: pytest.MonkeyPatch, loads: list[str], worked: list[tuple[str, str, float | None]]
 ) -> None:
     monkeypatch.setattr(forking, "can_fork", lambda: True)
     monkeypatch.setattr(parent_watch, "end_with_parent", lambda parent: None)
@@ -151,7 +151,7 @@ def test_no_worker_is_forked_for_a_parent_that_died_while_loading(
 
 
 def test_the_automatic_number_of_processes_is_said_with_its_reason(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], worked: list[tuple[str, str, float]]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], worked: list[tuple[str, str, float | None]]
 ) -> None:
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "1")
     assert cli.main(["--connect", "tcp/a:1"]) == 0
@@ -191,14 +191,14 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 def test_a_file_names_the_coordinator_and_comes_before_the_environment(
-    worked: list[tuple[str, str, float]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    worked: list[tuple[str, str, float | None]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ATOLL_CONNECT", "tcp/a:1")
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         (tmp_path / "f").write_text(address)
         assert cli.main(["--connect-file", str(tmp_path / "f"), "--processes", "1", "--name", "w"]) == 0
-    assert worked == [(address, "w", cli._WAIT_S)]
+    assert worked == [(address, "w", None)]
 
 
 @pytest.mark.slow
@@ -206,11 +206,15 @@ def test_a_file_names_the_coordinator_and_comes_before_the_environment(
     ("options", "name"), [(["--name", "lab1"], "lab1"), (["--name", "lab1-gpu"], "lab1-gpu"), ([], "lab1-host-7")]
 )
 def test_a_worker_with_a_certificate_bears_its_name(
-    options: list[str], name: str, worked: list[tuple[str, str, float]], lab: Lab, monkeypatch: pytest.MonkeyPatch
+    options: list[str],
+    name: str,
+    worked: list[tuple[str, str, float | None]],
+    lab: Lab,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(cli, "_default_name", lambda: "host-7")
     assert cli.main(["--connect", "tls/a:1", "--processes", "1", *options, *lab.options("lab1")]) == 0
-    assert worked == [("tls/a:1", name, cli._WAIT_S)]
+    assert worked == [("tls/a:1", name, None)]
 
 
 def test_a_long_name_of_a_host_keeps_the_certificate_in_front_and_the_process_behind() -> None:
@@ -221,7 +225,7 @@ def test_a_long_name_of_a_host_keeps_the_certificate_in_front_and_the_process_be
 
 
 def test_a_name_that_is_not_the_certificates_is_refused(
-    worked: list[tuple[str, str, float]], lab: Lab, capsys: pytest.CaptureFixture[str]
+    worked: list[tuple[str, str, float | None]], lab: Lab, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["--connect", "tls/a:1", "--processes", "1", "--name", "lab2", *lab.options("lab1")]
     assert cli.main(words) == 2

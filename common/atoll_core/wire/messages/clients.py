@@ -23,6 +23,7 @@ from atoll_core.wire.messages.views import (
     CoordinatorView,
     EventView,
     IslandView,
+    JobState,
     JobView,
     WorkerService,
     WorkerView,
@@ -64,7 +65,8 @@ class Submit(Frozen):
 
 
 class Jobs(Frozen):
-    """List jobs whose ids begin with `prefix`, and with `is_open` only those that have not ended: the last that came.
+    """List jobs whose ids begin with `prefix`: the last that came; all, or with `is_open` those that have not ended, or
+    those in one `state`.
 
     `before` is the cursor that the list of those behind them gave; at most `limit` are listed.
     """
@@ -72,6 +74,7 @@ class Jobs(Frozen):
     kind: Literal["jobs"] = "jobs"
     prefix: Id | Literal[""] = ""
     is_open: bool = False
+    state: JobState | None = None
     before: Count | None = None
     limit: Annotated[int, Field(ge=1, le=MAX_PAGE_JOBS)] = MAX_PAGE_JOBS
 

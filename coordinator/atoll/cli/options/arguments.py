@@ -161,7 +161,7 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _STATE,
         _value(
             "--keep", "AGE,SIZE", type=_keep, default="90d,8G",
-            text="delete ended jobs, the oldest first, that ended longer ago (30m, 12h, 90d) or while the store takes "
+            text="delete ended jobs, the oldest first, that ended longer ago (30m, 12h, 90d) or while ended ones take "
             "more (500M, 8G); one of the two may be left out, and `all` keeps all (default: %(default)s)",
         ),
         _switch(

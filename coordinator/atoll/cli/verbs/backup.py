@@ -5,7 +5,6 @@ from pathlib import Path
 
 from atoll.cli.exit_codes import DONE
 from atoll.terminal.output import as_json, say
-from atoll_core.errors import StoreError, UsageError
 from atoll_core.signals import raising_interrupts
 
 
@@ -14,11 +13,8 @@ def backup(options: argparse.Namespace) -> int:
     from atoll_coordinator.service.store.backup import back_up
 
     target = Path(options.file)
-    try:
-        with raising_interrupts():
-            copy = back_up(Path(options.state), target)
-    except StoreError as error:
-        raise UsageError(str(error)) from error
+    with raising_interrupts():
+        copy = back_up(Path(options.state), target)
     facts = {"file": str(target), "cluster": copy.cluster, "jobs": copy.jobs, "bytes": copy.size}
     text = f"{target}: a copy of {options.state}, checked; jobs {copy.jobs}, {copy.size / 1e6:.1f} MB"
     say(as_json(facts) if options.json else text)
@@ -29,15 +25,12 @@ def restore(options: argparse.Namespace) -> int:
     """Make the store in ``options.state`` of the copy ``options.file``."""
     from atoll_coordinator.service.store.backup import restore as restored
 
-    try:
-        with raising_interrupts():
-            store = restored(Path(options.file), Path(options.state), replaces=options.replace)
-    except StoreError as error:
-        raise UsageError(str(error)) from error
+    with raising_interrupts():
+        store = restored(Path(options.file), Path(options.state), replaces=options.replace)
     former = str(store.former) if store.former is not None else None
     facts = {
         "state": options.state, "cluster": store.cluster, "of": store.copy.cluster, "jobs": store.copy.jobs,
-        "former": former,
+        "former": former, "aside": [str(path) for path in store.aside],
     }  # fmt: skip
     lines = [
         f"{options.state}: restored from {options.file}, jobs {store.copy.jobs}; start it with: "
@@ -46,5 +39,10 @@ def restore(options: argparse.Namespace) -> int:
         "with the same jobs, and neither knows of the other",
     ]
     lines += [f"the store that was there is {former}; remove it when it is of no use"] if former is not None else []
+    if store.aside and former is None:
+        lines.append(
+            "of a store that was moved away these were left, and are put aside with what it had written last: "
+            f"{', '.join(map(str, store.aside))}; to open that store, move them beside it under its name"
+        )
     say(as_json(facts) if options.json else "\n".join(lines))
     return DONE

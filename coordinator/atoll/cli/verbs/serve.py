@@ -12,7 +12,7 @@ from atoll.cli.listener import addresses_of, read_options, warnings_of
 from atoll.cli.web_process import web_process
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
-from atoll_core.errors import RefusedError, StoreError, UnreachableError, UsageError
+from atoll_core.errors import NotNowError, RefusedError, UnreachableError, UsageError
 from atoll_core.logs import fields
 from atoll_core.machine.file_systems import file_system, is_networked
 from atoll_core.signals import reloading, stopping
@@ -37,7 +37,11 @@ LEAVING_LOOKS: Final = 10
 
 
 def serve(options: argparse.Namespace) -> int:
-    """Serve until SIGTERM or Ctrl-C; return 0. A hang-up has limits and roster read again, where there are some."""
+    """Serve until SIGTERM or Ctrl-C; return 0. A hang-up has limits and roster read again, where there are some.
+
+    Raises UsageError (exit code 2) for options that cannot be used. What may pass has another exit code, so that a
+    supervisor starts this again: StoreError and NotNowError (1), UnreachableError (3).
+    """
     wanted, role_bindings = read_options(options, options.router)
     limits = _limits(options)
     if options.http is not None and role_bindings is not None and options.http_users is None:
@@ -47,12 +51,13 @@ def serve(options: argparse.Namespace) -> int:
     from atoll_coordinator.service.monitoring.metrics import served
     from atoll_coordinator.service.service_loop import Service
     from atoll_coordinator.service.store.retention import Retention
+    from atoll_coordinator.service.store.store import Store
     from atoll_coordinator.service.tasks.dependencies import Dependencies
 
     behind, stop, reload = options.router is not None, threading.Event(), threading.Event()
     reads_again = reloading(reload) if options.limits or options.roster else contextlib.nullcontext()
     with stopping(stop), reads_again:
-        store = _awaited(options, wanted, stop) if options.standby else _opened(options.state)
+        store = _awaited(options, wanted, stop) if options.standby else Store.open(Path(options.state))
         if store is None:
             note("coordinator: stopped on standby; another one serves")
             return DONE
@@ -101,8 +106,9 @@ def _read_again(service: "Service", options: argparse.Namespace) -> None:
 def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None) -> "ZenohBus":
     """Return a bus with a router of our own in it, or one that joined the router at ``options.router``.
 
-    Raises UsageError where nobody can listen there, or another coordinator is behind that router; UnreachableError
-    where that does not answer in time, RefusedError where one side does not accept the certificate of the other.
+    Raises UsageError where nobody can listen there, NotNowError where another program listens there, or another
+    coordinator is behind that router; UnreachableError where that does not answer in time, RefusedError where one side
+    does not accept the certificate of the other.
     """
     from atoll_core.wire.bus.zenoh_bus import open_client, open_router
 
@@ -114,7 +120,7 @@ def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: Rol
             try:
                 refuse_another(bus, bus.endpoint)
                 break
-            except UsageError:  # the one whose store was taken over ends at its next tick
+            except NotNowError:  # the one whose store was taken over ends at its next tick
                 if not left:
                     raise
     except BaseException:
@@ -136,10 +142,7 @@ def _awaited(options: argparse.Namespace, wanted: Destination, stop: threading.E
             return str(error)
         return None
 
-    try:
-        return Standby(Path(options.state), stop, obstacle, lambda sentence: note(f"coordinator: {sentence}")).store()
-    except StoreError as error:
-        raise UsageError(str(error)) from error
+    return Standby(Path(options.state), stop, obstacle, lambda sentence: note(f"coordinator: {sentence}")).store()
 
 
 def refuse_network(state: Path) -> None:
@@ -154,7 +157,7 @@ def refuse_network(state: Path) -> None:
 
 
 def refuse_another(bus: "Bus", router: str) -> None:
-    """Raise UsageError when a coordinator answers already behind `router`: workers could not tell the two apart."""
+    """Raise NotNowError when a coordinator answers already behind `router`: workers could not tell the two apart."""
     from atoll.client.client import Client
 
     try:
@@ -163,17 +166,9 @@ def refuse_another(bus: "Bus", router: str) -> None:
         return
     except RefusedError:  # one of another version
         pass
-    raise UsageError(f"a coordinator is there already behind the router {router}; stop it first, or use another router")
-
-
-def _opened(state: str) -> "Store":
-    """Open the store in the folder `state`; raises UsageError when it cannot be used, since another could be named."""
-    from atoll_coordinator.service.store.store import Store
-
-    try:
-        return Store.open(Path(state))
-    except StoreError as error:
-        raise UsageError(str(error)) from error
+    raise NotNowError(
+        f"a coordinator is there already behind the router {router}; stop it first, or use another router"
+    )
 
 
 def greeting(

@@ -10,7 +10,7 @@ from collections import Counter as Tally
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
-from atoll_core.errors import UsageError
+from atoll_core.errors import NotNowError, UsageError, may_pass
 from atoll_core.wire.messages.views import CoordinatorView, JobState, WorkerState
 
 LAG_S: Final = 0.1
@@ -194,7 +194,7 @@ def served(address: tuple[str, int] | None) -> Iterator[Metrics | None]:
     """Answer scrapes at host and port while the block lasts; None: nothing is measured.
 
     Raises:
-        UsageError: Nobody can listen there.
+        UsageError: Nobody can listen there; NotNowError where that may pass.
     """
     if address is None:
         yield None
@@ -206,7 +206,7 @@ def served(address: tuple[str, int] | None) -> Iterator[Metrics | None]:
         server, thread = prometheus_client.start_http_server(port, host, metrics.registry)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise UsageError(
+        raise (NotNowError if may_pass(error) else UsageError)(
             f"metrics cannot be served at {host}:{port}: {reason}; name another address with --metrics"
         ) from error
     try:

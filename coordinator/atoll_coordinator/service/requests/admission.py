@@ -5,6 +5,7 @@ from typing import Final
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.uploads import Uploads
 from atoll_coordinator.service.scheduling.limits import Limits
+from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError
@@ -17,8 +18,12 @@ RESULT_RESERVE: Final = 512 * 1024
 class Admission:
     """Decides by the limits that hold now. A job that is known already is let in again: its answer was lost."""
 
-    def __init__(self, controller: JobController, store: Store, uploads: Uploads) -> None:
+    def __init__(
+        self, controller: JobController, store: Store, uploads: Uploads, retention: Retention = KEEP_ALL
+    ) -> None:  # fmt: skip
+        """`retention` says how much the store holds of jobs that have not ended."""
         self._controller = controller
+        self._retention = retention
         self._store = store
         self._uploads = uploads
 
@@ -29,7 +34,9 @@ class Admission:
     def admit_upload(self, upload: Upload, user: str | None) -> None:
         """Raise RefusedError for a table that its user, or all together, could not store."""
         if not self._store.uses_table_of(upload.blob, user):
-            self._admit_bytes(user, upload.size + self._uploads.pending_bytes(user, but=upload.blob), 1)
+            size = upload.size + self._uploads.pending_bytes(user, but=upload.blob)
+            self._admit_live(user, size)
+            self._admit_bytes(user, size, 1)
 
     def admit(self, body: Submit, user: str | None) -> Submit:
         """Return a submission with the time that it may take; raises RefusedError for one that is over a limit."""
@@ -38,6 +45,7 @@ class Admission:
             return body.model_copy(update={"config": _as_known(body.config, known.spec, self._limits)})
         self._admit_count(user)
         size = 0 if self._store.uses_table_of(body.table, user) else self._store.blob_size(body.table)
+        self._admit_live(user, size)
         self._admit_bytes(user, size + self._uploads.pending_bytes(user, but=body.table), 1)
         return body.model_copy(update={"config": self._limits.with_time(body.config)})
 
@@ -52,6 +60,23 @@ class Admission:
             raise RefusedError(
                 f"{queue.queued} jobs wait, and limits allow {self._limits.total.queued}; submit again when some have "
                 "been taken up"
+            )
+
+    def _admit_live(self, user: str | None, size: int) -> None:
+        """Refuse a new table of `size` bytes where those of jobs that have not ended take what there is for them.
+
+        No deletion makes room for it. Who holds less than an equal share of that is let in nevertheless.
+        """
+        most = self._retention.most_live
+        if most is None or not size:
+            return
+        live, own = self._store.held_for_all().live, self._store.held(user).live
+        share = most // max(1, self._store.count_holders() + (not own))
+        if live + size > most and own + size > share:
+            raise RefusedError(
+                f"tables of jobs that have not ended take {live} bytes ({own} of them those of {_name(user)}), and "
+                f"{size} more are over the {most} that the coordinator's --keep leaves for them; submit again when "
+                "some have ended, or cancel some"
             )
 
     def _admit_bytes(self, user: str | None, size: int, jobs: int) -> None:

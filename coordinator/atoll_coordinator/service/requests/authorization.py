@@ -100,7 +100,9 @@ class Authorization:
         if not isinstance(body, Cancel | Delete | Pause | SetPriority | Share | Retry):
             return None
         owner = self._jobs.submitter(body.job)
-        if owner in (None, self.role_bindings.principal(client)):
+        if owner is None:  # nobody proved then whose it was, so that it is not everybody's now
+            return f"job {body.job} came before there was a roster; only an admin may {_CHANGES[type(body)]} it"
+        if owner == self.role_bindings.principal(client):
             return None
         may = f"only {owner} or an admin may {_CHANGES[type(body)]} it"
         return f"job {body.job} was submitted by {owner}; {may}"

@@ -9,7 +9,7 @@ from atoll_coordinator.service.requests.admission import Admission
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import Uploads
-from atoll_coordinator.service.store.jobs import Viewer
+from atoll_coordinator.service.store.jobs import MAX_COUNTED, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.messages.clients import (
@@ -88,7 +88,7 @@ class ClientRequests:
         self._authorization = authorization
         self._deletion = deletion
         self.uploads: Final = Uploads(store, now)
-        self._admission = Admission(controller, store, self.uploads)
+        self._admission = Admission(controller, store, self.uploads, deletion.retention)
         self._now = now
         self._coordinator = coordinator
         self._followers = followers
@@ -254,7 +254,7 @@ class ClientRequests:
         coordinator = self._coordinator()
         if viewer is not None:
             page = tuple(_without_others(view, self._store, viewer) for view in page)
-            seen = [user for user in coordinator.users if user.user in (None, viewer.name)] if coordinator else []
+            seen = [user for user in coordinator.users if user.user == viewer.name] if coordinator else []
             coordinator = coordinator and coordinator.model_copy(update={"users": tuple(seen)})
         return WorkerList(workers=page, after=after, coordinator=coordinator)
 
@@ -270,8 +270,9 @@ class ClientRequests:
     def _page(self, question: Jobs, viewer: Viewer | None) -> JobList:
         """Return a page of jobs, newest last, that an answer bears."""
         page = self._store.job_page(
-            question.prefix, is_open=question.is_open, before=question.before, limit=question.limit, viewer=viewer
-        )
+            question.prefix, is_open=question.is_open, before=question.before, limit=question.limit, viewer=viewer,
+            state=question.state,
+        )  # fmt: skip
         numbers = {job: number for number, job in page}
         views: list[JobView] = []
         size, shown = 0, self._controller.shown
@@ -280,7 +281,8 @@ class ClientRequests:
             size += len(view.model_dump_json())
             if views and (size > MAX_PAGE_BYTES or shown.bytes_read - read > MAX_RESULT_BYTES):
                 return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
-            views.append(view)
+            if question.state in (None, view.state):  # one that was taken over may stand otherwise than it is stored
+                views.append(view)
         is_last = len(numbers) < question.limit
         return JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
@@ -294,10 +296,11 @@ class ClientRequests:
             return JobFound(job=ids[0])
         shown = ", ".join(reversed(ids))
         if count:
-            shown += f" and {count - _SHOWN} more" if count > _SHOWN else ""
-            return Failure(
-                failure="refused", sentence=f"{count} jobs begin with {prefix!r} ({shown}); write more of the id"
-            )
+            is_whole = count < MAX_COUNTED
+            shown += f" and {count - _SHOWN if is_whole else 'many'} more" if count > _SHOWN else ""
+            number = f"{count}" if is_whole else f"{count} and more"
+            sentence = f"{number} jobs begin with {prefix!r} ({shown}); write more of the id"
+            return Failure(failure="refused", sentence=sentence)
         there = f"the last that came are {shown}" if ids else "there is none at all yet"
         return Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
 

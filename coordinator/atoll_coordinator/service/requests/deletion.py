@@ -18,7 +18,7 @@ class JobDeletion:
         """`retention` says which ended jobs are kept."""
         self._controller = controller
         self._store = store
-        self._retention = retention
+        self.retention: Final = retention
         self._check_at = 0.0
 
     def delete(self, job: str, reason: str) -> None:
@@ -32,14 +32,27 @@ class JobDeletion:
 
     def delete_expired(self, now: float) -> None:
         """Delete the oldest ended job if it is not to be kept, at most one in a call; `now` in seconds of the bus."""
-        if self._retention == KEEP_ALL or now < self._check_at:
+        if self.retention == KEEP_ALL or now < self._check_at:
             return
         self._store.keep_served()
-        oldest = self._store.oldest_ended_job()
-        reason = None
-        if oldest is not None:
-            reason = self._retention.reason_to_delete(oldest, self._store.served_s, self._store.used_bytes())
-        if oldest is None or reason is None:
+        expired = self._expired()
+        if expired is None:
             self._check_at = now + CHECK_INTERVAL_S
         else:
-            self.delete(oldest.id, reason)
+            self.delete(*expired)
+
+    def _expired(self) -> tuple[str, str] | None:
+        """Return the next job that is not to be kept, and why; None: there is none."""
+        oldest = self._store.oldest_ended_job()
+        if oldest is not None and self.retention.is_too_old(oldest, self._store.served_s):
+            return oldest.id, f"it ended more than {(self.retention.age_s or 0.0) / 86400:g} days ago"
+        if not self.retention.is_too_much(self._store.held_for_all().freeable):
+            return None
+        first = self._store.first_to_go()
+        if first is None:
+            return None
+        size = (self.retention.size_bytes or 0) / 1e9
+        return (
+            first.id,
+            f"ended jobs hold more than {size:g} GB, and it ended first of those of the user who holds most",
+        )

@@ -39,6 +39,8 @@ class _Entry:
     number: int
     stage: Stage = "waiting"
     is_paused: bool = False
+    had_begun: bool = False
+    """Before a restart: a queue that is paused holds up what is new, and nothing that had begun."""
 
     @property
     def has_begun(self) -> bool:
@@ -92,10 +94,14 @@ class JobQueue:
     # ------------------------------------------------------------------------------------------- changes
 
     def add(
-        self, job: str, principal: str | None, priority: int, now: float, *, is_paused: bool = False
+        self, job: str, principal: str | None, priority: int, now: float, *, is_paused: bool = False,
+        had_begun: bool = False,
     ) -> None:  # fmt: skip
-        """Let a job join the line, behind those of its user that came before; `now` in seconds."""
-        entry = _Entry(job, principal, priority, now, self._next_number, is_paused=is_paused)
+        """Let a job join the line, behind those of its user that came before; `now` in seconds.
+
+        One that `had_begun` before a restart is taken up even if the queue is paused.
+        """
+        entry = _Entry(job, principal, priority, now, self._next_number, is_paused=is_paused, had_begun=had_begun)
         self._next_number += 1
         self._entries[job] = entry
         self._stand(entry)
@@ -106,6 +112,11 @@ class JobQueue:
         self._step_aside(entry)
         entry.stage = "preparing"
         self._users[entry.principal].begun[job] = entry
+
+    def take_over(self, job: str) -> None:
+        """Take in that a job goes on after a restart whose search had begun: it is held until it is its turn."""
+        self.begin(job)
+        self._entries[job].stage = "held"
 
     def put_back(self, job: str) -> None:
         """Let a job wait again that nobody has begun to prepare; it keeps its place in the line."""
@@ -199,14 +210,18 @@ class JobQueue:
                 yield from (entry for entry in user.begun.values() if entry.stage == "preparing")
                 continue
             yield from (entry for entry in user.begun.values() if not entry.is_paused or entry.stage == "preparing")
-            if not self.is_paused:
-                yield from (self._entries[job] for _, _, job in user.waiting[: self.limits.total.running])
+            yield from self._next_of(user)
+
+    def _next_of(self, user: _User) -> list[_Entry]:
+        """Return the jobs of a user that wait and may be taken up: as many as there are places."""
+        first = [self._entries[job] for _, _, job in user.waiting[: self.limits.total.running]]
+        return [entry for entry in first if entry.had_begun] if self.is_paused else first
 
     def _is_content(self, principal: str | None, user: _User) -> bool:
         """Tell whether a user has all places that there is use for: more could not be taken up now."""
         stages = [entry.stage for entry in user.begun.values() if not entry.is_paused]
         busy = stages.count("searching") + stages.count("preparing")
-        return self._is_full(principal, busy) or not ("held" in stages or (user.waiting and not self.is_paused))
+        return self._is_full(principal, busy) or not ("held" in stages or self._next_of(user))
 
     def has_no_time(self, principal: str | None) -> bool:
         """Tell whether a user may use no more task time today."""
@@ -234,10 +249,9 @@ class JobQueue:
 
     @property
     def ready(self) -> int:
-        """How many jobs wait for nothing but a place: none of a paused queue, nor of users without task time."""
-        if self.is_paused:
-            return 0
-        return sum(len(user.waiting) for name, user in self._users.items() if not self.has_no_time(name))
+        """How many jobs wait for nothing but a place: no new one in a paused queue, none of users without task time."""
+        users = (user for name, user in self._users.items() if not self.has_no_time(name))
+        return sum(len(self._next_of(user) if self.is_paused else user.waiting) for user in users)
 
     def queued_of(self, principal: str | None) -> int:
         """Return how many jobs of a user wait, paused ones included."""
@@ -278,7 +292,7 @@ class JobQueue:
             return NO_TIME
         if entry.stage == "held":
             return "waits for its user's next turn; others have theirs"
-        if self.is_paused:
+        if self.is_paused and not entry.had_begun:
             return "waits: the queue is paused by an admin"
         busy = sum(begun.stage in ("preparing", "searching") for begun in self._users[principal].begun.values())
         if self._is_full(principal, busy):

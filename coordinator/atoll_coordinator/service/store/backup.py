@@ -14,7 +14,7 @@ from typing import Final
 
 from atoll_coordinator.service.store.lock import Lock
 from atoll_coordinator.service.store.schema import BUSY_LIMIT_S, FILE_NAME, check_kind, rename_cluster
-from atoll_core.errors import StoreError
+from atoll_core.errors import StoreError, WrongStoreError
 
 STEP_PAGES: Final = 1024
 """Pages of 4 KB that are read at once: 4 MB, some milliseconds of a disk, for which a commit waits at most."""
@@ -22,7 +22,8 @@ STEP_PAGES: Final = 1024
 PAUSE_S: Final = 0.005
 """Between two steps: at most half of the disk's time is taken, where 4 MB take as long."""
 
-_OF_WAL: Final = ("-wal", "-shm")
+_COMPANIONS: Final = ("-wal", "-shm", "-journal")
+"""What SQLite keeps beside a file of that name, and plays into whatever file it finds there at the next opening."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +38,16 @@ class Copy:
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """A store made of a copy: what was copied, the new name of its cluster, and where a former store was put."""
+    """A store made of a copy: what was copied, the new name of its cluster, and the files that were put aside.
+
+    `former` is the store that was there; None: there was none. `aside` has all that was, also what was left of a store
+    whose file had been moved away.
+    """
 
     copy: Copy
     cluster: str
     former: Path | None
+    aside: tuple[Path, ...] = ()
 
 
 def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = lambda done, pages: None) -> Copy:
@@ -54,7 +60,7 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
     """
     source = directory / FILE_NAME
     if not source.is_file():
-        raise StoreError(f"there is no store in {directory}; name the folder of `coordinator serve` with --state")
+        raise WrongStoreError(f"there is no store in {directory}; name the folder of `coordinator serve` with --state")
     with _draft_of(target) as draft, contextlib.closing(_connected(source)) as store:
         with _translated(f"the store {source} cannot be copied", "choose a sound one"):
             check_kind(store, source)
@@ -74,21 +80,21 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
         return check_copy(draft, f"the copy of {source}")
 
 
-def check_copy(file: Path, what: str) -> Copy:
-    """Look through all of a copy, called `what`, and return what it holds.
+def check_copy(file: Path, what: str, mode: str = "ro") -> Copy:
+    """Look through all of a copy, called `what`, and return what it holds; opened to read alone, or as `mode` says.
 
     Raises:
         StoreError: it is damaged, no store, of a newer version, or cannot be read.
     """
     advice = "use another copy"
-    with _translated(f"{what} cannot be read", advice), contextlib.closing(_connected(file, "ro")) as copy:
+    with _translated(f"{what} cannot be read", advice), contextlib.closing(_connected(file, mode)) as copy:
         if not check_kind(copy, file):
-            raise StoreError(f"{what} holds no store; {advice}")
+            raise WrongStoreError(f"{what} holds no store; {advice}")
         (finding,) = copy.execute("PRAGMA integrity_check(1)").fetchone()
         rows = copy.execute("SELECT id, incarnation FROM realm").fetchall() if finding == "ok" else []
         if len(rows) != 1:
             reason = finding.splitlines()[-1] if finding != "ok" else "it has no name"
-            raise StoreError(f"{what} is damaged ({reason}); {advice}")
+            raise WrongStoreError(f"{what} is damaged ({reason}); {advice}")
         (jobs,) = copy.execute("SELECT count(*) FROM jobs").fetchone()
     return Copy(rows[0][0], int(rows[0][1]), int(jobs), file.stat().st_size)
 
@@ -97,18 +103,20 @@ def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restore
     """Make the store in `directory` of the copy `source`, under a new name of its cluster.
 
     The name is new since what the copy does not know of has happened under the old one: terms would be issued twice,
-    and the store that was copied may still be served elsewhere. With `replaces` a store that is there is put aside.
+    and the store that was copied may still be served elsewhere. With `replaces` a store that is there is put aside, and
+    always what SQLite left beside one that was moved away: it would be played into the new one. The new store is opened
+    once, and has the jobs of the copy, before this returns.
 
     Raises:
         StoreError: the copy is missing, damaged or no store; the directory has a store or a coordinator, or no room.
     """
     if not source.is_file():
-        raise StoreError(f"there is no copy {source}; name a file that `coordinator backup` has written")
+        raise WrongStoreError(f"there is no copy {source}; name a file that `coordinator backup` has written")
     lock = Lock(directory)
     try:
         place = directory / FILE_NAME
         if place.exists() and not replaces:
-            raise StoreError(
+            raise WrongStoreError(
                 f"{directory} has a store already; choose another directory with --state, or put that one aside with "
                 "--replace"
             )
@@ -116,10 +124,22 @@ def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restore
         with _draft_of(place, exists=True) as draft:
             with _translated(f"the store {place} cannot be written", "see that there is room"):
                 name = _renamed_copy(source, draft)
-            former = _put_aside(place) if place.exists() else None
-        return Restored(found, name, former)
+            aside = _put_aside(place)
+        _require_restored(place, name, found)
+        former = aside[0] if aside and aside[0].suffix == place.suffix else None
+        return Restored(found, name, former, aside)
     finally:
         lock.release()
+
+
+def _require_restored(place: Path, name: str, copied: Copy) -> None:
+    """Raise StoreError unless the store at `place` is the one that was restored: opened as `serve` opens it."""
+    there = check_copy(place, f"the restored store {place}", "rw")
+    if (there.cluster, there.jobs) != (name, copied.jobs):
+        raise StoreError(
+            f"the restored store {place} holds {there.jobs} jobs of the cluster {there.cluster}, but {copied.jobs} of "
+            f"{name} were expected; restore into an empty directory"
+        )
 
 
 def _renamed_copy(source: Path, target: Path) -> str:
@@ -135,21 +155,33 @@ def _renamed_copy(source: Path, target: Path) -> str:
         return name
 
 
-def _put_aside(place: Path) -> Path:
-    """Give a store that nobody serves another file name, and return it: it is whole in one file then."""
+def _put_aside(place: Path) -> tuple[Path, ...]:
+    """Give all that is there of a store that nobody serves other file names, and return them, that of the store first.
+
+    A store that is sound is whole in one file then; of one that was moved away its companions alone are left.
+    """
     with _translated(f"the store {place} cannot be put aside", "move it away by hand"):
-        try:
-            with contextlib.closing(sqlite3.connect(place, isolation_level=None, timeout=BUSY_LIMIT_S)) as former:
-                former.execute("PRAGMA journal_mode = DELETE")
-        except sqlite3.DatabaseError:  # it may be replaced just because it is damaged
-            pass
-        numbers = (place.with_name(f"replaced-{number}.sqlite3") for number in range(1, 10**6))
-        aside = next(path for path in numbers if not path.exists())
-        place.rename(aside)
-        for end in _OF_WAL:
-            with contextlib.suppress(FileNotFoundError):
-                place.with_name(place.name + end).rename(aside.with_name(aside.name + end))
-    return aside
+        if place.exists():
+            try:
+                with contextlib.closing(sqlite3.connect(place, isolation_level=None, timeout=BUSY_LIMIT_S)) as former:
+                    former.execute("PRAGMA journal_mode = DELETE")
+            except sqlite3.DatabaseError:  # it may be replaced just because it is damaged
+                pass
+        there = [end for end in ("", *_COMPANIONS) if place.with_name(place.name + end).exists()]
+        if not there:
+            return ()
+        numbers = (place.with_name(f"replaced-{number}{place.suffix}") for number in range(1, 10**6))
+        base = next(path for path in numbers if not _companions(path))
+        aside = tuple(base.with_name(base.name + end) for end in there)
+        for end, target in zip(there, aside, strict=True):
+            place.with_name(place.name + end).rename(target)
+        return aside
+
+
+def _companions(path: Path) -> list[Path]:
+    """Return what there is of a store: its file, and what SQLite has put beside it."""
+    files = (path.with_name(path.name + end) for end in ("", *_COMPANIONS))
+    return [file for file in files if file.exists()]
 
 
 @contextlib.contextmanager
@@ -157,10 +189,12 @@ def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
     """Yield a file beside `target` that takes its place at the end of the block, durably; after an error it is gone.
 
     Raises:
-        StoreError: `target` exists, unless that is as it should be, or its folder cannot be written.
+        StoreError: `target` exists, or what SQLite left beside a file of that name, unless that is as it should be; or
+            its folder cannot be written.
     """
-    if target.exists() and not exists:
-        raise StoreError(f"{target} exists already; name another file for the copy, or remove it")
+    there = [] if exists else _companions(target)
+    if there:
+        raise WrongStoreError(f"{there[0]} exists already; name another file for the copy, or remove it")
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         with _translated(f"the file {target} cannot be written", "name another"):
@@ -171,7 +205,7 @@ def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
             draft.replace(target)
             _sync(target.parent)
     finally:
-        for end in ("", "-journal", *_OF_WAL):
+        for end in ("", *_COMPANIONS):
             draft.with_name(draft.name + end).unlink(missing_ok=True)
 
 

@@ -16,7 +16,9 @@ def add(sql: sqlite3.Connection, digest: str, data: bytes) -> None:
     """Add a blob, whole; one that is there and damaged is replaced."""
     if is_complete(sql, digest) and keep_if_sound(sql, digest):
         return
-    sql.execute("INSERT OR REPLACE INTO blobs VALUES (?, ?, 1)", (digest, len(data)))
+    _delete(sql, digest)
+    sql.execute("INSERT INTO blobs VALUES (?, ?, 1)", (digest, len(data)))
+    _count(sql, len(data))
     sql.execute("INSERT OR IGNORE INTO uploads VALUES (?)", (digest,))
     pieces = ((digest, n, data[n * CHUNK_SIZE : (n + 1) * CHUNK_SIZE]) for n in range(chunk_count(len(data))))
     sql.executemany("INSERT INTO chunks VALUES (?, ?, ?)", pieces)
@@ -34,7 +36,7 @@ def keep_if_sound(sql: sqlite3.Connection, digest: str) -> bool:
         actual.update(data)
     if actual.hexdigest() == digest:
         return True
-    sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))
+    _delete(sql, digest)
     return False
 
 
@@ -102,8 +104,7 @@ def put_chunk(sql: sqlite3.Connection, digest: str, size: int, index: int, data:
 def total_bytes(sql: sqlite3.Connection, but: str = "") -> int:
     """Return how many bytes all blobs but one have, announced ones included."""
     (total,) = sql.execute(
-        "SELECT (SELECT coalesce(sum(size), 0) FROM blobs) - coalesce((SELECT size FROM blobs WHERE digest = ?), 0)",
-        (but,),
+        "SELECT blob_bytes - coalesce((SELECT size FROM blobs WHERE digest = ?), 0) FROM realm", (but,)
     ).fetchone()
     return cast(int, total)
 
@@ -111,7 +112,8 @@ def total_bytes(sql: sqlite3.Connection, but: str = "") -> int:
 # Every blob is among `uploads` until a job takes it; so only few are asked whether a job uses them after all.
 _UNUSED: Final = (
     "NOT EXISTS (SELECT 1 FROM jobs WHERE table_digest = digest) "
-    "AND NOT EXISTS (SELECT 1 FROM jobs WHERE dataset_digest = digest)"
+    "AND NOT EXISTS (SELECT 1 FROM jobs WHERE dataset_digest = digest) "
+    "AND NOT EXISTS (SELECT 1 FROM jobs WHERE prepared_digest = digest)"
 )
 
 
@@ -120,22 +122,26 @@ def unused(sql: sqlite3.Connection) -> tuple[str, ...]:
     return tuple(digest for (digest,) in sql.execute(f"SELECT digest FROM uploads WHERE {_UNUSED}").fetchall())
 
 
-def unused_bytes(sql: sqlite3.Connection) -> int:
-    """Return how many bytes are there of the blobs that no job uses."""
-    (total,) = sql.execute(
-        "SELECT coalesce(sum(length(data)), 0) FROM chunks "
-        f"WHERE digest IN (SELECT digest FROM uploads WHERE {_UNUSED})"
-    ).fetchone()
-    return cast(int, total)
-
-
 def delete_unused(sql: sqlite3.Connection, digests: Iterable[str]) -> None:
     """Delete those of these blobs that no job uses."""
-    sql.executemany(f"DELETE FROM blobs WHERE digest = ? AND {_UNUSED}", [(digest,) for digest in digests])
+    for digest in digests:
+        _delete(sql, digest, _UNUSED)
+
+
+def _delete(sql: sqlite3.Connection, digest: str, condition: str = "TRUE") -> None:
+    deleted = sql.execute(f"DELETE FROM blobs WHERE digest = ? AND {condition} RETURNING size", (digest,)).fetchall()
+    _count(sql, -sum(size for (size,) in deleted))
+
+
+def _count(sql: sqlite3.Connection, size: int) -> None:
+    """Take in that all blobs have so many bytes more, or fewer."""
+    if size:
+        sql.execute("UPDATE realm SET blob_bytes = blob_bytes + ?", (size,))
 
 
 def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:
-    sql.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?, 0)", (digest, size))
+    if sql.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?, 0)", (digest, size)).rowcount:
+        _count(sql, size)
     sql.execute("INSERT OR IGNORE INTO uploads VALUES (?)", (digest,))
     (known,) = sql.execute("SELECT size FROM blobs WHERE digest = ?", (digest,)).fetchone()
     if known != size:

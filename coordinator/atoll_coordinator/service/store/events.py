@@ -32,10 +32,23 @@ class EventRecord:
 
 def add(sql: sqlite3.Connection, events: Sequence[EventRecord]) -> None:
     """Add events, in order, and forget what is too much of each job; part of the caller's transaction."""
-    rows = [(event.job, event.time, event.kind, event.contents) for event in events]
-    sql.executemany("INSERT INTO events (job, time, kind, contents) VALUES (?, ?, ?, ?)", rows)
+    rows = [(event.job, event.time, event.kind, event.contents, *_seen_by(sql, event)) for event in events]
+    sql.executemany("INSERT INTO events (job, time, kind, contents, owner, shared) VALUES (?, ?, ?, ?, ?, ?)", rows)
     for job in {event.job: None for event in events}:
         _thin(sql, job)
+
+
+def _seen_by(sql: sqlite3.Connection, event: EventRecord) -> tuple[str | None, int]:
+    """Return whose an event is, and whether everybody sees it: what its job says, or an event of workers."""
+    if event.job is None:
+        return None, int(event.kind not in ("deleted", "broken", "log"))
+    row = sql.execute("SELECT submitter, shared FROM jobs WHERE id = ?", (event.job,)).fetchone()
+    return row if row is not None else (None, 0)
+
+
+def share(sql: sqlite3.Connection, job: str, is_shared: bool) -> None:
+    """Have everybody see the events of a job, or its submitter alone."""
+    sql.execute("UPDATE events SET shared = ? WHERE job = ?", (int(is_shared), job))
 
 
 def _thin(sql: sqlite3.Connection, job: str | None) -> None:
@@ -60,21 +73,17 @@ def read(
     A `viewer` is told of the jobs it sees, and of workers; what broke, which jobs were deleted, and what workers log of
     no job that is known, may be others'. `of_workers`: only lines of workers' logs.
     """
-    order, conditions = "ASC" if after else "DESC", ["number > ?"]
-    values: list[str | int | None] = [after]
-    if job is not None:  # an OR would read all of them
-        conditions, values = [*conditions, "job = ?"], [*values, job]
-    if of_workers:
-        conditions.append("kind = 'log'")
-    if viewer is not None:
-        of_nobody = "job IS NULL AND kind NOT IN ('deleted', 'broken', 'log')"
-        conditions.append(f"({of_nobody} OR job IN (SELECT id FROM jobs WHERE {viewer.condition}))")
-        values.append(viewer.name)
-    rows = sql.execute(
-        f"SELECT job, time, kind, contents, number FROM events WHERE {' AND '.join(conditions)} "
-        f"ORDER BY number {order} LIMIT ?",
-        (*values, limit),
-    ).fetchall()
+    order = "ASC" if after else "DESC"
+    sources = ("TRUE",) if viewer is None else ("owner = :name AND owner IS NOT NULL", "shared")
+    which = ("AND job = :job " if job is not None else "") + ("AND kind = 'log' " if of_workers else "")
+    index = "INDEXED BY events_of_job" if job is not None else ""
+    parts = (
+        f"SELECT * FROM (SELECT job, time, kind, contents, number FROM events {index} WHERE {whose} {which}"
+        f"AND number > :after ORDER BY number {order} LIMIT :limit)"
+        for whose in sources
+    )
+    values = {"job": job, "after": after, "limit": limit, "name": viewer.name if viewer is not None else None}
+    rows = sql.execute(f"{' UNION '.join(parts)} ORDER BY number {order} LIMIT :limit", values).fetchall()
     return tuple(EventRecord(*row) for row in (rows if after else reversed(rows)))
 
 

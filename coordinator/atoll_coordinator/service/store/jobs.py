@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Final, cast
 
 from atoll_core.errors import LocalProtocolError
+from atoll_core.wire.messages.views import FINAL_STATES
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +17,8 @@ class JobRecord:
     `table_digest` names the uploaded table and `dataset_digest` the prepared dataset among the blobs. `priority` is
     from -10 to 10; each step doubles the job's share of what its user has of the workers. `submitter` is who submitted
     it, by the name in the certificate (None: nobody proved it); others see it when it is `shared`. A `paused` job waits
-    until it is resumed.
+    until it is resumed. `prepared_digest` names among the blobs what preparing gave beside the dataset, until the job
+    ends; `submitted_s` is how many seconds the store had been served when it came (None: an earlier version took it).
     """
 
     id: str
@@ -34,6 +36,8 @@ class JobRecord:
     submitter: str | None = None
     shared: int = 0
     paused: int = 0
+    prepared_digest: str | None = None
+    submitted_s: float | None = None
 
     @property
     def is_sound(self) -> bool:
@@ -47,7 +51,9 @@ class JobRecord:
 
 
 _COLUMNS: Final = tuple(field.name for field in fields(JobRecord))
-_FIXED: Final = ("id", "spec", "table_digest", "submitted", "submitter")
+_FIXED: Final = (
+    "id", "spec", "table_digest", "submitted", "submitter", "submitted_s", "dataset_digest", "prepared_digest"
+)  # fmt: skip
 _OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
 _ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
 """Word by word the conditions of the indices of `schema`, which are used for no other."""
@@ -81,42 +87,75 @@ def read_all(sql: sqlite3.Connection) -> tuple[JobRecord, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """Who looks at jobs: sees those of `name`, those of nobody and shared ones."""
+    """Who looks at jobs: sees those of `name` and shared ones.
+
+    What nobody proved to have submitted, before there was a roster, is seen by those alone who see all.
+    """
 
     name: str | None
 
     @property
     def condition(self) -> str:
         """What holds of a row of jobs that is seen, with the name as its value."""
-        return "(submitter IS NULL OR submitter IS ? OR shared)"
+        return "(submitter = ? OR shared)"
 
 
-def page(
-    sql: sqlite3.Connection, prefix: str, is_open: bool, before: int | None, limit: int, viewer: Viewer | None = None
-) -> tuple[tuple[int, str], ...]:
+_INDICES: Final = {
+    ("all", "any"): "NOT INDEXED", ("all", "open"): "INDEXED BY open_jobs",
+    ("all", "state"): "INDEXED BY jobs_by_state",
+    ("own", "any"): "INDEXED BY jobs_by_submitter", ("own", "open"): "INDEXED BY open_jobs_by_submitter",
+    ("own", "state"): "INDEXED BY jobs_by_submitter_and_state",
+    ("shared", "any"): "INDEXED BY shared_jobs", ("shared", "open"): "INDEXED BY shared_open_jobs",
+    ("shared", "state"): "INDEXED BY shared_jobs_by_state",
+}  # fmt: skip
+"""Whose jobs and which -> the index that has them in order: no row is read that is not answered."""
+
+_WHOSE: Final = {"all": "TRUE", "own": "submitter = :name", "shared": "shared"}
+_WHICH: Final = {"any": "TRUE", "open": _OPEN, "state": "state = :state"}
+
+
+def page(  # noqa: PLR0913  # what a list is asked for by
+    sql: sqlite3.Connection, prefix: str, is_open: bool, before: int | None, limit: int, viewer: Viewer | None = None,
+    state: str | None = None,
+) -> tuple[tuple[int, str], ...]:  # fmt: skip
     """Return numbers and ids of the last jobs, the last first, that begin with `prefix` and came before `before`.
 
-    `viewer` (None: sees all) leaves out what it does not see.
+    `is_open` leaves out those that have ended, `state` all that are in another one, `viewer` (None: sees all) what it
+    does not see.
     """
-    conditions: list[str] = []
-    values: list[str | int | None] = []
-    if prefix:
-        conditions, values = ["id >= ? AND id < ?"], [prefix, prefix + _BEYOND]
-    if viewer is not None:
-        conditions, values = [*conditions, viewer.condition], [*values, viewer.name]
-    if is_open:
-        conditions.append(_OPEN)
-    if before is not None:
-        conditions, values = [*conditions, "number < ?"], [*values, before]
-    where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
-    return tuple(sql.execute(f"SELECT number, id FROM jobs {where} ORDER BY number DESC LIMIT ?", (*values, limit)))
+    if is_open and state in FINAL_STATES:
+        return ()
+    which = "state" if state is not None else "open" if is_open else "any"
+    further = ("AND number < :before " if before is not None else "") + (
+        "AND id >= :prefix AND id < :beyond " if prefix else ""
+    )
+    parts = [
+        f"SELECT * FROM (SELECT number, id FROM jobs {'' if prefix else _INDICES[whose, which]} "
+        f"WHERE {_WHOSE[whose]} AND {_WHICH[which]} {further}ORDER BY number DESC LIMIT :limit)"
+        for whose in (("all",) if viewer is None else ("own", "shared"))
+    ]
+    values = {
+        "prefix": prefix, "beyond": prefix + _BEYOND, "before": before, "limit": limit, "state": state,
+        "name": viewer.name if viewer is not None else None,
+    }  # fmt: skip
+    return tuple(sql.execute(f"{' UNION '.join(parts)} ORDER BY number DESC LIMIT :limit", values))
+
+
+MAX_COUNTED: Final = 1000
+"""Of so many jobs it is counted how many there are; more are more."""
 
 
 def matches(sql: sqlite3.Connection, prefix: str, viewer: Viewer | None = None) -> int:
-    """Return how many ids begin with `prefix`, of jobs that the viewer sees."""
-    seen, name = (f" AND {viewer.condition}", (viewer.name,)) if viewer is not None else ("", ())
-    query = f"SELECT count(*) FROM jobs WHERE id >= ? AND id < ?{seen}"
-    (count,) = sql.execute(query, (prefix, prefix + _BEYOND, *name)).fetchone()
+    """Return how many ids begin with `prefix`, of jobs that the viewer sees; at most `MAX_COUNTED`."""
+    parts = [
+        f"SELECT * FROM (SELECT id FROM jobs WHERE {_WHOSE[whose]} AND id >= :prefix AND id < :beyond LIMIT :most)"
+        for whose in (("all",) if viewer is None else ("own", "shared"))
+    ]
+    values = {
+        "prefix": prefix, "beyond": prefix + _BEYOND, "most": MAX_COUNTED,
+        "name": viewer.name if viewer is not None else None,
+    }  # fmt: skip
+    (count,) = sql.execute(f"SELECT count(*) FROM ({' UNION '.join(parts)} LIMIT :most)", values).fetchone()
     return cast(int, count)
 
 
@@ -124,26 +163,6 @@ def is_seen(sql: sqlite3.Connection, job: str, viewer: Viewer) -> bool:
     """Tell whether there is a job of this id that the viewer sees."""
     query = f"SELECT 1 FROM jobs WHERE id = ? AND {viewer.condition}"
     return sql.execute(query, (job, viewer.name)).fetchone() is not None
-
-
-def stored_bytes(sql: sqlite3.Connection, submitter: str | None) -> int:
-    """Return the bytes of the tables of a user's jobs, each counted once, and of their results."""
-    (tables,) = sql.execute(
-        "SELECT coalesce(sum(size), 0) FROM blobs WHERE digest IN (SELECT table_digest FROM jobs WHERE submitter IS ?)",
-        (submitter,),
-    ).fetchone()
-    query = "SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE submitter IS ?"
-    (results,) = sql.execute(query, (submitter,)).fetchone()
-    return cast(int, tables + results)
-
-
-def all_stored_bytes(sql: sqlite3.Connection) -> int:
-    """Return the bytes of all tables that jobs use, each counted once, and of all results."""
-    (tables,) = sql.execute(
-        "SELECT coalesce(sum(size), 0) FROM blobs WHERE digest IN (SELECT table_digest FROM jobs)"
-    ).fetchone()
-    (results,) = sql.execute("SELECT coalesce(sum(result_bytes), 0) FROM jobs").fetchone()
-    return cast(int, tables + results)
 
 
 def uses_table(sql: sqlite3.Connection, digest: str, viewer: Viewer) -> bool:
@@ -156,10 +175,12 @@ _BEYOND: Final = "~"
 """Greater than every character of an id."""
 
 
-def require(sql: sqlite3.Connection, job: str) -> None:
-    """Raise LocalProtocolError when there is no such job."""
-    if sql.execute("SELECT 1 FROM jobs WHERE id = ?", (job,)).fetchone() is None:
+def require(sql: sqlite3.Connection, job: str) -> JobRecord:
+    """Return one job; raises LocalProtocolError when there is none of this id."""
+    record = find(sql, job)
+    if record is None:
         raise LocalProtocolError(f"job {job} is not in the store")
+    return record
 
 
 def require_changeable(job: str, names: Collection[str]) -> None:
@@ -178,12 +199,27 @@ def update(sql: sqlite3.Connection, job: str, changes: Mapping[str, str | float 
 def end(
     sql: sqlite3.Connection, job: str, state: str, result: str | None, reason: str | None, finished: str | None
 ) -> bool:
-    """Give a job its final `state` and `result`; return False, changing nothing, when it had ended before."""
+    """Give a job its final `state` and `result`; return False, changing nothing, when it had ended before.
+
+    What preparing gave is not needed any more, and named no longer.
+    """
     done = sql.execute(
-        f"UPDATE jobs SET state = ?, result = ?, result_bytes = ?, reason = ?, finished = ? WHERE id = ? AND {_OPEN}",
-        (state, result, len((result or "").encode()), reason, finished, job),
+        "UPDATE jobs SET state = ?, result = ?, result_bytes = ?, reason = ?, finished = ?, prepared_digest = NULL "
+        f"WHERE id = ? AND {_OPEN}",
+        (state, result, size_of(result), reason, finished, job),
     )
     return done.rowcount == 1
+
+
+def size_of(result: str | None) -> int:
+    """Return how many bytes a result takes."""
+    return len((result or "").encode())
+
+
+def result_bytes(sql: sqlite3.Connection, job: str) -> int:
+    """Return how many bytes the result of a job takes."""
+    row = sql.execute("SELECT result_bytes FROM jobs WHERE id = ?", (job,)).fetchone()
+    return int(row[0]) if row else 0
 
 
 def result(sql: sqlite3.Connection, job: str) -> str | None:
@@ -226,8 +262,9 @@ def uses_table_of(sql: sqlite3.Connection, digest: str, submitter: str | None) -
 def oldest_ended(sql: sqlite3.Connection, viewer: Viewer | None = None) -> JobRecord | None:
     """Return the job that ended first of those that have ended, of all or of a user's own; None: there is none."""
     own, name = ("AND submitter IS ? ", (viewer.name,)) if viewer is not None else ("", ())
+    index = "ended_jobs_by_submitter" if viewer is not None else "ended_jobs"
     row = sql.execute(
-        f"SELECT {', '.join(_COLUMNS)} FROM jobs WHERE {_ENDED} {own}"
+        f"SELECT {', '.join(_COLUMNS)} FROM jobs INDEXED BY {index} WHERE {_ENDED} {own}"
         "ORDER BY ended_at, coalesce(finished, submitted), number LIMIT 1",
         name,
     ).fetchone()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
-from atoll_core.errors import StoreError
+from atoll_core.errors import StoreError, WrongStoreError, may_pass
 
 LOCK_NAME: Final = "lock"
 _GUARD_NAME: Final = "takeover"
@@ -105,14 +105,28 @@ def last_beat(directory: Path) -> Beat | None:
 
 
 def _opened(directory: Path, path: Path) -> int:
+    """Open a file of the directory that its user alone may open: whoever opens a file may lock it."""
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        _make_private(directory)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        if os.fstat(file).st_mode & 0o077:  # of an earlier version
+            os.fchmod(file, 0o600)
+        return file
     except OSError as error:
         reason = (error.strerror or "").lower()
-        raise StoreError(
+        if may_pass(error):
+            raise StoreError(f"the store {directory} cannot be written: {reason}; see that there is room") from error
+        raise WrongStoreError(
             f"the store {directory} cannot be written: {reason}; choose another directory with --state"
         ) from error
+
+
+def _make_private(directory: Path) -> None:
+    """Make a directory, unless it is there, which its user alone may enter, in folders which others do not write."""
+    for parent in reversed(directory.parents):
+        if not parent.exists():
+            parent.mkdir(mode=0o755, exist_ok=True)
+    directory.mkdir(mode=0o700, exist_ok=True)
 
 
 def _locks(file: int) -> bool:

@@ -5,25 +5,34 @@ from typing import Final
 
 from atoll_coordinator.service.store.jobs import JobRecord
 
+LEAST_LIVE: Final = 1024**3
+"""Bytes of jobs that have not ended that are taken in however little is to be kept of those that have."""
+
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Which ended jobs are kept: those that ended in the last `age_s` seconds, while the store takes no more bytes.
+    """Which ended jobs are kept: those that ended in the last `age_s` seconds, while they take no more bytes.
 
     None is no limit. Seconds are those in which the store was served: the time of day may be set to any year, and no
-    job is deleted for that. Live jobs count as part of the store, but are never deleted.
+    job is deleted for that. Bytes are those that a deletion frees: tables that wait, or are searched, delete nobody's
+    results, and as many bytes of them are taken in; then new ones are refused.
     """
 
     age_s: float | None = None
     size_bytes: int | None = None
 
-    def reason_to_delete(self, job: JobRecord, served_s: float, used_bytes: int) -> str | None:
-        """Return why the oldest ended job is not kept; None: it is. `served_s` is `Store.served_s`."""
-        if self.age_s is not None and served_s - job.ended_at > self.age_s:
-            return f"it ended more than {self.age_s / 86400:g} days ago"
-        if self.size_bytes is not None and used_bytes > self.size_bytes:
-            return f"the store holds more than {self.size_bytes / 1e9:g} GB, and it ended before all others"
-        return None
+    def is_too_old(self, job: JobRecord, served_s: float) -> bool:
+        """Tell whether an ended job is not kept any more; `served_s` is `Store.served_s`."""
+        return self.age_s is not None and served_s - job.ended_at > self.age_s
+
+    def is_too_much(self, freeable: int) -> bool:
+        """Tell whether ended jobs hold more bytes than are kept; `freeable` is `store.holdings.Held.freeable`."""
+        return self.size_bytes is not None and freeable > self.size_bytes
+
+    @property
+    def most_live(self) -> int | None:
+        """How many bytes of jobs that have not ended are taken in; None: any number."""
+        return None if self.size_bytes is None else max(self.size_bytes, LEAST_LIVE)
 
 
 KEEP_ALL: Final = Retention()

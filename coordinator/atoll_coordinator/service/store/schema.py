@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from atoll_core.errors import StoreError
+from atoll_core.errors import StoreError, WrongStoreError
 
 FILE_NAME: Final = "atoll.sqlite3"
 _APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's head
@@ -105,6 +105,59 @@ CREATE TABLE usage (
 )
 """
 
+_OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
+_ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
+
+_LAYOUT_8_HOLDINGS: Final = f"""
+ALTER TABLE jobs ADD COLUMN prepared_digest TEXT;
+ALTER TABLE jobs ADD COLUMN submitted_s REAL;
+CREATE INDEX jobs_by_prepared ON jobs (prepared_digest) WHERE prepared_digest IS NOT NULL;
+DROP INDEX jobs_by_submitter;
+CREATE INDEX jobs_by_submitter ON jobs (submitter);
+CREATE INDEX jobs_by_submitter_and_state ON jobs (submitter, state);
+CREATE INDEX open_jobs_by_submitter ON jobs (submitter) WHERE {_OPEN};
+CREATE INDEX shared_jobs ON jobs (number) WHERE shared;
+CREATE INDEX shared_jobs_by_state ON jobs (state) WHERE shared;
+CREATE INDEX shared_open_jobs ON jobs (number) WHERE shared AND {_OPEN};
+CREATE INDEX jobs_by_submitter_and_id ON jobs (submitter, id);
+CREATE INDEX shared_jobs_by_id ON jobs (id) WHERE shared;
+CREATE INDEX ended_jobs_by_submitter ON jobs (submitter, ended_at, coalesce(finished, submitted), number)
+    WHERE {_ENDED};
+ALTER TABLE realm ADD COLUMN blob_bytes INTEGER NOT NULL DEFAULT 0;
+UPDATE realm SET blob_bytes = (SELECT coalesce(sum(size), 0) FROM blobs);
+DROP INDEX sizes_of_blobs;
+CREATE TABLE uses (
+    owner TEXT NOT NULL, digest TEXT NOT NULL, kind TEXT NOT NULL, size INTEGER NOT NULL, live INTEGER NOT NULL,
+    ended INTEGER NOT NULL, PRIMARY KEY (owner, digest, kind)
+) WITHOUT ROWID;
+INSERT INTO uses SELECT coalesce(submitter, ''), table_digest, 'table', coalesce(size, 0), sum({_OPEN}), sum({_ENDED})
+    FROM jobs LEFT JOIN blobs ON digest = table_digest GROUP BY 1, 2;
+INSERT INTO uses SELECT coalesce(submitter, ''), dataset_digest, 'made', coalesce(size, 0), sum({_OPEN}), sum({_ENDED})
+    FROM jobs LEFT JOIN blobs ON digest = dataset_digest WHERE dataset_digest IS NOT NULL GROUP BY 1, 2;
+INSERT INTO uses SELECT '*', digest, kind, max(size), sum(live), sum(ended) FROM uses GROUP BY digest, kind;
+CREATE TABLE holdings (
+    owner TEXT PRIMARY KEY, tables INTEGER NOT NULL, results INTEGER NOT NULL, live INTEGER NOT NULL,
+    freeable INTEGER NOT NULL
+);
+INSERT INTO holdings SELECT owner, sum((kind = 'table') * size), 0, sum((live > 0) * size), sum((live = 0) * size)
+    FROM uses GROUP BY owner;
+UPDATE holdings SET results = (
+    SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE coalesce(submitter, '') = owner OR owner = '*'
+);
+ALTER TABLE events ADD COLUMN owner TEXT;
+ALTER TABLE events ADD COLUMN shared INTEGER NOT NULL DEFAULT 0;
+UPDATE events SET shared = 1 WHERE job IS NULL AND kind NOT IN ('deleted', 'broken', 'log');
+UPDATE events SET (owner, shared) = (SELECT submitter, shared FROM jobs WHERE id = job)
+    WHERE job IN (SELECT id FROM jobs);
+CREATE INDEX events_by_owner ON events (owner) WHERE owner IS NOT NULL;
+CREATE INDEX shared_events ON events (number) WHERE shared;
+CREATE INDEX logs ON events (number) WHERE kind = 'log';
+CREATE INDEX logs_by_owner ON events (owner) WHERE owner IS NOT NULL AND kind = 'log';
+CREATE INDEX shared_logs ON events (number) WHERE shared AND kind = 'log'
+"""
+"""So that no question and no decision takes longer with all that is stored: lists have an index for each way in which
+they are asked for, and bytes are added up as they change."""
+
 _LAYOUTS: Final = (
     _LAYOUT_1,
     ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
@@ -113,6 +166,7 @@ _LAYOUTS: Final = (
     _LAYOUT_5_SERVED,
     _LAYOUT_6_ENDED_JOBS,
     _LAYOUT_7_USERS,
+    _LAYOUT_8_HOLDINGS,
 )
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
 those that it lacks."""
@@ -129,6 +183,7 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     file = directory / FILE_NAME if directory else None
     with translated(file):
         if file is not None:
+            _require_no_orphan(file)
             with contextlib.suppress(OSError):  # of which SQLite tells
                 file.touch(mode=0o600)  # what users have measured is nobody else's, nor what SQLite puts beside it
         connection = sqlite3.connect(
@@ -143,6 +198,16 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     return connection
 
 
+def _require_no_orphan(file: Path) -> None:
+    """Raise WrongStoreError where a store was moved away without what it had written last: SQLite would delete that."""
+    wal = file.with_name(f"{file.name}-wal")
+    if not file.exists() and wal.exists() and wal.stat().st_size:
+        raise WrongStoreError(
+            f"{wal} is there, but not its store {file.name}; put that back, make a store of a copy with "
+            "`coordinator restore`, or move both away"
+        )
+
+
 def connect_to_read(directory: Path) -> sqlite3.Connection:
     """Connect to the store's file in `directory`, which is open already, to read alone: it waits for no writer."""
     file = directory / FILE_NAME
@@ -154,17 +219,15 @@ def connect_to_read(directory: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def translated(place: Path | None) -> Iterator[None]:
-    """Turn what SQLite raises about the store at `place` into a StoreError."""
+    """Turn what SQLite raises about the store at `place` into a StoreError, of a damaged one a WrongStoreError."""
     try:
         yield
     except sqlite3.Error as error:
-        raise StoreError(f"the store {place or 'in memory'} fails: {error}; {_advice(error)}") from error
-
-
-def _advice(error: sqlite3.Error) -> str:
-    if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
-        return "restore it from a copy, or choose another directory with --state"
-    return "check that its directory can be written and that there is room"
+        if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
+            advice = "restore it from a copy, or choose another directory with --state"
+            raise WrongStoreError(f"the store {place or 'in memory'} fails: {error}; {advice}") from error
+        advice = "check that its directory can be written and that there is room"
+        raise StoreError(f"the store {place or 'in memory'} fails: {error}; {advice}") from error
 
 
 def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
@@ -177,9 +240,9 @@ def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if application != _APPLICATION and (tables or application):
-        raise StoreError(f"{file} is a database, but not a store of this program; name another")
+        raise WrongStoreError(f"{file} is a database, but not a store of this program; name another")
     if version > SCHEMA_VERSION:
-        raise StoreError(
+        raise WrongStoreError(
             f"the store {file} was written by a newer version (layout {version}, this version knows {SCHEMA_VERSION}); "
             "use that version, or name another"
         )
@@ -196,7 +259,7 @@ def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
     if not version:
         _baptize(connection)
     if connection.execute("UPDATE realm SET incarnation = incarnation + 1").rowcount != 1:
-        raise StoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
+        raise WrongStoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
     connection.execute("COMMIT")
 
 
@@ -206,7 +269,7 @@ def _check(connection: sqlite3.Connection, file: Path | None) -> None:
         return
     (finding,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if finding != "ok":
-        raise StoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
+        raise WrongStoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
 
 
 def _migrate(connection: sqlite3.Connection, version: int) -> None:

@@ -5,16 +5,18 @@ afterwards is never taken back. Contents are opaque here: JSON text and bytes wh
 """
 
 import hashlib
+import sqlite3
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from atoll_coordinator.service.store import archipelagos as archipelago_table
 from atoll_coordinator.service.store import blobs as blob_table
-from atoll_coordinator.service.store import checkpoint_table, service_state
+from atoll_coordinator.service.store import checkpoint_table, holdings, service_state
 from atoll_coordinator.service.store import deaths as death_table
 from atoll_coordinator.service.store import events as event_table
 from atoll_coordinator.service.store import jobs as job_table
 from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import EventRecord
+from atoll_coordinator.service.store.holdings import Held, Kind
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.open_file import OpenFile
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
@@ -33,6 +35,9 @@ class Store(OpenFile):
         with self._transaction() as sql:
             is_new = job_table.add(sql, job)
             blob_table.take(sql, job.table_digest)
+            if is_new:
+                is_live = job.state not in FINAL_STATES
+                holdings.use(sql, job.submitter, job.table_digest, "table", live=is_live, ended=not is_live)
             return is_new
 
     def job(self, job: str) -> JobRecord | None:
@@ -52,17 +57,17 @@ class Store(OpenFile):
 
     def job_page(
         self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = 1,
-        viewer: Viewer | None = None,
+        viewer: Viewer | None = None, state: str | None = None,
     ) -> tuple[tuple[int, str], ...]:  # fmt: skip
         """Return numbers and ids of the last jobs that came, the last first; see `wire.messages.clients.Jobs`.
 
         A `viewer` is shown what it sees; None sees all.
         """
         with self._reading() as sql:
-            return job_table.page(sql, prefix, is_open, before, limit, viewer)
+            return job_table.page(sql, prefix, is_open, before, limit, viewer, state)
 
     def count_jobs(self, prefix: str, viewer: Viewer | None = None) -> int:
-        """Return how many jobs have ids that begin with `prefix`, of those that the viewer sees."""
+        """Return how many ids of jobs that the viewer sees begin with `prefix`: `MAX_COUNTED` at most."""
         with self._reading() as sql:
             return job_table.matches(sql, prefix, viewer)
 
@@ -89,12 +94,27 @@ class Store(OpenFile):
     def stored_bytes(self, submitter: str | None) -> int:
         """Return the bytes of the tables of a user's jobs, each counted once, and of their results."""
         with self._reading() as sql:
-            return job_table.stored_bytes(sql, submitter)
+            return holdings.read(sql, submitter).stored
 
     def all_stored_bytes(self) -> int:
         """Return the bytes of all tables that jobs use, each counted once, and of all results."""
         with self._reading() as sql:
-            return job_table.all_stored_bytes(sql)
+            return holdings.read(sql, holdings.ALL).stored
+
+    def held(self, submitter: str | None) -> Held:
+        """Return how many bytes are held for a user, by what can be done about them."""
+        with self._reading() as sql:
+            return holdings.read(sql, submitter)
+
+    def held_for_all(self) -> Held:
+        """Return how many bytes are held for all users together; what several use counts once."""
+        with self._reading() as sql:
+            return holdings.read(sql, holdings.ALL)
+
+    def count_holders(self) -> int:
+        """Return for how many users something is held."""
+        with self._reading() as sql:
+            return holdings.owners(sql)
 
     def submitter(self, job: str) -> str | None:
         """Return who submitted a job; None when nobody proved it."""
@@ -114,15 +134,36 @@ class Store(OpenFile):
             job_table.require(sql, job)
             job_table.update(sql, job, {"shared": int(is_shared)})
             job_table.share_view(sql, job, is_shared)
+            event_table.share(sql, job, is_shared)
 
-    def begin_search(self, job: str, dataset: bytes) -> None:
-        """Keep the dataset of a job, which is searched from now on; one without the other would be nobody's."""
-        digest = hashlib.sha256(dataset).hexdigest()
+    def begin_search(self, job: str, dataset: bytes, prepared: bytes = b"") -> None:
+        """Keep the dataset of a job, which is searched from now on; one without the other would be nobody's.
+
+        `prepared` is what preparing gave beside it, kept until the job ends: without it nobody could show or finish
+        after a restart what has been found.
+        """
+        digests = {
+            "dataset_digest": hashlib.sha256(dataset).hexdigest(),
+            "prepared_digest": hashlib.sha256(prepared).hexdigest() if prepared else None,
+        }
         with self._transaction() as sql:
-            job_table.require(sql, job)
-            blob_table.add(sql, digest, dataset)
-            job_table.update(sql, job, {"state": "running", "dataset_digest": digest})
-            blob_table.take(sql, digest)
+            record = job_table.require(sql, job)
+            former = (record.dataset_digest, record.prepared_digest)
+            for digest, data in zip(digests.values(), (dataset, prepared), strict=True):
+                if digest is not None:
+                    blob_table.add(sql, digest, data)
+                    blob_table.take(sql, digest)
+            job_table.update(sql, job, {"state": "running", **digests})
+            for digest in filter(None, digests.values()):
+                holdings.use(sql, record.submitter, digest, "made", live=1)
+            self._forget_made(sql, record.submitter, former)
+
+    def _forget_made(self, sql: sqlite3.Connection, submitter: str | None, digests: Iterable[str | None]) -> None:
+        """Take in that a job that has not ended does not use any more what was made of its table."""
+        unused = [digest for digest in digests if digest is not None]
+        for digest in unused:
+            holdings.use(sql, submitter, digest, "made", live=-1)
+        blob_table.delete_unused(sql, unused)
 
     def commit_result(  # noqa: PLR0913  # all that ends a job is written in one transaction
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
@@ -136,9 +177,13 @@ class Store(OpenFile):
         failed so. Return False, changing nothing, when it had ended before: the first end wins.
         """
         with self._transaction() as sql:
-            job_table.require(sql, job)
+            record = job_table.require(sql, job)
             if not job_table.end(sql, job, state, result, reason, finished):
                 return False
+            self._forget_made(sql, record.submitter, [record.prepared_digest])
+            holdings.add_result(sql, record.submitter, job_table.size_of(result))
+            for digest, kind in _used(record):
+                holdings.use(sql, record.submitter, digest, kind, live=-1, ended=1)
             if keeps_checkpoints:
                 checkpoint_table.keep_last(sql, job)
             else:
@@ -171,6 +216,12 @@ class Store(OpenFile):
         with self._reading() as sql:
             return job_table.oldest_ended(sql, of)
 
+    def first_to_go(self) -> JobRecord | None:
+        """Return the job to be deleted for room: the oldest ended one of the user of whose ended jobs most is held."""
+        with self._reading() as sql:
+            owner = holdings.most_freeable(sql)
+            return job_table.oldest_ended(sql, Viewer(owner or None)) if owner is not None else None
+
     def delete_job(self, job: str) -> None:
         """Delete an ended job with its result, events, checkpoints, and the blobs that no other job uses.
 
@@ -189,22 +240,16 @@ class Store(OpenFile):
             death_table.forget(sql, job)
             archipelago_table.delete(sql, job)
             event_table.delete(sql, job)
+            holdings.add_result(sql, record.submitter, -job_table.result_bytes(sql, job))
             job_table.delete(sql, job)
-            digests = [digest for digest in (record.table_digest, record.dataset_digest) if digest is not None]
-            blob_table.delete_unused(sql, digests)
+            for digest, kind in _used(record):
+                holdings.use(sql, record.submitter, digest, kind, ended=-1)
+            blob_table.delete_unused(sql, [digest for digest, _ in _used(record)])
 
     def is_deleted(self, job: str) -> bool:
         """Tell whether there was a job of this id that has been deleted."""
         with self._reading() as sql:
             return job_table.is_deleted(sql, job)
-
-    def used_bytes(self) -> int:
-        """Return the size of the store's file without its free pages, and without what no job uses."""
-        with self._reading() as sql:
-            pages, free, size = (
-                sql.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
-            )
-            return int((pages - free) * size) - blob_table.unused_bytes(sql)
 
     # archipelagos
 
@@ -236,6 +281,11 @@ class Store(OpenFile):
         """Return the committed cuts by variable."""
         with self._reading() as sql:
             return archipelago_table.cuts(sql, job)
+
+    def has_search(self, job: str) -> bool:
+        """Tell whether anything of the search of a job is durable."""
+        with self._reading() as sql:
+            return bool(archipelago_table.cuts(sql, job) or checkpoint_table.last(sql, job))
 
     # deaths
 
@@ -294,9 +344,10 @@ class Store(OpenFile):
             service_state.cordon(sql, worker, is_draining)
 
     def add_usage(self, day: int, seconds: Mapping[str | None, float]) -> None:
-        """Add task time, in seconds, to what users have used on a day of service."""
+        """Add task time, in seconds, to what users have used on a day of service; keep `served_s` as well."""
         with self._transaction() as sql:
             service_state.add_usage(sql, day, seconds)
+            sql.execute("UPDATE realm SET served = ?", (self.served_s,))
 
     def usage(self, day: int) -> dict[str | None, float]:
         """Return the seconds of task time that users have used on a day of service."""
@@ -403,3 +454,9 @@ class Store(OpenFile):
         """Delete those of these blobs, finished or not, that no job uses."""
         with self._transaction() as sql:
             blob_table.delete_unused(sql, digests)
+
+
+def _used(job: JobRecord) -> tuple[tuple[str, Kind], ...]:
+    """Return the blobs that a job uses as long as it is kept, with what they are."""
+    made: tuple[tuple[str, Kind], ...] = ((job.dataset_digest, "made"),) if job.dataset_digest is not None else ()
+    return ((job.table_digest, "table"), *made)

@@ -141,9 +141,15 @@ class TaskController:
                 self._end(task)
             self._forget(expired)
 
-    def prepared(self, job: str) -> Prepared:
-        """Return what preparing a job gave; raises KeyError before it has."""
-        return decode_value(self._prepared[job], Prepared)
+    def encoded(self, job: str) -> bytes:
+        """Return what preparing a job gave, as bytes; none before it has."""
+        return self._prepared.get(job, b"")
+
+    def take_prepared(self, job: str, encoded: bytes) -> Prepared:
+        """Take what preparing a job gave before a restart, and return it; raises RemoteProtocolError."""
+        prepared = decode_value(encoded, Prepared)
+        self._prepared[job] = encoded
+        return prepared
 
     def cancel(self, job: str) -> None:
         """End the tasks of a job, also those that run; nothing is posted for them."""

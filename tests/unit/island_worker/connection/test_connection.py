@@ -6,7 +6,7 @@ from atoll_core import PROTOCOL_VERSION, VERSION
 from atoll_core.errors import RefusedError, RemoteProtocolError, UnreachableError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
-from atoll_island_worker.connection.connection import ALONE_S, CoordinatorConnection
+from atoll_island_worker.connection.connection import ALONE_S, RETURN_S, START_S, CoordinatorConnection
 from atoll_island_worker.connection.requests import Request, Requests
 from atoll_island_worker.session.events import Reset
 from tests.simulation.bus.network import SimulatedNetwork
@@ -28,10 +28,10 @@ class SentRequests(Requests):
 class ConnectionBench:
     """A connection whose greetings are kept."""
 
-    def __init__(self, name: str = "w0", grace_s: float = 30.0) -> None:
+    def __init__(self, name: str = "w0", grace_s: float = 30.0, wait_s: float | None = WAIT_S) -> None:
         self.network = SimulatedNetwork()
         self.requests = SentRequests(self.network, name)
-        self.connection = CoordinatorConnection(self.requests._bus, self.requests, name, WAIT_S, None, grace_s)
+        self.connection = CoordinatorConnection(self.requests._bus, self.requests, name, wait_s, None, grace_s)
 
     def greeting(self) -> object:
         self.connection.greet()
@@ -127,6 +127,23 @@ def test_a_late_welcome_voids_nothing_that_a_later_coordinator_has_placed() -> N
     bench.connection.incarnation_heard(4)
     assert bench.connection.handle_answer("", welcome(incarnation=3), 1) is None
     assert bench.connection.handle_answer("", welcome(incarnation=4), 1) == Reset(4)
+
+
+def test_a_restart_of_the_coordinator_is_waited_for_longer_than_its_first_answer() -> None:
+    """A worker that was started as `serve` prints it, without --wait, outlives an upgrade and a full disk."""
+    bench = ConnectionBench(wait_s=None)
+    bench.connection.handle_answer("", welcome())
+    bench.connection.link_lost()
+    bench.network.run(100 * START_S)
+    bench.connection.check_absence()
+    assert bench.connection.exit_code is None
+    bench.network.run(RETURN_S + 1.0)
+    bench.connection.check_absence()
+    assert bench.connection.exit_code == 3
+    alone = ConnectionBench(wait_s=None)
+    alone.network.run(START_S + 1.0)
+    alone.connection.check_absence()
+    assert alone.connection.exit_code == 3, "of a mistaken address one hears soon"
 
 
 def test_a_coordinator_that_is_away_for_too_long_ends_the_worker() -> None:

@@ -225,6 +225,20 @@ def test_inputs_larger_than_the_cache_reach_the_process_too(scene: Scene, monkey
     assert [run.inputs for run in scene.process.told(Run)] == [(LARGE, other)]
 
 
+def test_inputs_and_contexts_share_one_cache(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Docs say how much a worker keeps, in all."""
+    monkeypatch.setattr(scene.runner._cache, "_limit", 2 * CHUNK_SIZE)
+    scene.runner.told(lease(A, LARGE))
+    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
+    scene.answer(A, LARGE, 1, b"y")
+    scene.runner.told(Release(task=A))
+    scene.runner.told(Help(task=B, job="j", worker="w1"))
+    scene.give_batch(context=b"c" * CHUNK_SIZE)
+    scene.requests.inputs.clear()
+    scene.runner.told(lease(A, LARGE))
+    assert scene.requests.inputs == [(A, digest(LARGE), 0), (A, digest(LARGE), 1)], "the context took its room"
+
+
 def test_what_comes_for_a_task_that_was_released_changes_nothing(scene: Scene) -> None:
     scene.runner.told(lease(A, LARGE))
     scene.runner.told(Release(task=A))

@@ -33,11 +33,11 @@ def store() -> Iterator[Store]:
         yield opened
 
 
-def add(store: Store, name: str, finished: str | None) -> None:
+def add(store: Store, name: str, finished: str | None, submitter: str = "ann") -> None:
     """Add a job, which has ended on a day of January 2026 if that is given; the store is served from the first."""
     table = store.put_blob(name.encode() * 100_000)
     spec, submitted = JobConfig().model_dump_json(), "2026-01-01T00:00:00+00:00"
-    store.add_job(JobRecord(name, name, spec, table, submitted, submitter="ann"))
+    store.add_job(JobRecord(name, name, spec, table, submitted, submitter=submitter))
     if finished is not None:
         Now.s = int(finished) * DAY
         store.commit_result(name, "done", "{}", finished=f"2026-01-{finished}T00:00:00.000+00:00")
@@ -104,7 +104,30 @@ def test_jobs_beyond_an_age_are_deleted_oldest_first(store: Store) -> None:
 def test_jobs_beyond_a_size_are_deleted_oldest_first(store: Store) -> None:
     for name, finished in (("second", "11"), ("first", "10"), ("third", "12"), ("live", None)):
         add(store, name, finished)
-    assert deleted_in_turn(store, Retention(size_bytes=store.used_bytes() - 900_000)) == ["first", "second"]
+    assert deleted_in_turn(store, Retention(size_bytes=store.held_for_all().freeable - 900_000)) == ["first", "second"]
+
+
+def test_tables_that_wait_delete_nobodys_results(store: Store) -> None:
+    """No deletion could bring their size down: all that has ended would go, and the store be as full as before."""
+    add(store, "mine", "10")
+    most = store.held_for_all().freeable + 1000
+    for number in range(5):
+        add(store, f"his-{number}", None, "bob")
+    assert deleted_in_turn(store, Retention(size_bytes=most)) == []
+    assert store.held_for_all().live > most
+    store.commit_result("his-0", "cancelled", None)
+    assert deleted_in_turn(store, Retention(size_bytes=most)) != []
+
+
+def test_the_user_who_holds_most_loses_first(store: Store) -> None:
+    for name, finished in (("mine", "02"), ("mine-too", "03")):
+        add(store, name, finished)
+    most = store.held_for_all().freeable + 1000
+    for number, finished in enumerate(("10", "11", "12", "13")):
+        add(store, f"his-{number}", finished, "bob")
+    deleted = deleted_in_turn(store, Retention(size_bytes=most))
+    assert deleted == ["his-0", "his-1", "mine", "his-2"], "whoever holds most at the time, the oldest first"
+    assert store.held("ann").freeable <= most / 2 + 100_000
 
 
 def test_a_clock_that_is_set_to_another_year_deletes_nothing(store: Store) -> None:
@@ -122,7 +145,7 @@ def test_a_clock_that_is_set_to_another_year_deletes_nothing(store: Store) -> No
 def test_uploads_that_no_job_uses_cost_no_job_its_life(store: Store) -> None:
     """Six uploads, each begun and never submitted, take more than the store is to hold."""
     add(store, "mine", "10")
-    size = store.used_bytes() + 100_000
+    size = store.held_for_all().freeable + 100_000
     for number in range(6):
         store.put_chunk(str(number) * 64, 2 * CHUNK_SIZE, 0, bytes(CHUNK_SIZE))
     assert deleted_in_turn(store, Retention(size_bytes=size)) == []

@@ -14,11 +14,12 @@ from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import CHECK_INTERVAL_S, LEASE_S
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Times, Total
+from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, JobConfig
 from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import clients as messages
-from atoll_core.wire.messages.clients import Change, Failure, Following, JobList, JobStatus, Request
+from atoll_core.wire.messages.clients import Change, Deleted, EventList, Failure, Following, JobList, JobStatus, Request
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.views import CoordinatorView, Counters, UserView, Workforce
@@ -34,13 +35,15 @@ NOW = 5.0
 class Lab:
     """A coordinator with a roster, and users who ask it."""
 
-    def __init__(self, store: Store, roles: RoleBindings | None = ROLES) -> None:
+    def __init__(
+        self, store: Store, roles: RoleBindings | None = ROLES, retention: Retention = KEEP_ALL
+    ) -> None:  # fmt: skip
         self.store = store
         self.now = NOW
         self.controller: JobController = controller_of(store, Tasks())
         self.controller.recover(NOW)
         self.authorization = Authorization(roles, store)
-        deletion = JobDeletion(self.controller, store)
+        deletion = JobDeletion(self.controller, store, retention)
         self.told: list[tuple[str, Change]] = []
         self.followers = Followers(
             1, self.controller.jobs, self.controller.shown, self.controller.events, lambda now: Workforce(),
@@ -110,19 +113,24 @@ def view(answer: object) -> messages.JobView:
 # ------------------------------------------------------------------------------------------------ privacy
 
 
-def test_every_question_about_anothers_job_is_answered_as_if_there_were_none(lab: Lab) -> None:
-    lab.submit("ann", "mine")
+def check_hidden(lab: Lab, job: str, user: str) -> None:
+    """Check that every question of a user about a job is answered as one about a job that there is not."""
     (union,) = (get_args(field.annotation) for field in [Request.model_fields["body"]])
     asked = 0
     for kind in union:
         if "job" not in kind.model_fields or kind is messages.Submit:
             continue
-        values = {"job": "mine", "priority": 1, "again": "other", "function": "report", "question": b"q"}
+        values = {"job": job, "priority": 1, "again": "other", "function": "report", "question": b"q"}
         values = {name: value for name, value in values.items() if name in kind.model_fields}
-        about_mine, about_none = (lab.ask("bob", kind(**{**values, "job": job})) for job in ("mine", "none"))
-        assert about_mine.model_dump_json().replace("mine", "none") == about_none.model_dump_json(), kind
+        about_it, about_none = (lab.ask(user, kind(**{**values, "job": name})) for name in (job, "none"))
+        assert about_it.model_dump_json().replace(job, "none") == about_none.model_dump_json(), kind
         asked += 1
     assert asked >= 8
+
+
+def test_every_question_about_anothers_job_is_answered_as_if_there_were_none(lab: Lab) -> None:
+    lab.submit("ann", "mine")
+    check_hidden(lab, "mine", "bob")
     assert said(lab.ask("bob", messages.FindJob(prefix="mi"))) == said(
         lab.ask("bob", messages.FindJob(prefix="no"))
     ).replace("'no'", "'mi'")
@@ -168,7 +176,7 @@ def test_submitters_are_told_how_many_jobs_of_their_own_wait_and_admins_of_all(l
     ann, bob, nobody = (UserView(user=user, queued=2) for user in ("ann", "bob", None))
     lab.users = (ann, bob, nobody)
     seen = {user: lab.ask(user, messages.Workers()).coordinator.users for user in ("ann", "eve")}
-    assert seen == {"ann": (ann, nobody), "eve": lab.users}
+    assert seen == {"ann": (ann,), "eve": lab.users}
 
 
 def test_an_id_that_is_anothers_is_taken_whatever_it_holds(lab: Lab) -> None:
@@ -223,6 +231,31 @@ def test_without_a_roster_everything_is_open() -> None:
         lab.submit("ann", "mine")
         assert lab.seen("bob") == ["mine"]
         assert view(lab.ask("bob", messages.Cancel(job="mine"))).state == "cancelled"
+
+
+def test_jobs_from_before_a_roster_are_those_of_admins(lab: Lab) -> None:
+    """Nobody proved whose they were: whoever has a certificate now is not to see, end or delete them."""
+    store = lab.store
+    before = Lab(store, None)
+    for job in ("old", "open", "ended"):
+        before.submit("x", job)
+    before.ask("x", messages.Cancel(job="ended"))
+    before.ask("x", messages.Share(job="open"))
+    jobs = lab.ask("ann", messages.Jobs())
+    assert isinstance(jobs, JobList)
+    assert [job.job for job in jobs.jobs] == ["open"], "what was shared stays so"
+    for job in ("old", "ended"):
+        check_hidden(lab, job, "ann")
+        assert store.job(job) is not None
+    assert "only an admin may cancel it" in said(lab.ask("ann", messages.Cancel(job="open")))
+    events = lab.ask("ann", messages.GetEvents())
+    assert isinstance(events, EventList)
+    assert "old" not in {event.job for event in events.events}
+    admins = lab.ask("eve", messages.Jobs())
+    assert isinstance(admins, JobList)
+    assert {job.job for job in admins.jobs} == {"old", "open", "ended"}
+    assert isinstance(lab.ask("eve", messages.Delete(job="ended")), Deleted)
+    assert store.job("ended") is None
 
 
 def test_only_admins_change_workers_and_the_queue(lab: Lab) -> None:
@@ -355,6 +388,25 @@ def test_uploads_that_are_not_submitted_count_as_well(lab: Lab, monkeypatch: pyt
     assert "are over the 100" in said(lab.upload("ann", bytes(41)))
     assert not isinstance(lab.upload("ann", bytes(50)), Failure)
     assert not isinstance(lab.upload("bob", bytes(41)), Failure)
+
+
+def test_tables_that_no_deletion_makes_room_for_are_refused_from_who_holds_most(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("atoll_coordinator.service.store.retention.LEAST_LIVE", 100)
+    full = Lab(lab.store, retention=Retention(size_bytes=100))
+    for number in range(3):
+        full.submit("ann", f"a{number}", str(number).encode() * 30)
+    sentence = said(full.submit("ann", "more", b"m" * 30))
+    assert "take 90 bytes (90 of them those of ann), and 30 more are over the 100 that" in sentence
+    assert "submit again when some have ended" in sentence
+    assert isinstance(full.submit("ann", "again", b"0" * 30), JobStatus), "a table that is there takes no more room"
+    assert isinstance(full.submit("bob", "b", b"b" * 30), JobStatus), "his share is free, whatever others hold"
+    assert isinstance(full.submit("eve", "c", b"c" * 60), Failure)
+    for job in ("a0", "again"):
+        full.fail(job)
+    full.fail("a1")
+    assert isinstance(full.submit("ann", "more", b"m" * 30), JobStatus)
 
 
 def test_bytes_of_all_together_hold(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:

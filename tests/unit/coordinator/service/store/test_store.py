@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import hashlib
+import os
 import sqlite3
 import subprocess
 import sys
@@ -15,7 +16,9 @@ import pytest
 from atoll_coordinator.service.store.checkpoint_table import MAX_FAILED
 from atoll_coordinator.service.store.deaths import Death
 from atoll_coordinator.service.store.events import LEAST_COMMITS, MAX_EVENTS, EventRecord
+from atoll_coordinator.service.store.holdings import Held
 from atoll_coordinator.service.store.jobs import JobRecord
+from atoll_coordinator.service.store.lock import Lock, last_beat
 from atoll_coordinator.service.store.schema import FILE_NAME, SCHEMA_VERSION
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError, StoreError
@@ -42,10 +45,16 @@ def begin_term(store: Store, job: str, variable: str) -> int:
 def test_a_job_is_kept_as_it_was_given_and_changed_as_told(store: Store) -> None:
     assert store.add_job(JOB)
     assert store.job("j1") == JOB
-    store.update_job("j1", state="running", elapsed=1.5, dataset_digest="cd")
+    store.begin_search("j1", b"dataset", b"prepared")
+    store.update_job("j1", state="refining", elapsed=1.5)
     changed = store.job("j1")
     assert changed is not None
-    assert (changed.state, changed.elapsed, changed.dataset_digest, changed.name) == ("running", 1.5, "cd", "lynx θ")
+    assert (changed.state, changed.elapsed, changed.name) == ("refining", 1.5, "lynx θ")
+    assert (store.get_blob(changed.dataset_digest or ""), store.get_blob(changed.prepared_digest or "")) == (
+        b"dataset", b"prepared",
+    )  # fmt: skip
+    with pytest.raises(LocalProtocolError, match="cannot be changed"):
+        store.update_job("j1", dataset_digest="cd")
 
 
 def test_a_second_job_of_the_same_id_changes_nothing(store: Store) -> None:
@@ -315,6 +324,32 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_sentence_and_left_alone(
     assert (tmp_path / FILE_NAME).read_bytes() == before
 
 
+@pytest.mark.parametrize("umask", [0o000, 0o022])
+def test_nobody_else_may_lock_a_store_or_look_into_its_folder(tmp_path: Path, umask: int) -> None:
+    """A lock is taken by whoever may open its file, if only to read it."""
+    former = os.umask(umask)
+    try:
+        state = tmp_path / "of" / "atoll" / "state"
+        with Store.open(state) as store:
+            beat = last_beat(state)
+            assert beat is not None
+            Lock.seize(state, beat)
+            store.put_blob(b"measured")
+            modes = {path.name: path.stat().st_mode & 0o777 for path in state.iterdir()}
+    finally:
+        os.umask(former)
+    assert state.stat().st_mode & 0o777 == 0o700
+    assert [folder.stat().st_mode & 0o022 for folder in (state.parent, state.parent.parent)] == [0, 0]
+    assert {FILE_NAME, f"{FILE_NAME}-wal", "lock", "takeover"} <= modes.keys()
+    assert set(modes.values()) == {0o600}
+
+
+def test_the_lock_of_an_earlier_version_is_closed_to_others(tmp_path: Path) -> None:
+    (tmp_path / "lock").touch(mode=0o644)
+    Store.open(tmp_path).close()
+    assert (tmp_path / "lock").stat().st_mode & 0o777 == 0o600
+
+
 def test_a_state_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
     place = tmp_path / "file"
     place.write_text("")
@@ -505,9 +540,8 @@ def test_a_coordinator_whose_store_was_opened_by_another_writes_nothing_more(tmp
 
 def ended(store: Store, name: str, finished: str | None, table: bytes, dataset: bytes) -> None:
     """Add a job that has been searched and has ended."""
-    digests = store.put_blob(table), store.put_blob(dataset)
-    store.add_job(JobRecord(name, name, "{}", digests[0], "2026-01-01T00:00:00", submitter="ann"))
-    store.update_job(name, dataset_digest=digests[1])
+    store.add_job(JobRecord(name, name, "{}", store.put_blob(table), "2026-01-01T00:00:00", submitter="ann"))
+    store.begin_search(name, dataset, b"what preparing gave of " + name.encode())
     begin_term(store, name, "x")
     store.commit_checkpoint(name, "x", 8, b"progress", states_of(8), 1.0)
     store.commit_cuts(name, {"x": b"cut"})
@@ -580,14 +614,15 @@ def test_a_store_counts_the_seconds_that_it_is_served_in_all_lives(tmp_path: Pat
         assert job.ended_at == 90.0
 
 
-def test_space_of_a_deleted_job_is_used_again(store: Store) -> None:
-    ended(store, "a", None, bytes(1_000_000), b"dataset")
-    used = store.used_bytes()
+def test_space_of_a_deleted_job_is_used_again(tmp_path: Path) -> None:
+    with Store.open(tmp_path) as store:
+        ended(store, "a", None, bytes(1_000_000), b"dataset")
+    used = (tmp_path / FILE_NAME).stat().st_size
     assert used > 1_000_000
-    store.delete_job("a")
-    assert store.used_bytes() < 200_000
-    ended(store, "b", None, bytes(range(250)) * 4_000, b"dataset")
-    assert store.used_bytes() < used + 10_000
+    with Store.open(tmp_path) as store:
+        store.delete_job("a")
+        ended(store, "b", None, bytes(range(250)) * 4_000, b"dataset")
+    assert (tmp_path / FILE_NAME).stat().st_size < used + 10_000
 
 
 def test_uploads_that_no_job_uses_are_deleted(store: Store) -> None:
@@ -595,6 +630,6 @@ def test_uploads_that_no_job_uses_are_deleted(store: Store) -> None:
     store.put_chunk("0" * 64, 2 * CHUNK_SIZE, 0, bytes(CHUNK_SIZE))
     waiting = store.put_blob(b"waits for its job")
     assert set(store.unused_blobs()) == {"0" * 64, waiting}
-    assert store.used_bytes() < CHUNK_SIZE
+    assert store.held_for_all() == Held(stored=len(b"table{}"), live=0, freeable=len(b"tabledataset{}"))
     store.delete_unused_blobs(["0" * 64, hashlib.sha256(b"table").hexdigest()])
     assert store.blob_bytes() == len(b"tabledatasetwaits for its job")

@@ -15,7 +15,7 @@ from atoll_coordinator.service.tasks.outcomes import (
 from atoll_coordinator.service.tasks.task_controller import HELP_AFTER_S, INLINE, SETTLED_S, TaskController
 from atoll_coordinator.service.tasks.task_table import LIMIT_S, MAX_LOSSES
 from atoll_coordinator.service.workers.membership import Membership
-from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
+from atoll_coordinator.tasks.preparing import PreparationOutcome, Prepared, prepare
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
@@ -143,7 +143,7 @@ def test_a_table_is_leased_begun_and_prepared() -> None:
     assert hashlib.sha256(scene.posted[1].data).hexdigest() == scene.posted[1].prepared.blob
     assert scene.said() == [("w0", Release(task=lease.task))]
     assert len(scene.controller.table) == 0
-    assert scene.controller.prepared("j").config == scene.posted[1].prepared.config
+    assert decode_value(scene.controller.encoded("j"), Prepared).config == scene.posted[1].prepared.config
 
 
 def test_people_are_shown_who_has_a_task_and_how_far_it_is_until_it_is_tried_again() -> None:
@@ -515,8 +515,7 @@ def test_the_end_of_a_job_ends_what_runs_for_it_and_who_helps_with_that() -> Non
     assert scene.said() == [(worker, Release(task=task)) for worker in ("w0", "w1", "w2")]
     scene.chunk("w0", "j", REFINED)
     assert [item for item in scene.posted if isinstance(item, JobRefined)] == []
-    with pytest.raises(KeyError):
-        scene.controller.prepared("j")
+    assert scene.controller.encoded("j") == b""
 
 
 def test_a_help_that_was_lost_is_said_again() -> None:

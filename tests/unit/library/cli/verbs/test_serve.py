@@ -1,5 +1,9 @@
 """What a coordinator says when it starts."""
 
+import errno
+import os
+import socket
+import sqlite3
 from argparse import Namespace
 from pathlib import Path
 
@@ -7,9 +11,10 @@ import pytest
 
 from atoll.cli import listener
 from atoll.cli.listener import heard_on
+from atoll.cli.main import main
 from atoll.cli.verbs import serve
 from atoll.cli.verbs.serve import greeting
-from atoll_core.errors import UsageError
+from atoll_core.errors import NotNowError, StoreError, UnreachableError, UsageError, WrongStoreError
 from atoll_core.wire.addresses import destination
 
 
@@ -53,5 +58,47 @@ def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
         log_level="info",
         standby=False,
     )
-    with pytest.raises(UsageError, match="choose another directory with --state"):
+    with pytest.raises(WrongStoreError, match="choose another directory with --state") as refused:
         serve.serve(options)
+    assert refused.value.exit_code == 2
+
+
+@pytest.mark.parametrize(("reason", "code"), [(errno.ENOSPC, 1), (errno.EMFILE, 1), (errno.EACCES, 2)])
+def test_a_store_that_cannot_be_opened_now_is_no_bad_option(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reason: int, code: int
+) -> None:
+    """Exit code 2 keeps a service of systemd down for good; a disk that was full once must not."""
+
+    def refuses(*_: object, **__: object) -> None:
+        raise OSError(reason, os.strerror(reason))
+
+    with monkeypatch.context() as refused:
+        refused.setattr(Path, "mkdir", refuses)
+        assert main(["serve", "--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path / "state")]) == code
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_database_that_is_full_is_no_bad_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def is_full(*_: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as full:
+        full.setattr("atoll_coordinator.service.store.schema._prepare", is_full)
+        assert main(["serve", "--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path)]) == 1
+
+
+def test_an_address_that_is_in_use_is_no_bad_option(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert main(["serve", "--listen", f"tcp/127.0.0.1:{port}", "--state", str(tmp_path)]) == 1
+        words = ["serve", "--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path), "--metrics", f"127.0.0.1:{port}"]
+        assert main(words) == 1
+    assert main(["serve", "--listen", "tcp/a.b.invalid:0", "--state", str(tmp_path)]) in (1, 2)  # 1: no name server
+
+
+def test_the_unit_of_systemd_stays_down_after_bad_options_alone() -> None:
+    unit = (Path(__file__).parents[5] / "deploy" / "systemd" / "atoll-coordinator.service").read_text("utf-8")
+    assert "Restart=on-failure\nRestartPreventExitStatus=2\n" in unit
+    assert "StateDirectoryMode=0700\n" in unit
+    assert {error.exit_code for error in (StoreError, NotNowError, UnreachableError)} == {1, 3}
+    assert {error.exit_code for error in (UsageError, WrongStoreError)} == {2}
