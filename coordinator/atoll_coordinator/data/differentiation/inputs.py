@@ -144,7 +144,7 @@ def unknown_variance(times: Sequence[FloatArray], values: Sequence[FloatArray], 
 
     Of a smooth curve that is the square of its error. Others are taken to go like a random walk, a Brownian bridge
     between two rows: at rows that are left out, one in two, its variance is twice the one in the middle between rows. A
-    held input is known everywhere. Noise of an input counts, since its curve leads through it.
+    held input is known everywhere. Noise of an input that is not smooth counts, since its curve leads through it.
     """
     if kind == "held":
         return 0.0

@@ -528,16 +528,17 @@ def _inputs(evidence: Evidence) -> Check:
         return _nothing(name, "the equations have no input")
     if any(map(math.isnan, shares.values())):
         untold = [one for one, share in shares.items() if math.isnan(share)]
-        return Check(name, "not made", f"too few rows tell how {_quoted(untold)} goes between them: sample more rows")
+        return Check(
+            name, "not made", f"there are too few rows to know {_quoted(untold)} between them: sample more rows"
+        )
     unknown, worst = [one for one, share in shares.items() if share > most], max(shares.values())
     if not unknown:
-        reason = f"the rows tell how inputs go between them, but for {percent(max(worst, 1e-3))} of a rate at most"
+        reason = f"what is not known of inputs between rows makes {percent(worst)} of the variance of a rate at most"
         return Check(name, "passed", reason, worst, most)
-    held = listed(sorted({*evidence.held_inputs, *unknown}))
-    verb, they = ("goes", "it is") if len(unknown) == 1 else ("go", "they are")
+    held, verb = listed(sorted({*evidence.held_inputs, *unknown})), "is" if len(unknown) == 1 else "are"
     reason = (
-        f"how {_quoted(unknown)} {verb} between rows is not known, and makes {percent(worst)} of the variance of a "
-        f"rate: add --hold {held} if {they} constant from row to row, else sample faster"
+        f"what is not known of {_quoted(unknown)} between rows makes {percent(worst)} of the variance of a rate: add "
+        f"--hold {held} if {_quoted(unknown)} {verb} constant from row to row, else sample faster, or with less noise"
     )
     return Check(name, "not made", reason, worst, most)
 
@@ -705,7 +706,13 @@ RULES: Final[Sequence[Rule]] = (
     Rule("time", "what a limit of time has stopped", "nothing", _everywhere(), _time),
     Rule("degrees of freedom", "rows less the numbers fitted to them", "1", _everywhere(), _freedom),
     Rule("distinct rows", "rows that differ by more than rounding", "5", _everywhere(), _distinct),
-    Rule("inputs between rows", "share of a rate that inputs make between rows", "0.1", _simulation_alone(), _inputs),
+    Rule(
+        "inputs between rows",
+        "share of the variance of a rate that inputs make between rows",
+        "0.1",
+        _simulation_alone(),
+        _inputs,
+    ),
     Rule("no equation", "nats over a constant and a random walk", "4.6", _everywhere(), _null),
     Rule("held-out trajectories", "R2 of trajectories left out", "0.9 less the noise", _simulation_alone(), _held_out),
     Rule("rows left out", "R2 of rows left out one at a time", "0.9", _target_alone(), _predicted_rows),

@@ -9,7 +9,7 @@ import numpy as np
 
 from atoll_coordinator.data.differentiation.inputs import unknown_variance
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
-from atoll_coordinator.data.recording import Recording, Smoothing
+from atoll_coordinator.data.recording import InputKind, Recording, Smoothing
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.inference.attractor import look_for_chaos, may_be_chaotic
 from atoll_coordinator.model.inference.checks import Evidence
@@ -48,6 +48,7 @@ from atoll_coordinator.model.refinement import (
 )
 from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import grouped_errors_on
+from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.regression.rounding import ERROR_DIGITS
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.candidates import form
@@ -74,6 +75,7 @@ from atoll_core.expression.unit_coefficients import (
     make_coefficients_explicit,
     write_factors,
 )
+from atoll_core.expression.writing.expansion import expand_program
 from atoll_core.expression.writing.shortest import shortest_over
 
 
@@ -134,6 +136,28 @@ class Final:
         measurements = self.seen.estimator.measurements
         points = np.concatenate([self.seen_fit.simulated, measurements.inputs])
         return points[[measurements.variables.index(name) for name in self.task.dataset.names]]
+
+    @cached_property
+    def by_rows(self) -> list[tuple[Sequence[Program], FloatArray]]:
+        """The equations as they are shown, and the rows (V, R) that they hold for: of each group, or all."""
+        measurements = self.seen.estimator.measurements
+        if not self.by_group or measurements.groups is None:
+            return [(self.shown, self.visited)]
+        groups = measurements.groups[measurements.owners_of_rows]
+        return [(programs, self.visited[:, groups == group]) for group, programs in enumerate(self.by_group)]
+
+    @cached_property
+    def unknown_inputs(self) -> list[tuple[str, str, float | None]]:
+        """Name, symbol and `unknown_variance` of each input."""
+        recording = self.task.recording
+        kinds: Sequence[InputKind | None] = recording.input_kinds or [None] * len(recording.inputs)
+        times = [part.times for part in recording.trajectories]
+        return [
+            (name, symbol, unknown_variance(times, [part.inputs[place] for part in recording.trajectories], kind))
+            for place, (name, symbol, kind) in enumerate(
+                zip(recording.inputs, recording.input_symbols, kinds, strict=True)
+            )
+        ]
 
     @property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
@@ -591,13 +615,27 @@ def _odds(nats: float) -> float:
     return math.exp(-max(nats, 0.0))
 
 
-def _evidence_nats(model: FittedModel) -> float:
-    """Return the nats of a description without those of its structures: misfit and constants (Schwarz 1978)."""
-    return model.nats - math.fsum(map(structure_length, model.programs))
+def _odds_of_data(other: FittedModel, own: FittedModel, equation: int, points: FloatArray) -> float:
+    """Return the odds of another model without what makes structures plausible: by misfit and constants (Schwarz 1978).
+
+    An elaboration, whose equation as a sum is the model's own with some values of its constants, has no other odds than
+    with it: there are many of them, each of which describes about as much.
+    """
+    program, contained = other.programs[equation], own.programs[equation]
+    expansion = expand_program(program)
+    whole = program if expansion is None else expansion.program
+    if len(constant_places(whole)) > len(constant_places(contained)) and contains(whole, contained, points):
+        return _odds(other.nats - own.nats)
+    lengths = [model.nats - math.fsum(map(structure_length, model.programs)) for model in (other, own)]
+    return _odds(lengths[0] - lengths[1])
 
 
 def predictions_of(final: Final, errors: Errors, *, is_near: bool) -> list[Prediction]:
-    """Return how far each state can be foretold from other initial states, see `foretell`."""
+    """Return how far each state can be foretold from other initial states, see `foretell`.
+
+    The odds that the data alone give an alternative are shared by all alternatives of its equation: these were chosen
+    from many because they describe the data well (Bonferroni).
+    """
     ranking = final.ranking
     own = ranking.selection.model
     rivals = [
@@ -605,7 +643,7 @@ def predictions_of(final: Final, errors: Errors, *, is_near: bool) -> list[Predi
             alternative.model.fit.system,
             equation,
             _odds(alternative.model.nats - own.nats),
-            _odds(_evidence_nats(alternative.model) - _evidence_nats(own)),
+            _odds_of_data(alternative.model, own, equation, final.visited) / len(alternatives),
         )
         for equation, alternatives in enumerate(ranking.alternatives)
         for alternative in alternatives
@@ -723,34 +761,40 @@ def _distinct_rows(measurements: Measurements, index: int, used: Collection[str]
 def _unknown_inputs(final: Final, equations: Sequence[int]) -> dict[str, float]:
     """Return the share of the variance of a rate that each input makes between its rows, where it is not known.
 
-    The largest of some equations. NaN where too few rows tell.
+    The largest of some equations, and of the groups of trajectories with constants of their own. NaN where too few rows
+    tell.
     """
-    recording, shares = final.task.recording, dict[str, float]()
-    kinds = recording.input_kinds or [None] * len(recording.inputs)
-    for place, (name, symbol, kind) in enumerate(zip(recording.inputs, recording.input_symbols, kinds, strict=True)):
-        column = final.task.dataset.names.index(symbol) if symbol in final.task.dataset.names else -1
-        using = [final.shown[one] for one in equations if column in variables_of(final.shown[one])]
+    names, shares = final.task.dataset.names, dict[str, float]()
+    for name, symbol, variance in final.unknown_inputs:
+        column = names.index(symbol) if symbol in names else -1
+        using = [one for one in equations if column in variables_of(final.shown[one])]
         if using:
-            parts = recording.trajectories
-            variance = unknown_variance([part.times for part in parts], [part.inputs[place] for part in parts], kind)
             by = math.nan if variance is None else math.sqrt(variance)
-            shares[name] = max(_share_of_rate(program, final.visited, column, by) for program in using)
+            shares[name] = max(
+                _share_of_rate(programs[one], points, column, by) for programs, points in final.by_rows for one in using
+            )
     return shares
 
 
 def _share_of_rate(program: Program, points: FloatArray, column: int, by: float) -> float:
     """Return the variance of what a change of one variable `by` so much makes of a rate at some points, over its own.
 
-    At most 1; 0 where it changes nothing, NaN for a change that is not known.
+    That is over the sum of both. 0 where it changes nothing, NaN for a change that is not known.
     """
-    if math.isnan(by):
-        return math.nan
-    moved = points.copy()
-    moved[column] += by
-    rates, changed = values_of(program, points), values_of(program, moved)
-    is_finite = np.isfinite(rates) & np.isfinite(changed)
-    change = float(np.mean((changed - rates)[is_finite] ** 2)) if is_finite.any() else 0.0
-    return change / (change + float(np.var(rates[is_finite]))) if change > 0.0 else 0.0
+    if not by > 0.0:
+        return by
+    moved = np.repeat(points[:, :, None], 2, axis=2)
+    moved[column] += np.array([-by, by])
+    rates = values_of(program, points)
+    with np.errstate(all="ignore"):
+        changes = np.abs(values_of(program, moved.reshape(len(points), -1)).reshape(-1, 2) - rates[:, None])
+        squares = np.maximum(changes[:, 0], changes[:, 1])[np.isfinite(rates)] ** 2
+        variance = float(np.var(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else 0.0
+    is_finite = np.isfinite(squares)
+    if not is_finite.all() or not len(squares):
+        return 1.0  # leads to where the rate has no value
+    change = float(np.mean(squares))
+    return change / (change + variance) if change > 0.0 else 0.0
 
 
 def _held_inputs(recording: Recording) -> list[str]:

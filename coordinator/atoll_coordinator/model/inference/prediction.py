@@ -9,8 +9,7 @@ happens there. So the model, its alternatives and draws of its constants are sim
 the odds foretells what the model does is the probability that it can be relied upon.
 
 That an equation is short makes it more plausible where something was measured. Where a model leads beyond the measured
-range nothing speaks for its structure: there the odds are those of the data alone, and rivals of all equations count,
-since with another equation for one variable those of the others would be others.
+range nothing speaks for its structure, and the odds of other structures are what the data alone give them.
 
 Letters: D states, O measured ones, N rows, P fitted constants, G initial states.
 """
@@ -94,9 +93,8 @@ def foretell(
     def predicted(state: int) -> Prediction:
         reached = elsewhere.reached(courses, state)
         probability, disputed = misses.agreement(state), misses.unlike(state)
-        least = min(states, key=misses_of_data.agreement)
-        if reached is not None and misses_of_data.agreement(least) < probability:
-            probability, disputed = misses_of_data.agreement(least), misses_of_data.unlike(least)
+        if reached is not None and misses_of_data.agreement(state) < probability:
+            probability, disputed = misses_of_data.agreement(state), misses_of_data.unlike(state)
         start = elsewhere.named(followed[farthest if disputed is None else disputed])
         is_disputed = disputed is not None
         return Prediction(len(own), len(followed), probability, novelty, reached, start, is_disputed, unfinished)

@@ -13,7 +13,7 @@ import numpy as np
 
 from atoll_coordinator.model.least_squares import Solver, minimize, solver
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.data.dataset import FloatArray, Problem
+from atoll_core.data.dataset import FloatArray, Problem, Target
 from atoll_core.expression.evaluation import values_and_gradient, values_of
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.restrictions import NONE, Restrictions
@@ -126,3 +126,16 @@ def _mse(errors: FloatArray) -> float:
     with np.errstate(all="ignore"):
         mse = float(errors @ errors) / len(errors)
     return mse if math.isfinite(mse) else math.inf
+
+
+def contains(program: Program, other: Program, points: FloatArray) -> bool:
+    """Tell whether `program` is the `other` with some values of its constants, by its values at points (V, R)."""
+    values = values_of(other, points)
+    square = float(np.mean(values * values))
+    names = tuple(str(number) for number in range(len(points)))
+    fitted = LeastSquares(Problem(names, points, Target("", "", values, 0.0, 1.0))).fit(program)
+    return fitted.mse <= _SAME * square
+
+
+_SAME: Final = 1e-9
+"""Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""

@@ -30,7 +30,7 @@ from atoll_coordinator.model.refinement import (
 )
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.regression.fit import LeastSquares
+from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.regression.rounding import Estimates
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
@@ -39,8 +39,7 @@ from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, is_
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.paths import Simulator
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
-from atoll_core.expression.evaluation import values_of
+from atoll_core.data.dataset import Dataset, FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.unit_coefficients import (
     ExplicitCoefficients,
@@ -57,8 +56,6 @@ _NO_NOISE: Final = (
     "of the motion itself judged."
 )
 _STOPPED: Final = "the limit of time stopped the choice of the equations: give more time with --max-time"
-_SAME: Final = 1e-9
-"""Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,7 +399,7 @@ def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> li
     rivals, limit = chosen.rivals[number], SETTINGS.inference.distinct_nats
     points = chosen.likelihood.steps.points
     near = (rival for rival in rivals[1:] if rival.nats - rivals[0].nats < limit)
-    rival = next((rival for rival in near if not _contains(rival.program, equation.program, points)), None)
+    rival = next((rival for rival in near if not contains(rival.program, equation.program, points)), None)
     if rival is None:
         checks.append(Check("alternative equations", "passed", "no other equation describes the data about as well"))
         return checks
@@ -410,15 +407,6 @@ def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> li
     reason = f"another equation describes the data about as well ({apart:.1f} nats apart)"
     checks.append(Check("alternative equations", "failed", reason, apart, limit))
     return checks
-
-
-def _contains(program: Program, rival: Program, points: FloatArray) -> bool:
-    """Tell whether `program` is `rival` with some values of its constants, so that it says nothing else."""
-    values = values_of(rival, points)
-    square = float(np.mean(values * values))
-    names = tuple(str(number) for number in range(len(points)))
-    fitted = LeastSquares(Problem(names, points, Target("", "", values, 0.0, 1.0))).fit(program)
-    return fitted.mse <= _SAME * square
 
 
 # ------------------------------------------------------------------------------------------------- simulations

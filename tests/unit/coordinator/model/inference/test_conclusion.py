@@ -17,11 +17,11 @@ from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
 from atoll_coordinator.model.inference import conclusion
 from atoll_coordinator.model.inference.conclusion import (
     _no_elaborations,
+    _odds_of_data,
     _share_of_rate,
     _shortened,
     _show,
     _standard_deviation,
-    predictions_of,
 )
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
@@ -92,27 +92,21 @@ def test_what_follows_from_an_equation_that_is_no_better_than_none_was_not_teste
     assert (refinement.equations["x"].prediction is None) == is_baseless
 
 
-def test_the_odds_of_the_data_have_no_price_of_structures(monkeypatch):
-    """An equation with a sine that fits as well with as many constants is as likely."""
+def test_the_odds_of_the_data_have_no_price_of_structures():
+    """An equation with a sine that fits as well with as many constants is as likely; an elaboration is not."""
+    points = np.linspace(0.2, 2.0, 30)[None]
 
     def model(text, misfit):
         program = from_infix(text, ("x",))
         nats = system_length(misfit, [program], len(constant_places(program)), constant_nats=2.0)
-        return FittedModel((program,), SimpleNamespace(system=text), misfit, nats)
+        return FittedModel((program,), None, misfit, nats)
 
-    monkeypatch.setattr(conclusion, "foretell", lambda rows, system, rivals, *given, **options: rivals)
-    monkeypatch.setattr(conclusion, "scaled_covariance", lambda *given: (None,))
-    rivals = [model("-0.8*sin(x)*cos(x)", 7.0), model("-0.8*sin(x)*cos(x)", 9.0), model("0.1 - 0.8*x", 6.0)]
-    ranking = SimpleNamespace(
-        selection=SimpleNamespace(model=model("-0.8*x", 7.0)),
-        alternatives=[[SimpleNamespace(model=rival) for rival in rivals]],
-    )
-    any_fit = SimpleNamespace(fit=SimpleNamespace(system=SimpleNamespace(count=0)))
-    seen = SimpleNamespace(estimator=SimpleNamespace(measurements=None, tolerance=0.0))
-    final = SimpleNamespace(ranking=ranking, free=any_fit, seen=seen, seen_fit=SimpleNamespace(system=None))
-    made = predictions_of(final, None, is_near=False)
-    assert [rival.odds_of_data for rival in made] == pytest.approx([1.0, math.exp(-2.0), math.exp(-1.0)])
-    assert all(rival.odds < rival.odds_of_data for rival in made)
+    own = model("-0.8*x", 7.0)
+    others = [model("-0.8*sin(x)*cos(x)", 7.0), model("-0.8*sin(x)*cos(x)", 9.0), model("0.1*x*x - 0.8*sin(x)", 6.0)]
+    odds = [_odds_of_data(other, own, 0, points) for other in others]
+    assert odds == pytest.approx([1.0, math.exp(-2.0), math.exp(-1.0)])
+    longer = model("0.1 - 0.8*x", 6.0)
+    assert _odds_of_data(longer, own, 0, points) == pytest.approx(math.exp(own.nats - longer.nats))
 
 
 def test_an_exact_line_of_five_rows_is_not_exact():
@@ -410,7 +404,7 @@ def test_what_follows_from_an_input_that_is_unknown_between_its_rows_was_not_tes
     assert {name: check.outcome for name, check in made.items()} == {
         "x": "passed" if hold else "not made", "v": "passed" if hold else "not made", "y": "not applicable"
     }  # fmt: skip
-    assert hold or "add --hold u if it is constant" in made["x"].reason
+    assert hold or "add --hold u if 'u' is constant" in made["x"].reason
 
 
 def test_what_an_input_makes_between_rows_is_a_share_of_the_rate():
@@ -422,6 +416,31 @@ def test_what_an_input_makes_between_rows_is_a_share_of_the_rate():
     assert _share_of_rate(program, points, 1, 100.0) > 0.99
     assert _share_of_rate(program, points, 1, 0.0) == 0.0
     assert math.isnan(_share_of_rate(program, points, 1, math.nan))
+    near_one = np.array([points[0], np.full(50, 0.95)])
+    assert _share_of_rate(from_infix("log(1.0 - u) - x", ("x", "u")), near_one, 1, 0.1) == 1.0
+    assert _share_of_rate(from_infix("x*u*u", ("x", "u")), 0.0 * points + 0.05, 1, -2.0 * -0.05) > 0.9
+
+
+@pytest.mark.parametrize("gains", [(2.0, -2.0), (2.0, 2.5)])
+def test_of_groups_each_has_its_own_share_of_an_unknown_input(gains):
+    """Gains whose mean is zero do not hide it."""
+    starts, runs = ([1.0], [2.0], [0.5], [3.0]), []
+    for place, start in enumerate(starts):
+        gain = gains[place % 2]
+        driven = Known(("x",), lambda t, z, gain=gain: [gain * held(t) - 0.9 * z[0]], {"u": (held, np.zeros_like)})
+        runs.append(table(driven, (start,), TIMES, 0.01, place))
+    columns = np.concatenate([run.columns for run in runs], axis=1)
+    batch = np.repeat(np.arange(4.0) % 2, len(TIMES))
+    whole = replace(
+        table(driven, starts, TIMES),
+        names=("t", "x", "u", "batch"),
+        units=("",) * 4,
+        columns=np.vstack([columns, batch]),
+    )
+    config = JobConfig(space=NO_LIBRARIES, data=DataConfig(inputs=("u",), group="batch"))
+    preparation = prepare(whole, config)
+    refinement = refine_all(preparation, config, pools(preparation, x=("1.5*u - 0.9*x",)))
+    assert check_of(refinement, "x", "inputs between rows").outcome == "not made"
 
 
 def test_with_order_2_positions_alone_are_measured():

@@ -173,10 +173,10 @@ def test_a_check_that_fails_makes_an_equation_doubtful(change: dict[str, object]
         (
             {"unknown_inputs": {"u": 0.3, "w 1": 0.2, "v": 0.01}, "held_inputs": ("h",)},
             "inputs between rows",
-            "is not known, and makes 30 % of the variance of a rate: add --hold 'h,u,w 1'",
+            "not known of 'u' and 'w 1' between rows makes 30 % of the variance of a rate: add --hold 'h,u,w 1'",
         ),
         ({"unfitted": 6}, "constants", "how well its 6 constants are determined is not known"),
-        ({"unknown_inputs": {"u": math.nan}}, "inputs between rows", "too few rows tell how 'u' goes between"),
+        ({"unknown_inputs": {"u": math.nan}}, "inputs between rows", "too few rows to know 'u' between them"),
     ],
 )
 @pytest.mark.parametrize("evidence", [NOISY, CLEAN, replace(NOISY, kind="groups")], ids=["noisy", "clean", "groups"])
