@@ -32,6 +32,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     PreparationBegun,
     PreparationFailed,
     RefiningFailed,
+    TableChecked,
 )
 from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
@@ -320,7 +321,7 @@ class Service:
             self._bus.post(_Probe())
 
     @_on.register
-    def _on_posted(self, event: Posted) -> None:
+    def _on_posted(self, event: Posted) -> None:  # noqa: C901  # one case for each outcome
         """Let time pass, or take in an outcome, which never comes again: where that breaks, its job ends."""
         item, now = event.item, self._bus.now()
         match item:
@@ -331,6 +332,9 @@ class Service:
             case _Probe() if self._metrics is not None:
                 self._metrics.observe_lag(now - self._probe_due)
                 self._probe_later()
+            case TableChecked():
+                with self.controller.guarded(item.job, "having a job prepared", now):
+                    self.controller.prepare_checked(item.job, item.is_sound, item.error, now)
             case PreparationBegun():
                 self.controller.begin_preparing(item.job, now)
             case JobPrepared():

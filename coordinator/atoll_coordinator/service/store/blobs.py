@@ -3,13 +3,10 @@
 import hashlib
 import sqlite3
 from collections.abc import Iterable
-from typing import Final, Literal, cast
+from typing import Final, cast
 
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
-
-Upload = Literal["partial", "whole", "wrong"]
-"""How an upload stands: chunks are missing; it is there; its bytes did not have its digest, and it is forgotten."""
 
 
 def add(sql: sqlite3.Connection, digest: str, data: bytes) -> None:
@@ -63,21 +60,6 @@ def chunk(sql: sqlite3.Connection, digest: str, index: int) -> bytes:
     return cast(bytes, row[0])
 
 
-def has_chunk(sql: sqlite3.Connection, digest: str, index: int, data: bytes) -> bool:
-    """Tell whether these bytes are what is there as a chunk of a blob, whole or not."""
-    query = "SELECT 1 FROM chunks WHERE digest = ? AND number = ? AND data = ?"
-    return sql.execute(query, (digest, index, data)).fetchone() is not None
-
-
-def missing(sql: sqlite3.Connection, digest: str, size: int) -> tuple[int, ...]:
-    """Return which chunks of a blob of `size` bytes are still to be put."""
-    if is_complete(sql, digest):
-        return ()
-    rows = sql.execute("SELECT number FROM chunks WHERE digest = ?", (digest,)).fetchall()
-    there = {number for (number,) in rows}
-    return tuple(number for number in range(chunk_count(size)) if number not in there)
-
-
 def require_fitting(size: int, index: int, data: bytes) -> None:
     """Raise RemoteProtocolError unless `data` can be chunk `index` of an upload of `size` bytes."""
     expected = min(CHUNK_SIZE, size - index * CHUNK_SIZE)
@@ -85,22 +67,46 @@ def require_fitting(size: int, index: int, data: bytes) -> None:
         raise RemoteProtocolError(f"chunk {index} of {len(data)} bytes does not fit an upload of {size} bytes")
 
 
-def put_chunk(sql: sqlite3.Connection, digest: str, size: int, index: int, data: bytes) -> Upload:
-    """Add a chunk that fits to an upload; return how the upload stands then.
+def put_chunk(sql: sqlite3.Connection, upload: str, index: int, data: bytes, digest: str | None) -> bool:
+    """Add the next chunk of an upload; with a `digest`, which its bytes have, the upload is that blob from now on.
 
-    Raises:
-        RemoteProtocolError: the upload was announced with another size.
+    Return False, changing nothing, when the chunks before it are not there.
     """
-    if is_complete(sql, digest):
-        return "whole"
-    _begin(sql, digest, size)
-    sql.execute("INSERT OR IGNORE INTO chunks VALUES (?, ?, ?)", (digest, index, data))
-    (count,) = sql.execute("SELECT count(*) FROM chunks WHERE digest = ?", (digest,)).fetchone()
-    return _finish(sql, digest) if count == chunk_count(size) else "partial"
+    if is_complete(sql, upload):
+        return True
+    if index == 0:
+        sql.execute("DELETE FROM blobs WHERE digest = ?", (upload,))
+        sql.execute("INSERT INTO blobs VALUES (?, 0, 0)", (upload,))
+        sql.execute("INSERT INTO uploads VALUES (?)", (upload,))
+    elif not _has_chunks(sql, upload, index):
+        return False
+    sql.execute("INSERT INTO chunks VALUES (?, ?, ?)", (upload, index, data))
+    sql.execute("UPDATE blobs SET size = size + ? WHERE digest = ?", (len(data), upload))
+    if digest is not None:
+        _finish(sql, upload, digest)
+    return True
+
+
+def _has_chunks(sql: sqlite3.Connection, upload: str, count: int) -> bool:
+    (there,) = sql.execute("SELECT count(*) FROM chunks WHERE digest = ?", (upload,)).fetchone()
+    return cast(int, there) == count
+
+
+def _finish(sql: sqlite3.Connection, upload: str, digest: str) -> None:
+    """Turn a whole upload into the blob of that digest, unless it is there already."""
+    if upload == digest:
+        sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
+        return
+    if not is_complete(sql, digest):
+        sql.execute("DELETE FROM blobs WHERE digest = ?", (digest,))  # an unfinished upload, of somebody else
+        sql.execute("INSERT INTO blobs SELECT ?, size, 1 FROM blobs WHERE digest = ?", (digest, upload))
+        sql.execute("INSERT INTO uploads VALUES (?)", (digest,))
+        sql.execute("UPDATE chunks SET digest = ? WHERE digest = ?", (digest, upload))
+    sql.execute("DELETE FROM blobs WHERE digest = ?", (upload,))
 
 
 def total_bytes(sql: sqlite3.Connection, but: str = "") -> int:
-    """Return how many bytes all blobs but one have, announced ones included."""
+    """Return how many bytes are stored of all blobs but one, unfinished uploads included."""
     (total,) = sql.execute(
         "SELECT (SELECT coalesce(sum(size), 0) FROM blobs) - coalesce((SELECT size FROM blobs WHERE digest = ?), 0)",
         (but,),
@@ -132,18 +138,3 @@ def unused_bytes(sql: sqlite3.Connection) -> int:
 def delete_unused(sql: sqlite3.Connection, digests: Iterable[str]) -> None:
     """Delete those of these blobs that no job uses."""
     sql.executemany(f"DELETE FROM blobs WHERE digest = ? AND {_UNUSED}", [(digest,) for digest in digests])
-
-
-def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:
-    sql.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?, 0)", (digest, size))
-    sql.execute("INSERT OR IGNORE INTO uploads VALUES (?)", (digest,))
-    (known,) = sql.execute("SELECT size FROM blobs WHERE digest = ?", (digest,)).fetchone()
-    if known != size:
-        raise RemoteProtocolError(f"an upload of {size} bytes was announced before as one of {known} bytes")
-
-
-def _finish(sql: sqlite3.Connection, digest: str) -> Upload:
-    if not keep_if_sound(sql, digest):
-        return "wrong"
-    sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
-    return "whole"
