@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+from atoll_core.redaction import without_secrets
+
 
 class Field(NamedTuple):
     """What a person sets, perhaps to a value: `order=2` in Python is ``--order 2`` on the command line."""
@@ -38,8 +40,8 @@ class AtollError(Exception):
         self.fields = tuple(part.name for part in parts if isinstance(part, Field))
         said = _filled(sentence, [part.in_python if isinstance(part, Field) else part for part in parts])
         typed = _filled(sentence, [part.on_command_line if isinstance(part, Field) else part for part in parts])
-        super().__init__(f"{said}; {python}" if python else said)
-        self.on_command_line = f"{typed}; {command}" if command else typed
+        super().__init__(without_secrets(f"{said}; {python}" if python else said))
+        self.on_command_line = without_secrets(f"{typed}; {command}" if command else typed)
 
 
 def _filled(sentence: str, parts: list[object]) -> str:

@@ -59,8 +59,9 @@ def _record(error: Exception) -> str:
 
     from atoll_core.errors import UsageError
     from atoll_core.machine.folders import user_folder
+    from atoll_core.redaction import without_secrets
 
-    text = "".join(traceback.format_exception(error))
+    text = without_secrets("".join(traceback.format_exception(error)))
     try:
         folder = user_folder("XDG_STATE_HOME", ".local/state") / "atoll"
         folder.mkdir(parents=True, exist_ok=True)

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import gzip
 import hashlib
+import itertools
 import json
 import tempfile
 import time
@@ -65,6 +66,9 @@ SHARE: Final = 0.05
 
 MAX_RESULTS: Final = 16
 """Results that are kept for that."""
+
+MAX_LOOKED: Final = 5
+"""Pages of the coordinator's list that one request looks through for jobs of a state; `next` goes on from there."""
 
 MAX_WATCHED: Final = 32
 """Jobs that one stream tells about by name."""
@@ -242,14 +246,16 @@ class Api:
         if prefix and not is_id(prefix):
             return JSONResponse({"jobs": [], "next": None})
         gateway, found = gateway_of(request), list[JobView]()
-        while True:
+        for pages in itertools.count(1):
             page = await gateway.ask(
                 lambda client, before=cursor: client.page_of_jobs(prefix, limit=limit, before=before)  # type: ignore[misc]
             )
             found += [view for view in reversed(page.jobs) if state in (None, view.state)]
             cursor = page.before
-            if cursor is None or state is None or len(found) >= limit:
-                return JSONResponse({"jobs": to_jsonable_python(found), "next": cursor})
+            is_over = cursor is None or state is None or len(found) >= limit or pages == MAX_LOOKED
+            if is_over or await request.is_disconnected():
+                break
+        return JSONResponse({"jobs": to_jsonable_python(found), "next": cursor})
 
     async def job(self, request: Request) -> Response:
         """Say how a job is getting on."""

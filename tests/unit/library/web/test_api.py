@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll.web import api as api_module
+from atoll.web.api import MAX_LOOKED
 from atoll.web.description import describe, to_text
 from atoll_core.data.table import Table
 from atoll_core.wire.messages.views import EventView
@@ -46,6 +47,38 @@ def test_jobs_come_page_by_page_newest_first(app) -> None:
     last = read(app, "/jobs", limit="2", cursor=str(first["next"])).json
     assert ([job["job"] for job in last["jobs"]], last["next"]) == (["a"], None)
     assert [job["job"] for job in read(app, "/jobs", state="done").json["jobs"]] == ["a"]
+
+
+def test_a_search_through_jobs_is_bounded_and_goes_on_from_its_cursor() -> None:
+    asked = Asked(*(job_view(job=f"j{number}", state="done") for number in range(20)), job_view(job="new"))
+    first = read(application(asked), "/jobs", state="queued", limit="2").json
+    assert (first["jobs"], first["next"]) == ([], 21 - 2 * MAX_LOOKED)
+    assert read(application(asked), "/jobs", state="queued", limit="2", cursor="2").json["next"] is None
+
+
+def test_a_search_through_jobs_ends_when_its_client_has_left(client) -> None:
+    asked = Asked(*(job_view(job=f"j{number}", state="done") for number in range(20)))
+    pages = list[int]()
+    find = asked.page_of_jobs
+    asked.page_of_jobs = lambda *given, **named: pages.append(1) or find(*given, **named)  # type: ignore[assignment]
+
+    async def leaving() -> None:
+        scope = {
+            "type": "http", "method": "GET", "path": "/api/v1/jobs", "root_path": "", "http_version": "1.1",
+            "query_string": b"state=running&limit=1", "scheme": "http", "raw_path": b"/api/v1/jobs",
+            "headers": [(name.encode(), value.encode()) for name, value in LOCAL.items()],
+        }  # fmt: skip
+
+        async def receive() -> dict[str, str]:
+            return {"type": "http.disconnect"}
+
+        async def send(message: object) -> None:
+            pass
+
+        await application(asked)(scope, receive, send)
+
+    asyncio.run(leaving())
+    assert len(pages) == 1
 
 
 @pytest.mark.parametrize(
