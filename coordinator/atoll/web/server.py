@@ -79,10 +79,20 @@ def access_of(
         )
     own = Gateway(at)
     gateways = {digest_of(token): own} | (_gateways(users, at) if users is not None else {})
-    hosts = {*LOCAL_HOSTS, listener.host.lower(), *(name.lower() for name in listener.names)}
+    hosts = {*LOCAL_HOSTS, *(host for name in (listener.host, *listener.names) for host in _hosts(name))}
     if not listener.is_local:
         hosts |= {socket.gethostname().lower(), socket.getfqdn().lower()}
     return Access(gateways, own if look_without_token else None, sorted(hosts))
+
+
+def _hosts(name: str) -> tuple[str, ...]:
+    """Return how a Host header may have a name: an IPv6 address in brackets, as given and as browsers write it."""
+    name = name.lower().removeprefix("[").removesuffix("]")
+    try:
+        address = ipaddress.ip_address(name)
+    except ValueError:
+        return (name,)
+    return (name,) if address.version == 4 else (f"[{name}]", f"[{address.compressed}]")
 
 
 def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:

@@ -45,6 +45,8 @@ def _end_with(owner: str | None) -> None:
     """End this process when the one that has started it is gone, however that ended."""
     if owner is None or not owner.isdecimal():
         return
+    if hasattr(signal, "SIGHUP"):  # a hang-up that is sent to all processes of a service is for its coordinator
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     def watch() -> None:
         while os.getppid() == int(owner):

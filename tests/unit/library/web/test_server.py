@@ -2,8 +2,10 @@
 
 import hashlib
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
+from starlette.datastructures import Headers
 
 from atoll.web.server import Listener, access_of, serve
 from atoll_core.errors import UsageError
@@ -99,3 +101,12 @@ def test_nobody_looks_without_a_token_through_credentials_of_others_or_a_proxy(l
         assert access_of(listener, at, "t" * 16, of).viewer is None
         with pytest.raises(UsageError, match="--look-without-token shows all jobs"):
             access_of(listener, at, "t" * 16, of, look_without_token=True)
+
+
+@pytest.mark.parametrize("host", ["::1", "fd00::5", "fd00:0::5", "[fd00::5]", "127.0.0.2", "localhost"])
+def test_a_listener_is_called_as_the_address_that_it_prints(host) -> None:
+    listener = Listener(host.strip("[]"), 0, (host,), "cert.pem", "key.pem")
+    printed = urlsplit(listener.url(7480)).netloc
+    allowed = access_of(listener, AT, "t" * 16, None)
+    problem = allowed.problem("GET", "/", Headers({"host": printed}))
+    assert problem is None

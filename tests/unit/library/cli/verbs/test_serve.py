@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 from atoll.cli import listener
-from atoll.cli.listener import heard_on
+from atoll.cli.listener import heard_on, own_address_of
 from atoll.cli.verbs import serve
 from atoll.cli.verbs.serve import greeting
 from atoll_core.errors import UsageError
-from atoll_core.wire.addresses import destination
+from atoll_core.wire.addresses import Address, Destination, destination
+from atoll_core.wire.security.credentials import Credentials
 
 
 def test_one_address_gives_the_line_that_starts_a_worker() -> None:
@@ -55,3 +56,23 @@ def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
     )
     with pytest.raises(UsageError, match="choose another directory with --state"):
         serve.serve(options)
+
+
+@pytest.mark.parametrize(
+    ("host", "named", "dialled"),
+    [
+        ("127.0.0.1", ("lab.example", "127.0.0.1"), "127.0.0.1"),
+        ("0.0.0.0", ("lab.example", "localhost"), "localhost"),
+        ("0.0.0.0", ("lab.example",), "lab.example"),
+        ("10.0.0.5", ("lab.example", "10.0.0.5"), "10.0.0.5"),
+        ("::1", ("lab.example", "::1"), "[::1]"),
+        ("0.0.0.0", None, "127.0.0.1"),
+        ("10.0.0.5", None, "10.0.0.5"),
+    ],
+)
+def test_the_page_dials_where_its_coordinator_listens(host, named, dialled) -> None:
+    """The first name in a certificate may lead elsewhere, or nowhere from here."""
+    protocol = "tcp" if named is None else "tls"
+    credentials = None if named is None else Credentials(Path("a"), Path("b"), Path("c"), "lab", named)
+    at = Destination(Address(protocol, host, 7447), credentials)
+    assert own_address_of(at) == f"{protocol}/{dialled}:7447"
