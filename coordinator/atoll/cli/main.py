@@ -46,9 +46,11 @@ def _dispatch(argv: Sequence[str]) -> int:
 
 
 def _complain(sentence: str) -> None:
+    from atoll_core.quoting import visible
+
     flush_streams()
     with contextlib.suppress(OSError):  # a full disk: the exit code says that something was wrong
-        sys.stderr.write(f"coordinator: {sentence}\n")
+        sys.stderr.write(f"coordinator: {visible(sentence)}\n")
         sys.stderr.flush()
 
 
