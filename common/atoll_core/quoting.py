@@ -11,9 +11,7 @@ _LONGEST: Final = 40
 """Characters of a value that a sentence shows."""
 
 
-_UNSEEN: Final = re.compile(
-    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]|\r(?!\n)"
-)
+_UNSEEN: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]|\r(?!\n)")
 """What moves a terminal's cursor, colours, titles it, or turns the direction of what follows."""
 
 

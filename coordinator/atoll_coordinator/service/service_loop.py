@@ -453,10 +453,14 @@ class Service:
             raise
         if not isinstance(key, topics.ClientKey):
             self._answer(event)
-        elif not self._questions.add(key.client, event, len(event.payload)):
+        elif not self._questions.add(self._party(key.client, event), key.client, event, len(event.payload)):
             self._bus.reply(event, None)
         elif len(self._questions) == 1:
             self._bus.post(_Turn())
+
+    def _party(self, client: str, event: Query) -> str:
+        """Return who takes turns with others: a user, without certificates a session."""
+        return self._authorization.submitter(client) or f"/{event.session}"
 
     def _take_turn(self) -> None:
         """Answer one question, behind what had come before; the next one goes behind what has come since."""

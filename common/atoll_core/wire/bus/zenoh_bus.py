@@ -216,6 +216,7 @@ class ZenohBus:
 
         handler = Callback(on_reply, lambda: finish(None), indirect=False)
         options = {"payload": payload, "timeout": timeout_s, "consolidation": zenoh.ConsolidationMode.NONE, **_FIRMLY}
+        options["source_info"] = zenoh.SourceInfo(self._session.id, token % 2**32)
         if not self._call(lambda: self._session.get(key, handler, **options)):
             finish(None)
         return token
@@ -304,7 +305,8 @@ class ZenohBus:
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        self._inbox.add(Query(str(query.key_expr), payload, query))
+        source = query.source_info
+        self._inbox.add(Query(str(query.key_expr), payload, query, str(source.source_id.zid) if source else ""))
 
     def _on_presence(self, sample: zenoh.Sample) -> None:
         self._inbox.add(Presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
