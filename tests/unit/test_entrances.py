@@ -26,6 +26,7 @@ _USERS: Final = "unit/coordinator/service/requests/test_users.py::"
 _CLIENTS: Final = "unit/coordinator/service/requests/test_clients.py::"
 _WEB: Final = "unit/library/web/"
 _HOSTILE: Final = "unit/library/web/test_hostile_requests.py::"
+_INTEGRATED: Final = "integration/test_web.py::"
 _STORE: Final = "unit/coordinator/service/store/"
 _SECURITY: Final = "integration/test_security.py::"
 _SECRETS: Final = "unit/common/test_redaction.py::test_an_error_a_log_line_and_a_command_show_no_secret"
@@ -50,12 +51,12 @@ BUS: Final = {
 }
 HTTP: Final = BUS | {
     "see": f"{_HOSTILE}test_a_job_of_somebody_else_is_unknown_in_every_operation_also_after_its_owner_has_looked",
-    "change": f"{_WEB}test_hostile_requests.py::test_no_operation_does_without_a_token_what_it_may_not",
+    "change": f"{_HOSTILE}test_no_operation_does_without_a_token_what_it_may_not",
     "size": f"{_WEB}test_api.py::test_unfinished_messages_take_bounded_memory",
     "rate": f"{_WEB}test_connections.py::test_where_all_are_at_work_the_next_is_told_to_come_later",
-    "escaping": f"{_WEB}test_hostile_requests.py::test_what_is_reflected_begins_no_header",
-    "secrets": f"{_WEB}test_hostile_requests.py::test_no_token_is_logged",
-    "durable": "integration/test_web.py::test_a_job_by_http_ends_as_one_by_the_command_line_and_its_stream_survives_kills",
+    "escaping": f"{_HOSTILE}test_what_is_reflected_begins_no_header",
+    "secrets": f"{_HOSTILE}test_no_token_is_logged",
+    "durable": f"{_INTEGRATED}test_a_job_by_http_ends_as_one_by_the_command_line_and_its_stream_survives_kills",
 }
 PROCESS: Final = HTTP | {
     "see": f"{_WEB}test_server.py::test_nobody_looks_without_a_token_through_credentials_of_others_or_a_proxy",
