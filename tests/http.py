@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote, urlencode
@@ -46,16 +46,22 @@ async def ask_async(
         "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 7480),
     }  # fmt: skip
 
+    async def receive() -> dict[str, Any]:
+        message = next(sent, None)
+        if message is None:
+            await asyncio.Event().wait()  # the other side stays
+        assert message is not None
+        return message
+
     async def send(message: dict[str, Any]) -> None:
         parts.append(message)
 
-    await app(scope, sent.__anext__, send)
+    await app(scope, receive, send)
     start = parts[0]
     answered = {name.decode(): value.decode() for name, value in start["headers"]}
     return Answer(start["status"], answered, b"".join(part.get("body", b"") for part in parts[1:]))
 
 
-async def _messages(body: list[bytes]) -> AsyncIterator[dict[str, Any]]:
+def _messages(body: list[bytes]) -> Iterator[dict[str, Any]]:
     for place, part in enumerate(body):
         yield {"type": "http.request", "body": part, "more_body": place + 1 < len(body)}
-    await asyncio.Event().wait()  # the other side stays

@@ -2,8 +2,8 @@
 
 ``config``, ``data`` and ``expression`` say what a job is; ``search`` holds the rules that both sides must apply alike
 (fronts, random streams, the commit order); ``wire`` the messages and the bus; ``compilation`` the kernels' compiler;
-``machine`` what this process may use of its machine; ``main_program``, ``command_line``, ``hints``, ``logs`` and
-``errors`` what both command lines share.
+``machine`` what this process may use of its machine; ``main_program``, ``command_line``, ``hints``, ``logs``,
+``redaction`` and ``errors`` what both command lines share.
 
 It imports no other package of Atoll.
 """

@@ -3,6 +3,8 @@
 import errno
 from typing import Final, NamedTuple
 
+from atoll_core.redaction import without_secrets
+
 _PASSING: Final = frozenset({
     errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EBUSY,
     errno.ESTALE, errno.ETIMEDOUT, errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.ENETDOWN,
@@ -49,8 +51,8 @@ class AtollError(Exception):
         self.fields = tuple(part.name for part in parts if isinstance(part, Field))
         said = _filled(sentence, [part.in_python if isinstance(part, Field) else part for part in parts])
         typed = _filled(sentence, [part.on_command_line if isinstance(part, Field) else part for part in parts])
-        super().__init__(f"{said}; {python}" if python else said)
-        self.on_command_line = f"{typed}; {command}" if command else typed
+        super().__init__(without_secrets(f"{said}; {python}" if python else said))
+        self.on_command_line = without_secrets(f"{typed}; {command}" if command else typed)
 
 
 def _filled(sentence: str, parts: list[object]) -> str:

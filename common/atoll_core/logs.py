@@ -14,6 +14,8 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import Final
 
+from atoll_core.redaction import without_secrets
+
 _KEY: Final = "atoll_fields"
 _SEEN: Final = "atoll_has_context"
 
@@ -55,7 +57,7 @@ class TextLines(logging.Formatter):
         line = " ".join(part for part in (_time(record), record.levelname, record.getMessage(), said) if part)
         text = f"{line} ({record.name})"
         trace = trace_of(record)
-        return f"{text}\n{trace}" if trace else text
+        return without_secrets(f"{text}\n{trace}" if trace else text)
 
 
 class JsonLines(logging.Formatter):
@@ -74,7 +76,7 @@ class JsonLines(logging.Formatter):
         }  # fmt: skip
         if trace := trace_of(record):
             said["exception"] = trace
-        return json.dumps(self._context | fields_of(record) | said, ensure_ascii=False, default=str)
+        return without_secrets(json.dumps(self._context | fields_of(record) | said, ensure_ascii=False, default=str))
 
 
 def configure(

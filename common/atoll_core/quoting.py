@@ -1,5 +1,6 @@
 """Values that a person has given, as a sentence quotes them."""
 
+import re
 from os import PathLike
 from pathlib import Path
 from typing import Final
@@ -8,6 +9,20 @@ from atoll_core.errors import UsageError
 
 _LONGEST: Final = 40
 """Characters of a value that a sentence shows."""
+
+
+_UNSEEN: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]|\r(?!\n)")
+"""What moves a terminal's cursor, colours, titles it, or turns the direction of what follows."""
+
+
+def visible(text: str) -> str:
+    """Return a text for a terminal: what others have named cannot steer it. Escapes are those of JSON."""
+    return _UNSEEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def visible_line(text: str) -> str:
+    """Return `visible` text as one line."""
+    return visible(text).replace("\r\n", "\\u000a").replace("\n", "\\u000a").replace("\t", "\\u0009")
 
 
 def shown(value: object) -> str:

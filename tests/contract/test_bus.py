@@ -238,6 +238,20 @@ def test_an_answer_may_be_given_by_another_thread_and_in_any_order(world: World,
     assert replies == {Reply(token, b"%d" % number) for number, token in enumerate(tokens)}
 
 
+def test_all_questions_of_one_bus_are_of_one_session_and_those_of_another_of_another(world: World, prefix: str) -> None:
+    server, one, other = world.router(), world.client(), world.client()
+    server.serve(prefix + "/*")
+    sessions = []
+    for number, asker in enumerate((one, one, other)):
+        token = asker.get(f"{prefix}/{number}")
+        query = first(server, Query)
+        server.reply(query, b"")
+        first(asker, Reply, lambda event, token=token: event.token == token)  # type: ignore[misc]
+        sessions.append(query.session)
+    assert sessions[0] == sessions[1] != sessions[2]
+    assert all(sessions)
+
+
 def test_a_question_that_nobody_serves_ends_at_once_with_none(world: World, prefix: str) -> None:
     asker = world.client()
     token = asker.get(prefix, timeout_s=10 * LIMIT_S)

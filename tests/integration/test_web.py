@@ -162,7 +162,7 @@ def test_a_job_by_http_ends_as_one_by_the_command_line_and_its_stream_survives_k
 
 def test_without_its_coordinator_the_page_stays_and_says_so(tmp_path: Path) -> None:
     page = Page(f"http://127.0.0.1:{free_port()}", token=None)
-    with web(tmp_path, "tcp/127.0.0.1:9", int(page.base.rpartition(":")[2])):
+    with web(tmp_path, "tcp/127.0.0.1:9", int(page.base.rpartition(":")[2]), "--look-without-token"):
         until(page.is_up)
         status, answer = page.ask("GET", "jobs")
         assert status == 503

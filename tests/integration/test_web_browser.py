@@ -144,7 +144,7 @@ def test_pages_heal_when_their_process_was_killed_and_the_seventh_tab_is_live(st
 
 
 def test_without_a_token_the_page_only_looks(stage: Stage) -> None:
-    with web(stage.place, stage.address, stage.port):
+    with web(stage.place, stage.address, stage.port, "--look-without-token"):
         until(stage.page.is_up)
         stage.page.submit("j1")
         tab = stage.browser.new_context().new_page()

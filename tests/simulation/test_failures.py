@@ -259,16 +259,8 @@ def test_a_job_without_its_table_is_refused() -> None:
 
 def test_a_job_whose_table_has_gone_fails_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World(workers=1)
-    get = world.store.get_blob
-    gone = [True]
-
-    def get_blob(digest: str) -> bytes:
-        if gone:
-            gone.pop()
-            raise KeyError(digest)
-        return get(digest)
-
-    monkeypatch.setattr(world.store, "get_blob", get_blob)
+    gone = [False]
+    monkeypatch.setattr(world.store, "is_sound", lambda digest: not gone or gone.pop())
     world.submit(config(), job="first")
     world.submit(config(), job="second")
     view = world.finish("first")

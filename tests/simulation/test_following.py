@@ -80,7 +80,7 @@ def test_nothing_is_asked_while_changes_come(monkeypatch: pytest.MonkeyPatch) ->
     assert heard.events == [] or heard.events[0].event != "submitted"
 
 
-@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 3, 4))])
+@pytest.mark.parametrize("seed", [1, 5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 3, 4))])
 def test_what_a_bad_network_loses_is_told_again(seed: int) -> None:
     world = World(workers=2, seed=seed, plan=Plan(drop=0.2), slowness=5.0)
     world.submit(config(seed), "x,y")

@@ -109,7 +109,7 @@ def test_real_islands_go_on_from_their_states_as_if_nothing_had_happened(monkeyp
     def strike() -> None:
         jobs = world.service.controller.jobs.values()
         durable = [archipelago.durable for job in jobs for archipelago in job.archipelagos.values()]
-        if any(durable):
+        if durable and all(durable):
             world.crash("w1")
             world.workers["w2"].leave()
         else:

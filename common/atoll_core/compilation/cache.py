@@ -11,6 +11,7 @@ import functools
 import hashlib
 import os
 import platform
+import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -89,6 +90,8 @@ def _machine() -> str:
     parts = [platform.python_version(), platform.machine(), _processor()]
     parts += [_version(name) for name in ("numba", "llvmlite", "numpy")]
     parts += [f"{name}={os.environ.get(name, '')}" for name in _SETTINGS]
+    if sys.flags.optimize >= 2:  # without docstrings bytecode is another, by which numba finds its machine code
+        parts.append("without docstrings")
     return hashlib.blake2b("\n".join(parts).encode(), digest_size=8).hexdigest()
 
 

@@ -18,6 +18,7 @@ from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindi
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915
+_LOCAL: Final = ("127.0.0.1", "localhost", "::1")
 
 
 def read_options(options: argparse.Namespace, router: str | None = None) -> tuple[Destination, RoleBindings | None]:
@@ -71,6 +72,23 @@ def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
         return [str(address)]
     hosts = (files.hosts if files is not None else ()) or heard_on(address.host)
     return [str(Address(address.protocol, host, address.port)) for host in hosts]
+
+
+def own_address_of(at: Destination, is_behind_router: bool = False) -> str:
+    """Return the address at which programs of this machine dial a listener of ours: where it listens.
+
+    Of the names in its certificate that is the one that it listens on, else one of this machine; only where there is
+    neither, the first, which may lead elsewhere.
+    """
+    address = at.address
+    if is_behind_router or address.is_socket:
+        return str(address)
+    is_local = address.host in _EVERYWHERE or is_loopback(address.host)
+    dialled = [*((address.host,) if address.host not in _EVERYWHERE else ()), *(_LOCAL if is_local else ())]
+    named = at.credentials.hosts if at.credentials is not None else dialled
+    others = heard_on(address.host)
+    host = next((host for host in (*dialled, *others) if host in named), (*named, *dialled)[0])
+    return str(Address(address.protocol, host, address.port))
 
 
 def heard_on(host: str) -> list[str]:

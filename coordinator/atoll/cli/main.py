@@ -46,9 +46,11 @@ def _dispatch(argv: Sequence[str]) -> int:
 
 
 def _complain(sentence: str) -> None:
+    from atoll_core.quoting import visible
+
     flush_streams()
     with contextlib.suppress(OSError):  # a full disk: the exit code says that something was wrong
-        sys.stderr.write(f"coordinator: {sentence}\n")
+        sys.stderr.write(f"coordinator: {visible(sentence)}\n")
         sys.stderr.flush()
 
 
@@ -59,8 +61,9 @@ def _record(error: Exception) -> str:
 
     from atoll_core.errors import UsageError
     from atoll_core.machine.folders import user_folder
+    from atoll_core.redaction import without_secrets
 
-    text = "".join(traceback.format_exception(error))
+    text = without_secrets("".join(traceback.format_exception(error)))
     try:
         folder = user_folder("XDG_STATE_HOME", ".local/state") / "atoll"
         folder.mkdir(parents=True, exist_ok=True)

@@ -13,11 +13,12 @@ from atoll.cli.options.values import job_id
 from atoll.client.client import Client, connected
 from atoll.client.configure import configure
 from atoll.client.options import OPTIONS, Repeated
-from atoll.client.over_http import Whereabouts, coordinator_at
+from atoll.client.over_http import TOKEN, Whereabouts, coordinator_at
 from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
 from atoll_core.errors import DataError, RefusedError, UsageError
 from atoll_core.hints import similar_file
+from atoll_core.redaction import without_secrets
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import JobView
 from atoll_core.wire.topics import is_id
@@ -85,7 +86,8 @@ class Request:
             if view.state == "done":
                 raise
             return None
-        return result.model_copy(update={"command": shlex.join(["coordinator", *sys.argv[1:]])})
+        words = [without_secrets(word) for word in sys.argv[1:]]  # the file is given to others
+        return result.model_copy(update={"command": shlex.join(["coordinator", *words])})
 
     def show(self, result: "Result") -> None:
         """Print the equations on stdout, or all of the result as JSON."""
@@ -160,6 +162,8 @@ def result_of(name: str, options: argparse.Namespace) -> "Result":
 def address_of(options: argparse.Namespace) -> Whereabouts:
     """Return where the coordinator is, by ``--connect`` and ``--tls-*`` or the environment; raises UsageError."""
     address = options.connect or os.environ.get("ATOLL_CONNECT")
+    if options.connect and "token=" in options.connect:
+        note(f"coordinator: other users of this machine can read a token on a command line; give it in {TOKEN}")
     if not address:
         raise UsageError("no coordinator was named; give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
     return coordinator_at(address, vars(options), os.environ)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from atoll.client.local_workers import start_apart
+from atoll.client.over_http import TOKEN
 from atoll.terminal.output import note
 from atoll_core.wire.security.credentials import Credentials
 
@@ -22,6 +23,13 @@ USAGE: Final = 2
 """The exit code of a process that cannot be started as it is asked to be: it is not tried again."""
 
 
+def opening(url: str, token: str, is_terminal: bool, is_given: bool) -> str:
+    """Return what says where the page is, on a terminal alone with its token: logs are kept, and read by others."""
+    if is_terminal:
+        return f"open {url}?token={token}"
+    return f"open {url}" if is_given else f"open {url} with the token that {TOKEN} gives; set it, none is shown here"
+
+
 @contextlib.contextmanager
 def web_process(
     address: str, listen: tuple[str, int] | None, own: Credentials | None = None, users: str | None = None
@@ -33,7 +41,6 @@ def web_process(
     if listen is None:
         yield
         return
-    from atoll.client.over_http import TOKEN
     from atoll.web.access import token_of
 
     host, port = listen
@@ -60,8 +67,9 @@ def _keep(command: list[str], given: dict[str, str], stop: threading.Event) -> N
         process = start_apart(command, given, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
         assert process.stdout is not None
         with process.stdout as said:
-            if address := said.readline().decode("utf-8", "replace").strip():
-                note(address)
+            if line := said.readline().decode("utf-8", "replace").strip():
+                url = line.removeprefix("open ")
+                note(opening(url, given[TOKEN], sys.stderr.isatty(), TOKEN in os.environ))
         while process.poll() is None and not stop.wait(0.2):
             pass
         if process.returncode is None:

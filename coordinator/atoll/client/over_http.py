@@ -12,7 +12,7 @@ import urllib.error
 import urllib.request
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 from urllib.parse import parse_qs, urlsplit
@@ -25,7 +25,7 @@ from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.security.credentials import credentials_of
 
 TOKEN: Final = "ATOLL_WEB_TOKEN"
-"""The variable that gives the token; an address with ``?token=`` does as well."""
+"""The variable that gives the token. An address with ``?token=`` does as well, but others can read command lines."""
 
 MESSAGE: Final = "application/vnd.atoll.message"
 
@@ -37,7 +37,7 @@ class WebAddress:
     """Where ``coordinator web`` answers; `authority` is a file of certificates that are trusted beside the system's."""
 
     base: str
-    token: str
+    token: str = field(repr=False)
     authority: Path | None = None
 
     def __str__(self) -> str:
@@ -66,7 +66,7 @@ def coordinator_at(text: str, files: Mapping[str, object], environment: Mapping[
     if not parts.hostname or not token:
         what = "no host" if not parts.hostname else "no token"
         raise UsageError(
-            f"{parts.scheme}://{parts.netloc} has {what}; give the address that coordinator web has printed, or {TOKEN}"
+            f"{parts.scheme}://{parts.netloc} has {what}; give the address of coordinator web, and its token in {TOKEN}"
         )
     authority = files.get("tls_ca") or environment.get("ATOLL_TLS_CA")
     return WebAddress(f"{parts.scheme}://{parts.netloc}{parts.path.rstrip('/')}", token, _file(authority))

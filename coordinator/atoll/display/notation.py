@@ -9,6 +9,7 @@ from atoll.model.parameters import unit_text
 from atoll.terminal.output import table
 from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.redaction import without_secrets
 
 if TYPE_CHECKING:
     import sympy
@@ -35,7 +36,7 @@ def summary(model: "Model") -> str:
     if data is not None and data.digest:
         lines.append(f"data {', '.join(data.files)}: {data.rows} rows, sha256 {data.digest}")
     if result.command:
-        lines.append(f"command: {result.command}")
+        lines.append(f"command: {without_secrets(result.command)}")
     return "\n".join(lines)
 
 

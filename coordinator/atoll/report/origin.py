@@ -4,6 +4,7 @@ import json
 
 from atoll.report.findings import Findings
 from atoll.report.markup import Child, Element, element, facts, paragraph, section
+from atoll_core.redaction import without_secrets
 
 
 def origin(findings: Findings) -> Element:
@@ -11,7 +12,7 @@ def origin(findings: Findings) -> Element:
     result = findings.result
     entries: list[tuple[str, Child]] = [("Job", str(result.job)), ("Seed", str(result.seed))]
     if result.command:
-        entries.append(("Command", element("code", result.command)))
+        entries.append(("Command", element("code", without_secrets(result.command))))
     entries.append(("Digest of the search", element("code", result.digest or "")))
     if result.data is not None:
         entries.append(("Digest of the data (sha256)", element("code", result.data.digest or "")))

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 
 from atoll_core.command_line import unwritable
+from atoll_core.quoting import visible, visible_line
 
 _NUMBERS = re.compile(r"\[\n[^\[\]{}\"]+\]")
 _FACTOR_OF_ONE = re.compile(r"(?<![\w.*/])(?<!e[+-])1\*(?!\*)")
@@ -16,7 +17,7 @@ _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:[eE][+-]?\d+)?")
 def say(text: str) -> None:
     """Print a result on stdout; raises AtollError when it cannot be written, unless its reader has gone."""
     try:
-        sys.stdout.write(text if text.endswith("\n") else text + "\n")
+        sys.stdout.write(visible(text if text.endswith("\n") else text + "\n"))
         sys.stdout.flush()
     except BrokenPipeError:
         raise
@@ -27,7 +28,7 @@ def say(text: str) -> None:
 def note(text: str) -> None:
     """Print progress or advice on stderr; where nobody can read it, the work goes on."""
     with contextlib.suppress(OSError):
-        sys.stderr.write(text + "\n")
+        sys.stderr.write(visible(text) + "\n")
         sys.stderr.flush()
 
 
@@ -74,7 +75,7 @@ def duration(seconds: float) -> str:
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return rows under their heads, left-aligned, two spaces between columns."""
-    lines = [tuple(heads), *(tuple(row) for row in rows)]
+    lines = [tuple(heads), *(tuple(map(visible_line, row)) for row in rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(heads))]
     padded = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
     return "\n".join(line.rstrip() for line in padded)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, Self
 from atoll.client.follower import Display
 from atoll.terminal.output import clipped, count, duration, error_text, note, shortened
 from atoll_core.compilation.progress import count_of
+from atoll_core.quoting import visible, visible_line
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, Workforce
 
 if TYPE_CHECKING:
@@ -160,7 +161,7 @@ class LiveDisplay(Display):
 
     def print_note(self, sentence: str) -> None:
         """Print the sentence above the table."""
-        self._live.console.print(sentence, markup=False, highlight=False)
+        self._live.console.print(visible(sentence), markup=False, highlight=False)
 
     def _table(self, view: JobView, workforce: Workforce) -> "Group":
         from rich import box
@@ -174,7 +175,7 @@ class LiveDisplay(Display):
             grid.add_column(head, justify="right" if head in ("epoch", "size") else "left", overflow="fold")
         for variable in view.variables:
             is_found = variable.verdict in ("exact", "good") if variable.verdict else variable.converged
-            grid.add_row(*map(Text, row(variable)), style="green" if is_found else "")
+            grid.add_row(*(Text(visible_line(cell)) for cell in row(variable)), style="green" if is_found else "")
         compiled = [count_of(detail) for detail in workforce.details]
         bars = [ProgressBar(total=known[1], completed=known[0], width=40) for known in compiled if known is not None]
-        return Group(Text(headline(view, workforce, self._hint)), *bars, *([grid] if view.variables else []))
+        return Group(Text(visible(headline(view, workforce, self._hint))), *bars, *([grid] if view.variables else []))

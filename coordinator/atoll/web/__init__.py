@@ -5,6 +5,7 @@
 - `gateway`: questions to the coordinator from threads; `feed`: what happens, told to all pages from one subscription
 - `connections`: limits of time and number that uvicorn lacks
 - `api`: the resources; `options`: those of a job
+- `temporary`: folders of what was sent, also those that a killed process has left
 - `reading`: files, read by `reading_process` in forks with limits; there `submission`: what is made of a file
 - `description`: the API as OpenAPI describes it, in ``openapi.json``
 - `progress`: fronts and convergence as pages draw them

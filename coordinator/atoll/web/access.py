@@ -1,8 +1,8 @@
 """Who may ask: allowed hosts, origins of pages, bearer tokens. One ASGI middleware before everything else.
 
-Without a token a page on this machine only looks; on other networks nothing is answered without one but the page
-itself. Cookies are not used, so that no other page can act with a browser's credentials; what comes from another site
-is refused all the same.
+Nothing of any job is answered without a token, unless programs of this machine may look (``--look-without-token``).
+Cookies are not used, so that no other page can act with a browser's credentials; what comes from another site is
+refused all the same, questions too, which may cost the coordinator seconds.
 """
 
 import hashlib
@@ -78,8 +78,8 @@ class Access:
         host = _name(headers.get("host", ""))
         if host not in self.hosts:
             return Problem(421, f"this process is not called {host!r}; start it with --allow-host {host or 'NAME'}")
-        if method not in SAFE and _is_foreign(headers):
-            return Problem(403, "a page of another origin may change nothing here")
+        if (method not in SAFE or path.startswith("/api")) and _is_foreign(headers):
+            return Problem(403, "a page of another origin may ask and change nothing here")
         authorization = headers.get("authorization")
         if authorization is not None and self.gateway_of(authorization) is None:
             return _unauthorized("the token is not known; take the address that coordinator web has printed")

@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import to_jsonable_python
@@ -36,6 +36,7 @@ from atoll.web.gateway import BusyError, Gateway
 from atoll.web.options import configured, options_by_heading, sizes_by_name
 from atoll.web.progress import progress, some
 from atoll.web.reading import MAX_BODY, TABLE, Readers, parted
+from atoll.web.temporary import PREFIX, held
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, RemoteProtocolError, UnreachableError
@@ -43,7 +44,7 @@ from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Request as Question
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello
 from atoll_core.wire.messages.limits import MAX_MESSAGE, MAX_PAGE_JOBS, Priority
-from atoll_core.wire.messages.views import JobView, WorkerService
+from atoll_core.wire.messages.views import JobState, JobView, WorkerService
 from atoll_core.wire.topics import is_id
 from atoll_core.wire.values import encode_value
 
@@ -56,6 +57,12 @@ SLOWEST: Final = 32_000
 
 MAX_COMING: Final = 8
 """Files that one user sends at a time, of which each takes room on the disk: a few pages and a program."""
+
+MAX_OF_USER: Final = 64 * 1024**2
+"""Bytes of messages of one user that are in memory, from the first that comes until the answer: four of the largest."""
+
+MAX_OF_ALL: Final = 128 * 1024**2
+"""Bytes of messages of all users."""
 
 RESULT_S: Final = 1.0
 """For how long at least a result is given again without asking for it: any number of pages cost one question."""
@@ -140,6 +147,7 @@ class Api:
     def __init__(self, readers: Readers) -> None:
         self._readers = readers
         self._coming: Counter[object] = Counter()
+        self._messages: Counter[object] = Counter()
         self._feeds: dict[object, Feed] = {}
         self._results: dict[tuple[object, str], _Fetched] = {}
         self._shown: dict[tuple[object, str], tuple[Result, asyncio.Task[_Shown]]] = {}
@@ -241,15 +249,12 @@ class Api:
         prefix, state = request.query_params.get("prefix", ""), request.query_params.get("state")
         if prefix and not is_id(prefix):
             return JSONResponse({"jobs": [], "next": None})
-        gateway, found = gateway_of(request), list[JobView]()
-        while True:
-            page = await gateway.ask(
-                lambda client, before=cursor: client.page_of_jobs(prefix, limit=limit, before=before)  # type: ignore[misc]
-            )
-            found += [view for view in reversed(page.jobs) if state in (None, view.state)]
-            cursor = page.before
-            if cursor is None or state is None or len(found) >= limit:
-                return JSONResponse({"jobs": to_jsonable_python(found), "next": cursor})
+        if state is not None and state not in get_args(JobState):
+            raise HTTPException(422, f"no state of a job is called that; there are {', '.join(get_args(JobState))}")
+        page = await gateway_of(request).ask(
+            lambda client: client.page_of_jobs(prefix, state=cast("JobState | None", state), limit=limit, before=cursor)
+        )
+        return JSONResponse({"jobs": to_jsonable_python(page.jobs[::-1]), "next": page.before})
 
     async def job(self, request: Request) -> Response:
         """Say how a job is getting on."""
@@ -331,8 +336,24 @@ class Api:
 
     async def messages(self, request: Request) -> Response:
         """Answer a message of a client, as on the bus: programs of this version that a firewall keeps from it."""
-        body = await _body(request, MAX_MESSAGE)
         gateway = gateway_of(request)
+        body = bytearray()
+
+        def take(chunk: bytes) -> None:
+            held = self._messages
+            if held[gateway] + len(chunk) > MAX_OF_USER or held.total() + len(chunk) > MAX_OF_ALL:
+                raise HTTPException(429, "too many messages are being sent already; send this one later", _SOON)
+            held[gateway] += len(chunk)
+            body.extend(chunk)
+
+        try:
+            await _receive(request, MAX_MESSAGE, take)
+            return await self._exchange(gateway, bytes(body))
+        finally:
+            self._messages[gateway] -= len(body)
+
+    @staticmethod
+    async def _exchange(gateway: Gateway, body: bytes) -> Response:
         try:
             hello = decode(body, Greeting)
         except RemoteProtocolError:
@@ -464,7 +485,7 @@ class Api:
             raise HTTPException(429, f"{MAX_COMING} files are being sent already; send this one later", _SOON)
         self._coming[gateway] += 1
         try:
-            with tempfile.TemporaryDirectory(prefix="atoll-web-", ignore_cleanup_errors=True) as folder:
+            with tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as folder, held(Path(folder)):
                 body = Path(folder, "body")
                 with body.open("wb") as file:
                     await _receive(request, MAX_BODY, file.write)

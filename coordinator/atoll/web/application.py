@@ -18,6 +18,7 @@ from atoll.web.api import Api
 from atoll.web.gateway import BusyError
 from atoll.web.problems import of_error, of_refusal, of_too_many
 from atoll.web.reading import Readers
+from atoll.web.temporary import remove_left
 from atoll_core.errors import AtollError
 
 _STATIC = files("atoll.web").joinpath("static")
@@ -30,6 +31,7 @@ def build_application(access: Access, readers: Readers | None = None) -> Starlet
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        remove_left()
         with contextlib.suppress(OSError):  # whoever sends a file is told
             readers.start()
         yield

@@ -49,20 +49,29 @@ class Listener:
         except ValueError:
             return False
 
-    def url(self, port: int, token: str) -> str:
-        """Return the address for a browser."""
+    def url(self, port: int) -> str:
+        """Return the address for a browser, without a token."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         if host in ("0.0.0.0", "[::]"):
             host = socket.gethostname()
-        return f"{'https' if self.certificate else 'http'}://{host}:{port}/?token={token}"
+        return f"{'https' if self.certificate else 'http'}://{host}:{port}/"
 
 
-def access_of(listener: Listener, at: Destination, token: str, users: Path | None) -> Access:
-    """Return who may ask what.
+def access_of(
+    listener: Listener, at: Destination, token: str, users: Path | None, *, look_without_token: bool = False
+) -> Access:
+    """Return who may ask what; with `look_without_token` programs of this machine may look at all jobs.
 
     Raises:
-        UsageError: the file of users cannot be used, or what listens beyond this machine has no certificate.
+        UsageError: the file of users cannot be used, what listens beyond this machine has no certificate, or others
+            than programs of this machine, or than may see all jobs, could look.
     """
+    is_own = listener.is_local and not listener.names and at.credentials is None and users is None
+    if look_without_token and not is_own:
+        raise UsageError(
+            "--look-without-token shows all jobs to whoever reaches the page: it needs a --listen on this machine, and "
+            "neither --allow-host, --users nor certificates of the bus; leave it out, and give people the token"
+        )
     if not listener.is_local and listener.certificate is None:
         raise UsageError(
             f"--listen {listener.host} can be reached from other machines, which needs TLS; give --cert and --key, "
@@ -70,11 +79,20 @@ def access_of(listener: Listener, at: Destination, token: str, users: Path | Non
         )
     own = Gateway(at)
     gateways = {digest_of(token): own} | (_gateways(users, at) if users is not None else {})
-    hosts = {*LOCAL_HOSTS, listener.host.lower(), *(name.lower() for name in listener.names)}
+    hosts = {*LOCAL_HOSTS, *(host for name in (listener.host, *listener.names) for host in _hosts(name))}
     if not listener.is_local:
         hosts |= {socket.gethostname().lower(), socket.getfqdn().lower()}
-    viewer = own if listener.is_local and users is None else None
-    return Access(gateways, viewer, sorted(hosts))
+    return Access(gateways, own if look_without_token else None, sorted(hosts))
+
+
+def _hosts(name: str) -> tuple[str, ...]:
+    """Return how a Host header may have a name: an IPv6 address in brackets, as given and as browsers write it."""
+    name = name.lower().removeprefix("[").removesuffix("]")
+    try:
+        address = ipaddress.ip_address(name)
+    except ValueError:
+        return (name,)
+    return (name,) if address.version == 4 else (f"[{name}]", f"[{address.compressed}]")
 
 
 def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
@@ -115,7 +133,7 @@ def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
     return gateways
 
 
-def serve(listener: Listener, access: Access, token: str, say: Callable[[str], object]) -> None:
+def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> None:
     """Answer until SIGTERM or Ctrl-C.
 
     Raises:
@@ -138,7 +156,7 @@ def serve(listener: Listener, access: Access, token: str, say: Callable[[str], o
     except OSError as error:
         opened.close()
         raise UsageError(f"--listen {listener.host}:{listener.port} is not possible: {error.strerror}") from error
-    say(listener.url(opened.getsockname()[1], token))
+    say(listener.url(opened.getsockname()[1]))
     uvicorn.Server(config).run(sockets=[opened])
 
 

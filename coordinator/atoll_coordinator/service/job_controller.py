@@ -780,17 +780,25 @@ class JobController:
         if waiting is None or waiting.state != "queued":  # the end of one before it in the line had this one taken up
             return
         # What the store refuses, as on a full disk, must leave the job in the line, or nobody would prepare it.
-        try:
-            table = self._store.get_blob(waiting.table)
-        except KeyError:
-            self.fail_job(waiting.id, "internal", "its table is missing or damaged in the store; submit it again", now)
-            return
         self._store.update_job(waiting.id, state="preparing")
         waiting.start_preparing()
         self.begun[job_id] = waiting
         self.queue.begin(job_id)
-        self.tasks.prepare(waiting.id, waiting.table, len(table), waiting.config, now)
         self.changed(waiting.id)
+        self._writer.check_table(waiting.id, waiting.table)
+
+    def prepare_checked(self, job_id: str, is_sound: bool, error: Exception | None, now: float) -> None:
+        """Have a job prepared whose table was checked; raises the `error` of a store that cannot be read."""
+        job = self.jobs.get(job_id)
+        if job is None or job.state != "preparing":  # it has ended meanwhile
+            return
+        if error is not None:
+            raise error
+        if not is_sound:
+            self.fail_job(job_id, "internal", "its table is missing or damaged in the store; submit it again", now)
+            return
+        self.tasks.prepare(job_id, job.table, self._store.blob_size(job.table), job.config, now)
+        self.changed(job_id)
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self.begun.values() for archipelago in job.open_archipelagos]

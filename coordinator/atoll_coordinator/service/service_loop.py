@@ -32,6 +32,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     PreparationBegun,
     PreparationFailed,
     RefiningFailed,
+    TableChecked,
 )
 from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
@@ -320,7 +321,7 @@ class Service:
             self._bus.post(_Probe())
 
     @_on.register
-    def _on_posted(self, event: Posted) -> None:
+    def _on_posted(self, event: Posted) -> None:  # noqa: C901  # one case for each outcome
         """Let time pass, or take in an outcome, which never comes again: where that breaks, its job ends."""
         item, now = event.item, self._bus.now()
         match item:
@@ -331,6 +332,9 @@ class Service:
             case _Probe() if self._metrics is not None:
                 self._metrics.observe_lag(now - self._probe_due)
                 self._probe_later()
+            case TableChecked():
+                with self.controller.guarded(item.job, "having a job prepared", now):
+                    self.controller.prepare_checked(item.job, item.is_sound, item.error, now)
             case PreparationBegun():
                 self.controller.begin_preparing(item.job, now)
             case JobPrepared():
@@ -449,10 +453,14 @@ class Service:
             raise
         if not isinstance(key, topics.ClientKey):
             self._answer(event)
-        elif not self._questions.add(key.client, event, len(event.payload)):
+        elif not self._questions.add(self._party(key.client, event), key.client, event, len(event.payload)):
             self._bus.reply(event, None)
         elif len(self._questions) == 1:
             self._bus.post(_Turn())
+
+    def _party(self, client: str, event: Query) -> str:
+        """Return who takes turns with others: a user, without certificates a session."""
+        return self._authorization.submitter(client) or f"/{event.session}"
 
     def _take_turn(self) -> None:
         """Answer one question, behind what had come before; the next one goes behind what has come since."""

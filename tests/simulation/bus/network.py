@@ -170,7 +170,7 @@ class SimulatedNetwork:
         if server is None:
             self.at(self._now + self._delay(), lambda: question.arrive(None))
         else:
-            server.deliver(Query(key, payload, question))
+            server.deliver(Query(key, payload, question, f"{id(asker):x}"))
 
     def _carry(self, sender: SimulatedBus, receiver: SimulatedBus, key: str, action: Action) -> None:
         if sender is receiver:

@@ -1,6 +1,7 @@
 """The manifests, as far as they can be judged without a cluster: they fit each other and the programs."""
 
 import argparse
+import json
 import re
 from pathlib import Path
 from typing import Any, get_args
@@ -210,3 +211,15 @@ def test_the_metrics_are_served_where_prometheus_looks(
     namespace = policy["ingress"][0]["from"][0]["namespaceSelector"]["matchLabels"]["kubernetes.io/metadata.name"]
     (trigger,) = keda["ScaledObject", "worker"]["spec"]["triggers"]
     assert f".{namespace}.svc:" in trigger["metadata"]["serverAddress"]
+
+
+def test_a_client_that_is_started_by_hand_may_run_in_the_namespace(base: dict[tuple[str, str], dict[str, Any]]) -> None:
+    """The namespace is `restricted`: a pod without these settings is refused."""
+    readme = (ROOT / "deploy" / "README.md").read_text("utf-8")
+    assert '--override-type strategic --overrides "$(cat deploy/kubernetes/client.json)"' in readme
+    client = json.loads((ROOT / "deploy" / "kubernetes" / "client.json").read_text("utf-8"))["spec"]
+    worker = pod(base["Deployment", "worker"])
+    assert client["securityContext"] == worker["securityContext"]
+    (one,) = client["containers"]
+    assert one == {"name": "submit", "securityContext": worker["containers"][0]["securityContext"]}
+    assert "run --rm -i submit " in readme  # the container has the name of the pod

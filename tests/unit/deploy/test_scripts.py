@@ -102,13 +102,25 @@ def workers(lab: dict[str, str], command: str, hosts: str, *options: str) -> sub
     return run("bash", DEPLOY / "ssh" / "workers", command, file, *options, **lab)
 
 
+@pytest.mark.parametrize("began", ["", "long ago\n"])
+def test_a_process_that_has_the_number_of_a_worker_is_not_signalled(lab: dict[str, str], began: str) -> None:
+    folder = Path(lab["HOME"]) / "a" / ".atoll-worker"
+    folder.mkdir(parents=True)
+    with subprocess.Popen(["sleep", "60"]) as foreign:
+        (folder / "pid").write_text(f"{foreign.pid}\n{began}")
+        assert workers(lab, "status", "a\n").stdout == "a: does not run\n"
+        assert workers(lab, "stop", "a\n").stdout == "a: does not run\n"
+        assert foreign.poll() is None
+        foreign.kill()
+
+
 @pytest.mark.slow
 def test_workers_are_started_once_looked_at_and_stopped_by_ssh(lab: dict[str, str]) -> None:
     hosts = "a # fast\n\n# none\nb\n"
     try:
         started = workers(lab, "start", hosts, "--connect", "tcp/lab1:7447", "--processes", "2")
         assert (started.returncode, sorted(started.stdout.splitlines())) == (0, ["a: started", "b: started"])
-        pid = int((Path(lab["HOME"]) / "a" / ".atoll-worker" / "pid").read_text())
+        pid = int((Path(lab["HOME"]) / "a" / ".atoll-worker" / "pid").read_text().split()[0])
         assert "--connect tcp/lab1:7447 --processes 2" in workers(lab, "status", hosts).stdout
         again = workers(lab, "start", hosts, "--connect", "tcp/lab1:7447")
         assert sorted(again.stdout.splitlines()) == ["a: runs already", "b: runs already"]

@@ -45,12 +45,14 @@ class Message:
 class Query:
     """Somebody asks for `key`, which we serve; answer with `Bus.reply`, once, also from another thread.
 
-    `handle` is the bus's own, and means nothing to others.
+    `handle` is the bus's own, and means nothing to others. `session` is what the asker's program says of itself, the
+    same for all that it asks; empty where it says nothing.
     """
 
     key: str
     payload: bytes
     handle: object
+    session: str = ""
 
 
 @dataclass(frozen=True, slots=True)

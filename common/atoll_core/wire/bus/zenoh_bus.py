@@ -57,8 +57,12 @@ _LARGE: Final = 256 * 1024
 """An answer of so many bytes may not fit the queue of a slow line: it is sent by a thread of its own, for which the
 owner does not wait."""
 
-_MOST_LARGE: Final = 4
-"""Large answers on their way at a time; for the next one the owner waits, so that they do not fill the memory."""
+_SENDERS: Final = 4
+"""Threads that send large answers."""
+
+_MOST_LARGE: Final = 64
+"""Large answers on their way or waiting for a thread, a quarter of a gigabyte; who asks for one more is told to ask
+again: the owner waits for nobody who takes nothing."""
 
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
@@ -164,7 +168,7 @@ class ZenohBus:
         self._tokens = itertools.count(1)
         self._kept: list[object] = []  # liveliness tokens vanish with their Python objects
         self._large = threading.BoundedSemaphore(_MOST_LARGE)
-        self._senders = ThreadPoolExecutor(_MOST_LARGE, "sending large answers")  # has no thread before its first task
+        self._senders = ThreadPoolExecutor(_SENDERS, "sending large answers")  # has no thread before its first task
         if not is_router:
             session.info.declare_transport_events_listener(_directly(self._on_transport))
             if not session.info.routers_zid():  # lost between opening and listening
@@ -216,6 +220,7 @@ class ZenohBus:
 
         handler = Callback(on_reply, lambda: finish(None), indirect=False)
         options = {"payload": payload, "timeout": timeout_s, "consolidation": zenoh.ConsolidationMode.NONE, **_FIRMLY}
+        options["source_info"] = zenoh.SourceInfo(self._session.id, token % 2**32)
         if not self._call(lambda: self._session.get(key, handler, **options)):
             finish(None)
         return token
@@ -225,8 +230,10 @@ class ZenohBus:
         handle = cast(zenoh.Query, query.handle)  # see `_on_query`
         if payload is not None:
             check_payload(query.key, payload)
-        if payload is None or len(payload) < _LARGE or not self._large.acquire(blocking=False):
+        if payload is None or len(payload) < _LARGE:
             self._reply(handle, query.key, payload)
+        elif not self._large.acquire(blocking=False):
+            self._reply(handle, query.key, None)
         else:
             self._senders.submit(self._reply_large, handle, query.key, payload)
 
@@ -304,7 +311,8 @@ class ZenohBus:
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        self._inbox.add(Query(str(query.key_expr), payload, query))
+        source = query.source_info
+        self._inbox.add(Query(str(query.key_expr), payload, query, str(source.source_id.zid) if source else ""))
 
     def _on_presence(self, sample: zenoh.Sample) -> None:
         self._inbox.add(Presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))

@@ -194,6 +194,7 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _value("--cert", "FILE", "certificate for HTTPS, which beyond this machine is needed"),
         _value("--key", "FILE", "its key"),
         _value("--users", "FILE", "tokens of users, each with a certificate for the coordinator (TOML; docs/web.md)"),
+        _switch("--look-without-token", "let all programs of this machine look at all jobs, without a token"),
     )),
     "backup": ("copy a coordinator's job store into a file, also while it is served", (
         _value("file", "FILE", "the copy; it must not exist yet"), _STATE, _JSON,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.listener import addresses_of, read_options, warnings_of
+from atoll.cli.listener import addresses_of, own_address_of, read_options, warnings_of
 from atoll.cli.web_process import web_process
 from atoll.terminal.output import note, say
 from atoll_core import VERSION
@@ -69,7 +69,7 @@ def serve(options: argparse.Namespace) -> int:
             here = Destination(parse_address(bus.endpoint), wanted.credentials)
             with (
                 announced(options.connect_file and Path(options.connect_file), addresses_of(here, behind)),
-                web_process(addresses_of(here, behind)[0], options.http, wanted.credentials, options.http_users),
+                web_process(own_address_of(here, behind), options.http, wanted.credentials, options.http_users),
             ):
                 say(greeting(here, options.state, role_bindings, behind))
                 service.work(stop, lambda: _read_again(service, options) if _take(reload) else None)

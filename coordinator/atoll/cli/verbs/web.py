@@ -3,6 +3,7 @@
 import argparse
 import os
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import Final
 
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import bus_address_of
-from atoll.cli.web_process import OWNER
+from atoll.cli.web_process import OWNER, opening
+from atoll.client.over_http import TOKEN
 from atoll.terminal.output import say
 from atoll_core.errors import UsageError
 
@@ -32,9 +34,10 @@ def web(options: argparse.Namespace) -> int:
         raise UsageError("--cert and --key belong together; give both, or none")
     listener = Listener(host, port, options.allow_host, options.cert, options.key)
     token = token_of()
-    access = access_of(listener, at, token, Path(options.users) if options.users is not None else None)
+    users = Path(options.users) if options.users is not None else None
+    access = access_of(listener, at, token, users, look_without_token=options.look_without_token)
     _end_with(os.environ.get(OWNER))
-    serve(listener, access, token, lambda url: say(f"open {url}"))
+    serve(listener, access, lambda url: say(opening(url, token, sys.stdout.isatty(), TOKEN in os.environ)))
     return DONE
 
 
@@ -42,6 +45,8 @@ def _end_with(owner: str | None) -> None:
     """End this process when the one that has started it is gone, however that ended."""
     if owner is None or not owner.isdecimal():
         return
+    if hasattr(signal, "SIGHUP"):  # a hang-up that is sent to all processes of a service is for its coordinator
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     def watch() -> None:
         while os.getppid() == int(owner):

@@ -31,14 +31,14 @@ class Admission:
     def _limits(self) -> Limits:
         return self._controller.queue.limits
 
-    def admit_upload(self, upload: Upload, user: str | None) -> None:
+    def admit_upload(self, upload: Upload, user: str | None, session: str) -> None:
         """Raise RefusedError for a table that its user, or all together, could not store."""
         if not self._store.uses_table_of(upload.blob, user):
-            size = upload.size + self._uploads.pending_bytes(user, but=upload.blob)
-            self._admit_live(user, size)
-            self._admit_bytes(user, size, 1)
+            pending = self._uploads.pending_bytes(user, upload.blob, session)
+            self._admit_live(user, upload.size + pending[0])
+            self._admit_bytes(user, upload.size, pending)
 
-    def admit(self, body: Submit, user: str | None) -> Submit:
+    def admit(self, body: Submit, user: str | None, session: str) -> Submit:
         """Return a submission with the time that it may take; raises RefusedError for one that is over a limit."""
         known = self._store.job(body.job)
         if known is not None:
@@ -46,7 +46,7 @@ class Admission:
         self._admit_count(user)
         size = 0 if self._store.uses_table_of(body.table, user) else self._store.blob_size(body.table)
         self._admit_live(user, size)
-        self._admit_bytes(user, size + self._uploads.pending_bytes(user, but=body.table), 1)
+        self._admit_bytes(user, size, self._uploads.pending_bytes(user, body.table, session))
         return body.model_copy(update={"config": self._limits.with_time(body.config)})
 
     def _admit_count(self, user: str | None) -> None:
@@ -79,11 +79,13 @@ class Admission:
                 "some have ended, or cancel some"
             )
 
-    def _admit_bytes(self, user: str | None, size: int, jobs: int) -> None:
+    def _admit_bytes(self, user: str | None, size: int, pending: tuple[int, int]) -> None:
+        """Raise RefusedError where a table of so many bytes, and one more job, are over a limit; `pending` is what the
+        user and all together have uploaded beside it."""
         live = self._controller.live_of
         own, total = self._limits.of(user).stored, self._limits.total.stored
         if own is not None:
-            used, kept = self._store.stored_bytes(user), RESULT_RESERVE * (live[user] + jobs)
+            used, kept = self._store.stored_bytes(user) + pending[0], RESULT_RESERVE * (live[user] + 1)
             if used + size + kept > own:
                 raise RefusedError(
                     f"{_name(user)} stores {used} bytes of tables and results, and {size} more with {kept} kept for "
@@ -91,7 +93,7 @@ class Admission:
                     "(coordinator delete ID)"
                 )
         if total is not None:
-            used, kept = self._store.all_stored_bytes(), RESULT_RESERVE * (live.total() + jobs)
+            used, kept = self._store.all_stored_bytes() + pending[1], RESULT_RESERVE * (live.total() + 1)
             if used + size + kept > total:
                 raise RefusedError(
                     f"all users store {used} bytes of tables and results, and {size} more with {kept} kept for results "

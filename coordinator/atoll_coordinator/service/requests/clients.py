@@ -109,7 +109,7 @@ class ClientRequests:
             submitter, viewer = self._authorization.submitter(client), self._authorization.viewer(client)
             if isinstance(request.body, Follow):
                 return self._follow(client, request.body, viewer)
-            return self._answer(request.body, submitter, viewer)
+            return self._answer(client, request.body, submitter, viewer)
         except TableMissingError as error:
             return Failure(failure="no-table", sentence=str(error))
         except (RefusedError, RemoteProtocolError) as error:
@@ -126,15 +126,15 @@ class ClientRequests:
         following = self._followers.follow(client, question, self._now(), viewer)
         return following or _unknown(question.job or "of any name")
 
-    def _answer(self, body: Asked, submitter: str | None, viewer: Viewer | None) -> Body:
+    def _answer(self, client: str, body: Asked, submitter: str | None, viewer: Viewer | None) -> Body:
         match body:
             case Upload():
-                self._admission.admit_upload(body, submitter)
-                return self.uploads.take(body, submitter, viewer)
+                self._admission.admit_upload(body, submitter, client)
+                return self.uploads.take(body, submitter, viewer, client)
             case Submit():
-                return self._submit(body, submitter, viewer)
+                return self._submit(client, body, submitter, viewer)
             case Retry():
-                return self._submit(self._controller.again(body.job, body.again), submitter, viewer)
+                return self._submit(client, self._controller.again(body.job, body.again), submitter, viewer)
             case Cancel():
                 self._controller.cancel(body.job, self._now())
                 return self._status(body.job)
@@ -154,7 +154,7 @@ class ClientRequests:
             case _:
                 return self._tell(body, viewer)
 
-    def _submit(self, body: Submit, submitter: str | None, viewer: Viewer | None) -> Body:
+    def _submit(self, client: str, body: Submit, submitter: str | None, viewer: Viewer | None) -> Body:
         """Take in a job; to somebody else's, or on a table that has not been shown, it says no more than it must."""
         if (
             viewer is not None
@@ -162,11 +162,12 @@ class ClientRequests:
             and self._store.submitter(body.job) != submitter
         ):
             raise RefusedError(f"the id {body.job} is taken; submit under another id")
-        if not self.uploads.has(body.table, submitter, viewer):
+        if not self.uploads.has(body.table, submitter, viewer, client):
             raise TableMissingError(
                 f"the table of job {body.job} has not been uploaded; upload it, then submit again"
             )  # fmt: skip
-        self._controller.submit(self._admission.admit(body, submitter), self._now(), submitter)
+        self._controller.submit(self._admission.admit(body, submitter, client), self._now(), submitter)
+        self.uploads.end(body.table, submitter, client)
         return self._status(body.job)
 
     def _analyse(self, body: Analyse, user: str | None, viewer: Viewer | None) -> Body:

@@ -5,16 +5,18 @@ a store that cannot be written ends the coordinator, and with it everybody's sea
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
+from atoll_coordinator.service.store.blobs import require_fitting
 from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import Store
-from atoll_core.errors import RefusedError
+from atoll_core.errors import RefusedError, RemoteProtocolError
 from atoll_core.wire.messages.clients import Upload, Uploaded
-from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, CHUNK_SIZE, chunk_count
+from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, chunk_count
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
 """Uploads are refused when all tables and datasets together would take more than this."""
@@ -32,16 +34,33 @@ CHECK_INTERVAL_S: Final = 60.0
 """How often uploads whose leases are over are looked for."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
-    """Which chunks of a table somebody has shown to have; `size` is that of the table, in bytes."""
+@dataclass(eq=False, slots=True)
+class _Upload:
+    """What somebody has shown of a table: its first `count` chunks, `shown` bytes, whose SHA-256 is `hash` so far.
 
+    In the store its chunks are kept under the name `key`, until all `size` bytes are there and have the digest.
+    """
+
+    user: str | None
+    digest: str
     size: int
-    chunks: set[int]
+    key: str
+    heard: float
+    count: int = 0
+    shown: int = 0
+    hash: "hashlib._Hash" = field(default_factory=hashlib.sha256)
+
+    @property
+    def is_whole(self) -> bool:
+        return self.shown == self.size
 
 
 class Uploads:
-    """All tables that are uploaded or have been, and that no job uses yet."""
+    """Tables that are uploaded or have been, and that no job uses yet, each by who uploads it.
+
+    Everybody shows all bytes of a table, in their order, also where the store has it from somebody else. What counts is
+    what was shown, never what was announced.
+    """
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
         """`now` gives the bus's seconds. What the store has already counts as heard of at the first look."""
@@ -49,44 +68,115 @@ class Uploads:
         self._now = now
         self._heard: dict[str, float] = {}
         self._check_at = 0.0
-        self._shown: dict[tuple[str, str | None], _Shown] = {}
+        self._uploads: dict[tuple[str, str | None, str], _Upload] = {}
+        self._shown: Counter[str | None] = Counter()
+        self._keys: set[str] = set()
 
-    def take(self, upload: Upload, user: str | None = None, viewer: Viewer | None = None) -> Uploaded:
-        """Keep a chunk, or only tell which are missing; raises RefusedError for what is damaged or does not fit.
+    def take(
+        self, upload: Upload, user: str | None = None, viewer: Viewer | None = None, session: str = ""
+    ) -> Uploaded:
+        """Keep a chunk that is the next one, or only tell which are missing.
 
         A `viewer` that sees no job with this table is told that all of it is missing that its `user` has not shown:
-        whoever knows a digest alone has not the data, and is not to learn that they are there.
+        whoever knows a digest alone has not the data, and is not to learn that they are there. Without a user, each
+        `session` shows its own.
+
+        Raises:
+            RefusedError: the chunk is damaged, or the upload does not fit.
+            RemoteProtocolError: the chunk does not fit the upload, or all bytes do not have the digest.
         """
-        if upload.data is not None and hashlib.sha256(upload.data).hexdigest() != upload.sha256:
-            raise RefusedError(f"part {upload.index + 1} of an upload was damaged on its way; send it again")
-        self._check_room(upload)
-        self._heard[upload.blob] = self._now()
         if upload.data is not None:
-            self._store.put_chunk(upload.blob, upload.size, upload.index, upload.data)
-        missing = self._store.missing_chunks(upload.blob, upload.size)
-        shown = self._shown.setdefault((upload.blob, user), _Shown(upload.size, set()))
-        if upload.data is not None and self._store.has_chunk(upload.blob, upload.index, upload.data):
-            shown.chunks.add(upload.index)
-        if viewer is not None and (missing or not self._store.uses_table(upload.blob, viewer)):
-            missing = tuple(n for n in range(chunk_count(upload.size)) if n in missing or n not in shown.chunks)
-        return Uploaded(blob=upload.blob, missing=missing)
+            if hashlib.sha256(upload.data).hexdigest() != upload.sha256:
+                raise RefusedError(f"part {upload.index + 1} of an upload was damaged on its way; send it again")
+            require_fitting(upload.size, upload.index, upload.data)
+        who = self._who(upload.blob, user, session)
+        if self.has(upload.blob, user, viewer, session) and self._store.has_blob(upload.blob):
+            self.renew(upload.blob)
+            return Uploaded(blob=upload.blob, missing=())
+        own = self._uploads.get(who)
+        if own is not None and own.is_whole:  # it was deleted meanwhile
+            self._forget(who)
+            own = None
+        if own is not None:
+            own.heard = self._now()
+        self._check_room(upload, own)
+        if upload.data is not None:
+            own = self._take_chunk(who, own, upload, upload.data)
+        count = own.count if own is not None and own.size == upload.size else 0
+        return Uploaded(blob=upload.blob, missing=tuple(range(count, chunk_count(upload.size))))
+
+    def _take_chunk(
+        self, who: tuple[str, str | None, str], own: _Upload | None, upload: Upload, data: bytes
+    ) -> _Upload | None:
+        """Keep a chunk if it is the next one of an upload, and return the upload; the first one of another size begins
+        it anew."""
+        if upload.index == 0 and (own is None or own.size != upload.size):
+            self._forget(who)
+            own = self._begin(who, upload)
+        if own is None or own.size != upload.size or own.count != upload.index:
+            return own
+        digest = own.hash.copy()
+        digest.update(data)
+        is_last = own.shown + len(data) == own.size
+        if is_last and digest.hexdigest() != own.digest:
+            self._forget(who)
+            raise RemoteProtocolError(
+                f"an upload of {own.size} bytes does not have the digest {own.digest} it was announced with"
+            )
+        if not self._store.put_chunk(own.key, upload.index, data, own.digest if is_last else None):
+            self._forget(who)  # it was deleted meanwhile
+            return None
+        own.hash, own.count, own.shown = digest, own.count + 1, own.shown + len(data)
+        self._shown[own.user] += len(data)
+        if own.is_whole:
+            self._keys.discard(own.key)
+            self._heard[own.digest] = self._now()
+        return own
+
+    def _begin(self, who: tuple[str, str | None, str], upload: Upload) -> _Upload:
+        """Begin an upload, under a name of its own where somebody else is uploading the same."""
+        digest, user, session = who
+        key = f"{digest} {user or session}" if digest in self._keys or self._store.has_blob(digest) else digest
+        own = self._uploads[who] = _Upload(user, digest, upload.size, key, self._now())
+        self._keys.add(key)
+        return own
+
+    def _forget(self, who: tuple[str, str | None, str]) -> None:
+        """Forget an upload, and delete what is kept of it unless it is whole."""
+        own = self._uploads.pop(who, None)
+        if own is None:
+            return
+        self._shown[own.user] -= own.shown
+        if not self._shown[own.user]:
+            del self._shown[own.user]
+        if not own.is_whole:
+            self._keys.discard(own.key)
+            if own.count and not self._store.has_blob(own.key):
+                self._store.delete_unused_blobs([own.key])
+
+    @staticmethod
+    def _who(digest: str, user: str | None, session: str) -> tuple[str, str | None, str]:
+        return digest, user, "" if user is not None else session
 
     def renew(self, digest: str) -> None:
         """Take in that somebody still wants a table that no job uses."""
-        if digest in self._heard:
-            self._heard[digest] = self._now()
+        self._heard[digest] = self._now()
 
-    def has(self, digest: str, user: str | None, viewer: Viewer | None) -> bool:
-        """Tell whether a table is there as far as a user may know: it has shown all of it, or sees a job with it."""
-        if viewer is None or self._store.uses_table(digest, viewer):
-            return True
-        shown = self._shown.get((digest, user))
-        return shown is not None and len(shown.chunks) == chunk_count(shown.size)
+    def has(self, digest: str, user: str | None, viewer: Viewer | None, session: str = "") -> bool:
+        """Tell whether somebody has a table: has shown all of it, or sees a job with it; all do without a viewer."""
+        own = self._uploads.get(self._who(digest, user, session))
+        return viewer is None or (own is not None and own.is_whole) or self._store.uses_table(digest, viewer)
 
-    def pending_bytes(self, user: str | None, but: str) -> int:
-        """Return how many bytes a user has begun to upload and not submitted yet, but for the table `but`."""
-        own = ((digest, shown.size) for (digest, name), shown in self._shown.items() if name == user and digest != but)
-        return sum(size for digest, size in own if not self._store.uses_table_of(digest, user))
+    def end(self, digest: str, user: str | None, session: str = "") -> None:
+        """Take in that a job of a user has a table: it is no upload any more."""
+        self._forget(self._who(digest, user, session))
+
+    def pending_bytes(self, user: str | None, but: str, session: str = "") -> tuple[int, int]:
+        """Return how many bytes a user, and all together, have uploaded and not submitted yet, but for the user's table
+        `but`."""
+        own = self._uploads.get(self._who(but, user, session))
+        left_out = own.shown if own is not None else 0
+        return self._shown[user] - left_out, self._shown.total() - left_out
 
     def expire(self) -> None:
         """Delete uploads whose leases are over, if it is time to look for them; all of them on a disk nearly full."""
@@ -99,25 +189,30 @@ class Uploads:
     def _delete_expired(self) -> None:
         now = self._now()
         self._check_at = now + CHECK_INTERVAL_S
-        going_on = {digest for (digest, _), shown in self._shown.items() if shown.chunks}  # of others' tables, perhaps
-        self._heard = {digest: self._heard.get(digest, now) for digest in going_on.union(self._store.unused_blobs())}
-        expired = [digest for digest, heard in self._heard.items() if now - heard > LEASE_S]
-        self._shown = {key: shown for key, shown in self._shown.items() if key[0] in self._heard.keys() - expired}
+        for who, own in [*self._uploads.items()]:
+            heard = max(own.heard, self._heard.get(own.digest, 0.0) if own.is_whole else 0.0)
+            if now - heard > LEASE_S:
+                self._forget(who)
+        lasting = {own.digest if own.is_whole else own.key for own in self._uploads.values()}
+        self._heard = {key: self._heard.get(key, now) for key in self._store.unused_blobs()}
+        expired = [key for key, heard in self._heard.items() if now - heard > LEASE_S and key not in lasting]
         if expired:
             self._store.delete_unused_blobs(expired)
 
     def _delete_all(self) -> None:
         """Delete all uploads that no job uses; who is at it is told that all of it is missing."""
-        unused, self._heard, self._shown = self._store.unused_blobs(), {}, {}
+        unused, self._heard = self._store.unused_blobs(), {}
+        self._uploads, self._shown, self._keys = {}, Counter(), set()
         if unused:
             self._store.delete_unused_blobs(unused)
 
-    def _check_room(self, upload: Upload) -> None:
+    def _check_room(self, upload: Upload, own: _Upload | None) -> None:
         """Raise RefusedError for an upload that does not fit, also without those that were given up."""
-        if self._refusal(upload) is None:
+        shown = own.shown if own is not None and own.size == upload.size else 0
+        if self._refusal(upload.size - shown) is None:
             return
         self._delete_expired()
-        refusal = self._refusal(upload)
+        refusal = self._refusal(upload.size - shown)
         if refusal is not None:
             raise RefusedError(
                 f"{refusal}; an upload of {upload.size} bytes does not fit: delete jobs that "
@@ -125,18 +220,15 @@ class Uploads:
                 f"in {LEASE_S / 60:.0f} minutes, when uploads that were given up are deleted"
             )
 
-    def _refusal(self, upload: Upload) -> str | None:
-        """Return why there is no room for what is missing of an upload; None: there is."""
-        if self._store.has_blob(upload.blob):
-            return None
-        others = self._store.blob_bytes(upload.blob)
-        if others + upload.size > MAX_STORED_BYTES:
+    def _refusal(self, missing: int) -> str | None:
+        """Return why there is no room for so many bytes more; None: there is."""
+        stored = self._store.blob_bytes()
+        if stored + missing > MAX_STORED_BYTES:
             return (
-                f"the coordinator's store holds {others} bytes of tables and datasets and takes at most "
+                f"the coordinator's store holds {stored} bytes of tables and datasets and takes at most "
                 f"{MAX_STORED_BYTES}"
             )
         room = self._store.room()
-        missing = min(upload.size, CHUNK_SIZE * len(self._store.missing_chunks(upload.blob, upload.size)))
         if room is None or room.free - missing >= reserve_of(room):
             return None
         return (

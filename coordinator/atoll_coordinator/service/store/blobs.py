@@ -3,13 +3,10 @@
 import hashlib
 import sqlite3
 from collections.abc import Iterable
-from typing import Final, Literal, cast
+from typing import Final, cast
 
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
-
-Upload = Literal["partial", "whole", "wrong"]
-"""How an upload stands: chunks are missing; it is there; its bytes did not have its digest, and it is forgotten."""
 
 
 def add(sql: sqlite3.Connection, digest: str, data: bytes) -> None:
@@ -65,21 +62,6 @@ def chunk(sql: sqlite3.Connection, digest: str, index: int) -> bytes:
     return cast(bytes, row[0])
 
 
-def has_chunk(sql: sqlite3.Connection, digest: str, index: int, data: bytes) -> bool:
-    """Tell whether these bytes are what is there as a chunk of a blob, whole or not."""
-    query = "SELECT 1 FROM chunks WHERE digest = ? AND number = ? AND data = ?"
-    return sql.execute(query, (digest, index, data)).fetchone() is not None
-
-
-def missing(sql: sqlite3.Connection, digest: str, size: int) -> tuple[int, ...]:
-    """Return which chunks of a blob of `size` bytes are still to be put."""
-    if is_complete(sql, digest):
-        return ()
-    rows = sql.execute("SELECT number FROM chunks WHERE digest = ?", (digest,)).fetchall()
-    there = {number for (number,) in rows}
-    return tuple(number for number in range(chunk_count(size)) if number not in there)
-
-
 def require_fitting(size: int, index: int, data: bytes) -> None:
     """Raise RemoteProtocolError unless `data` can be chunk `index` of an upload of `size` bytes."""
     expected = min(CHUNK_SIZE, size - index * CHUNK_SIZE)
@@ -87,22 +69,49 @@ def require_fitting(size: int, index: int, data: bytes) -> None:
         raise RemoteProtocolError(f"chunk {index} of {len(data)} bytes does not fit an upload of {size} bytes")
 
 
-def put_chunk(sql: sqlite3.Connection, digest: str, size: int, index: int, data: bytes) -> Upload:
-    """Add a chunk that fits to an upload; return how the upload stands then.
+def put_chunk(sql: sqlite3.Connection, upload: str, index: int, data: bytes, digest: str | None) -> bool:
+    """Add the next chunk of an upload; with a `digest`, which its bytes have, the upload is that blob from now on.
 
-    Raises:
-        RemoteProtocolError: the upload was announced with another size.
+    Return False, changing nothing, when the chunks before it are not there.
     """
-    if is_complete(sql, digest):
-        return "whole"
-    _begin(sql, digest, size)
-    sql.execute("INSERT OR IGNORE INTO chunks VALUES (?, ?, ?)", (digest, index, data))
-    (count,) = sql.execute("SELECT count(*) FROM chunks WHERE digest = ?", (digest,)).fetchone()
-    return _finish(sql, digest) if count == chunk_count(size) else "partial"
+    if is_complete(sql, upload):
+        return True
+    if index == 0:
+        _delete(sql, upload)
+        sql.execute("INSERT INTO blobs VALUES (?, 0, 0)", (upload,))
+        sql.execute("INSERT INTO uploads VALUES (?)", (upload,))
+    elif not _has_chunks(sql, upload, index):
+        return False
+    sql.execute("INSERT INTO chunks VALUES (?, ?, ?)", (upload, index, data))
+    sql.execute("UPDATE blobs SET size = size + ? WHERE digest = ?", (len(data), upload))
+    _count(sql, len(data))
+    if digest is not None:
+        _finish(sql, upload, digest)
+    return True
+
+
+def _has_chunks(sql: sqlite3.Connection, upload: str, count: int) -> bool:
+    (there,) = sql.execute("SELECT count(*) FROM chunks WHERE digest = ?", (upload,)).fetchone()
+    return cast(int, there) == count
+
+
+def _finish(sql: sqlite3.Connection, upload: str, digest: str) -> None:
+    """Turn a whole upload into the blob of that digest, unless it is there already."""
+    if upload == digest:
+        sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
+        return
+    if not is_complete(sql, digest):
+        _delete(sql, digest)  # an unfinished upload, of somebody else
+        (size,) = sql.execute("SELECT size FROM blobs WHERE digest = ?", (upload,)).fetchone()
+        sql.execute("INSERT INTO blobs VALUES (?, ?, 1)", (digest, size))
+        _count(sql, size)
+        sql.execute("INSERT INTO uploads VALUES (?)", (digest,))
+        sql.execute("UPDATE chunks SET digest = ? WHERE digest = ?", (digest, upload))
+    _delete(sql, upload)
 
 
 def total_bytes(sql: sqlite3.Connection, but: str = "") -> int:
-    """Return how many bytes all blobs but one have, announced ones included."""
+    """Return how many bytes are stored of all blobs but one, unfinished uploads included."""
     (total,) = sql.execute(
         "SELECT blob_bytes - coalesce((SELECT size FROM blobs WHERE digest = ?), 0) FROM realm", (but,)
     ).fetchone()
@@ -137,19 +146,3 @@ def _count(sql: sqlite3.Connection, size: int) -> None:
     """Take in that all blobs have so many bytes more, or fewer."""
     if size:
         sql.execute("UPDATE realm SET blob_bytes = blob_bytes + ?", (size,))
-
-
-def _begin(sql: sqlite3.Connection, digest: str, size: int) -> None:
-    if sql.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?, 0)", (digest, size)).rowcount:
-        _count(sql, size)
-    sql.execute("INSERT OR IGNORE INTO uploads VALUES (?)", (digest,))
-    (known,) = sql.execute("SELECT size FROM blobs WHERE digest = ?", (digest,)).fetchone()
-    if known != size:
-        raise RemoteProtocolError(f"an upload of {size} bytes was announced before as one of {known} bytes")
-
-
-def _finish(sql: sqlite3.Connection, digest: str) -> Upload:
-    if not keep_if_sound(sql, digest):
-        return "wrong"
-    sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
-    return "whole"

@@ -19,7 +19,7 @@ from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.holdings import Held, Kind
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.open_file import OpenFile
-from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages.limits import chunk_count
 from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.state_pieces import State
@@ -401,47 +401,45 @@ class Store(OpenFile):
         with self._reading() as sql:
             return blob_table.is_complete(sql, digest)
 
+    def is_sound(self, digest: str) -> bool:
+        """Tell whether a blob is there, whole and undamaged; one that is damaged is forgotten.
+
+        It reads all of it, one chunk a transaction: others, who wait for no more than that, call it in a thread.
+        """
+        actual = hashlib.sha256()
+        try:
+            for index in range(chunk_count(self.blob_size(digest))):
+                actual.update(self.get_chunk(digest, index))
+        except KeyError:
+            return False
+        if actual.hexdigest() == digest:
+            return True
+        with self._transaction() as sql:
+            blob_table.keep_if_sound(sql, digest)
+        return False
+
     def get_blob(self, digest: str) -> bytes:
         """Return a blob; raises KeyError when it is not there, whole, or damaged: then it is forgotten."""
-        with self._transaction() as sql:
-            size, is_sound = blob_table.size(sql, digest), blob_table.keep_if_sound(sql, digest)
-        if not is_sound:
+        if not self.is_sound(digest):
             raise KeyError(digest)
-        return b"".join(self.get_chunk(digest, index) for index in range(chunk_count(size)))
+        return b"".join(self.get_chunk(digest, index) for index in range(chunk_count(self.blob_size(digest))))
 
     def get_chunk(self, digest: str, index: int) -> bytes:
         """Return chunk `index` (of `CHUNK_SIZE` bytes, the last one shorter) of a blob; raises KeyError."""
         with self._reading() as sql:
             return blob_table.chunk(sql, digest, index)
 
-    def has_chunk(self, digest: str, index: int, data: bytes) -> bool:
-        """Tell whether these bytes are what is there as a chunk of a blob, whole or not."""
-        with self._reading() as sql:
-            return blob_table.has_chunk(sql, digest, index, data)
+    def put_chunk(self, upload: str, index: int, data: bytes, digest: str | None = None) -> bool:
+        """Keep the next chunk of an upload, of any name; return False when the chunks before it are not there.
 
-    def missing_chunks(self, digest: str, size: int) -> tuple[int, ...]:
-        """Return which chunks of a blob of `size` bytes are still to be put; none when it is there, whole."""
-        with self._reading() as sql:
-            return blob_table.missing(sql, digest, size)
-
-    def put_chunk(self, digest: str, size: int, index: int, data: bytes) -> bool:
-        """Keep one chunk of an upload; return whether the blob is whole now. Putting it again changes nothing.
-
-        Raises:
-            RemoteProtocolError: index, sizes or, with the last chunk, the digest do not fit; a blob whose digest is
-                wrong is forgotten.
+        With chunk 0 the upload begins anew. A `digest` says that this is the last chunk, and that all bytes have this
+        digest: they are a blob from now on. Where there is a blob of this name or digest already, that one stays.
         """
-        blob_table.require_fitting(size, index, data)
         with self._transaction() as sql:
-            upload = blob_table.put_chunk(sql, digest, size, index, data)
-        if upload == "wrong":
-            raise RemoteProtocolError(
-                f"an upload of {size} bytes does not have the digest {digest} it was announced with"
-            )
-        return upload == "whole"
+            return blob_table.put_chunk(sql, upload, index, data, digest)
 
     def blob_bytes(self, but: str = "") -> int:
-        """Return how many bytes all blobs have, announced ones included, but for the one of the digest `but`."""
+        """Return how many bytes are stored of all blobs, of unfinished uploads as well, but for the blob `but`."""
         with self._reading() as sql:
             return blob_table.total_bytes(sql, but)
 

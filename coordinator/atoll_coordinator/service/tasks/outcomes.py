@@ -9,6 +9,15 @@ from atoll_coordinator.tasks.preparing import Prepared
 
 
 @dataclass(frozen=True, slots=True)
+class TableChecked:
+    """The table of a job was read: whether it is in the store, undamaged; `error` says why it could not be read."""
+
+    job: str
+    is_sound: bool
+    error: Exception | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PreparationBegun:
     """A process that is loaded prepares a job: its time counts from now on."""
 

@@ -61,3 +61,13 @@ def test_editing_what_kernels_of_the_model_are_made_with_changes_their_digest(co
 def test_every_kernel_in_the_fingerprint_is_one_that_an_island_runs() -> None:
     unused = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True, timeout=120)
     assert unused.stdout.strip() == "[]"
+
+
+def test_without_docstrings_kernels_are_compiled_once_more_which_is_told() -> None:
+    """Numba finds its machine code by bytecode, which is another then: they are not ready, and are not said to be."""
+    line = "from atoll_core.compilation.cache import marker; print(marker('atoll_core'))"
+    said = [
+        subprocess.run([sys.executable, *option, "-c", line], capture_output=True, text=True, check=True).stdout
+        for option in ((), ("-O",), ("-OO",))
+    ]
+    assert (said[0] == said[1], said[0] == said[2]) == (True, False)

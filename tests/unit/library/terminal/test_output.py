@@ -10,6 +10,7 @@ from atoll.terminal.output import (
     count,
     duration,
     note,
+    say,
     shortened,
     table,
 )
@@ -69,3 +70,20 @@ def test_rows_of_numbers_stand_on_one_line_and_stay_the_same():
 def test_notes_that_cannot_be_written_stop_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr", Full())
     note("progress")
+
+
+STEERING = "a\x1b]0;owned\x07\x9b2J\r\u202eb\x7f"
+
+
+def test_no_name_steers_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    say(f"one\ttwo\n{STEERING}")
+    say(as_json({"name": STEERING}))
+    note(STEERING)
+    printed = capsys.readouterr()
+    assert printed.out.startswith("one\ttwo\na\\u001b]0;owned\\u0007\\u009b2J\\u000d\\u202eb\\u007f\n")
+    assert json.loads(printed.out[printed.out.index("{") :]) == {"name": STEERING}
+    assert {*printed.out + printed.err} & {*STEERING} == {*"a]0;owned2Jb"}
+
+
+def test_a_name_is_one_cell_of_its_row() -> None:
+    assert table(["NAME"], [["a\nb\tc"], [STEERING]]).count("\n") == 2

@@ -23,7 +23,7 @@ class Asked:
         self.views = {job.job: job for job in jobs}
         self.happened: list[EventView] = []
         self.calls: list[tuple[Any, ...]] = []
-        self.is_silent = False
+        self.is_silent, self.asked_for_pages = False, 0
         self.tables: dict[str, bytes] = {}
         self.contents: dict[str, object] = {}
 
@@ -61,8 +61,11 @@ class Asked:
     def jobs(self, prefix: str = "", *, is_open: bool = False, last: int | None = None) -> tuple[JobView, ...]:
         return tuple(job for job in self.views.values() if not is_open or job.state == "running")
 
-    def page_of_jobs(self, prefix: str = "", *, before: int | None = None, limit: int = 100, **_: Any) -> JobList:
-        jobs = [job for job in self.views.values() if job.job.startswith(prefix)]
+    def page_of_jobs(
+        self, prefix: str = "", *, state: str | None = None, before: int | None = None, limit: int = 100, **_: Any
+    ) -> JobList:
+        self.asked_for_pages += 1
+        jobs = [job for job in self.views.values() if job.job.startswith(prefix) and state in (None, job.state)]
         end = len(jobs) if before is None else before
         start = max(0, end - limit)
         return JobList(jobs=tuple(jobs[start:end]), before=start if start else None)

@@ -46,6 +46,15 @@ def test_pages_of_other_origins_change_nothing(client, headers) -> None:
     assert client.calls == []
 
 
+@pytest.mark.parametrize("headers", [{"sec_fetch_site": "cross-site"}, {"origin": "https://evil.example"}])
+def test_pages_of_other_origins_ask_nothing_either(client, headers) -> None:
+    """A question may cost the coordinator seconds, whoever may not read its answer."""
+    for path in ("/api/v1/jobs", "/api/v1/version", "/api/v1/events"):
+        for given in ({}, {"authorization": AUTHORIZED}):
+            assert answered(client, "GET", path, **headers, **given).status == 403, path
+    assert answered(client, "GET", "/", **headers).status == 200  # a link leads here
+
+
 def test_our_own_page_may(client) -> None:
     own = {"sec_fetch_site": "same-origin", "origin": "http://127.0.0.1:7480"}
     assert answered(client, authorization=AUTHORIZED, **own).status == 200

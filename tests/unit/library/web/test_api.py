@@ -48,6 +48,17 @@ def test_jobs_come_page_by_page_newest_first(app) -> None:
     assert [job["job"] for job in read(app, "/jobs", state="done").json["jobs"]] == ["a"]
 
 
+def test_jobs_of_a_state_are_one_question_to_the_coordinator() -> None:
+    """It finds them without reading others, however many there are."""
+    asked = Asked(*(job_view(job=f"j{number}", state="done") for number in range(200)), job_view(job="new"))
+    answer = read(application(asked), "/jobs", state="queued", limit="2").json
+    assert ([job["job"] for job in answer["jobs"]], answer["next"]) == (["new"], None)
+    assert asked.asked_for_pages == 1
+    refused = read(application(asked), "/jobs", state="lost")
+    assert refused.status == 422
+    assert "there are queued, preparing" in refused.body.decode()
+
+
 @pytest.mark.parametrize(
     ("method", "path", "body", "call"),
     [
@@ -239,3 +250,39 @@ def test_whatever_is_asked_nothing_of_ours_breaks(path, job, body, method, query
     answer = ask(application(client), method, f"/api/v1{asked}", body, query,
                  authorization=AUTHORIZED)  # fmt: skip
     assert answer.status < 500
+
+
+def test_unfinished_messages_take_bounded_memory(monkeypatch) -> None:
+    monkeypatch.setattr(api_module, "MAX_OF_USER", 8 * 2**20)
+    app, refused = application(Asked()), list[int]()
+
+    async def sending() -> None:
+        scope = {
+            "type": "http", "method": "POST", "path": "/api/v1/messages", "root_path": "", "http_version": "1.1",
+            "query_string": b"", "scheme": "http", "raw_path": b"/api/v1/messages",
+            "headers": [(b"host", b"127.0.0.1"), (b"authorization", AUTHORIZED.encode())],
+        }  # fmt: skip
+
+        async def one() -> None:
+            parts = iter([{"type": "http.request", "body": b"x" * 2**20, "more_body": True}])
+
+            async def receive() -> object:
+                part = next(parts, None)
+                return part if part is not None else await asyncio.Event().wait()
+
+            async def send(message: dict[str, object]) -> None:
+                if message["type"] == "http.response.start":
+                    refused.append(message["status"])  # type: ignore[arg-type]
+
+            await app(dict(scope), receive, send)
+
+        tasks = [asyncio.create_task(one()) for _ in range(50)]
+        for _ in range(1_000):  # until each waits for its body, or is refused
+            await asyncio.sleep(0)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    asyncio.run(sending())
+    assert refused == [429] * 42
+    assert wrote(app, "POST", "/messages", b"x").status == 422  # those have gone

@@ -2,8 +2,10 @@
 
 import hashlib
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
+from starlette.datastructures import Headers
 
 from atoll.web.server import Listener, access_of, serve
 from atoll_core.errors import UsageError
@@ -78,5 +80,33 @@ def test_what_is_no_certificate_of_the_page_is_said_so_before_an_address_is(cont
         file.write_bytes(content)
     listener, said = Listener("127.0.0.1", 0, (), str(file), str(file)), list[str]()
     with pytest.raises(UsageError, match=r"cert\.pem cannot be used"):
-        serve(listener, access_of(listener, AT, "t" * 16, None), "t" * 16, said.append)
+        serve(listener, access_of(listener, AT, "t" * 16, None), said.append)
     assert said == []
+
+
+def test_nobody_looks_without_a_token_unless_it_is_asked_for(lab: Lab) -> None:
+    assert access_of(HERE, AT, "t" * 16, None).viewer is None
+    assert access_of(HERE, AT, "t" * 16, None, look_without_token=True).viewer is not None
+
+
+def test_nobody_looks_without_a_token_through_credentials_of_others_or_a_proxy(lab: Lab, tmp_path) -> None:
+    encrypted = destination("tls/127.0.0.1:1", lab.unchecked("ann"))
+    authority, certificate, key = (f'"{file}"' for file in lab.files("ann"))
+    file = users(tmp_path, entry("ann", tls_ca=authority, tls_cert=certificate, tls_key=key))
+    elsewhere = Listener("0.0.0.0", 0, (), "cert.pem", "key.pem")
+    proxied = Listener("127.0.0.1", 0, ("lab.example",))
+    for listener, at, of in (
+        (HERE, encrypted, None), (HERE, encrypted, file), (elsewhere, AT, None), (proxied, AT, None),
+    ):  # fmt: skip
+        assert access_of(listener, at, "t" * 16, of).viewer is None
+        with pytest.raises(UsageError, match="--look-without-token shows all jobs"):
+            access_of(listener, at, "t" * 16, of, look_without_token=True)
+
+
+@pytest.mark.parametrize("host", ["::1", "fd00::5", "fd00:0::5", "[fd00::5]", "127.0.0.2", "localhost"])
+def test_a_listener_is_called_as_the_address_that_it_prints(host) -> None:
+    listener = Listener(host.strip("[]"), 0, (host,), "cert.pem", "key.pem")
+    printed = urlsplit(listener.url(7480)).netloc
+    allowed = access_of(listener, AT, "t" * 16, None)
+    problem = allowed.problem("GET", "/", Headers({"host": printed}))
+    assert problem is None

@@ -271,3 +271,34 @@ def test_a_client_with_several_addresses_finds_whoever_listens_and_goes_over_to_
 def test_none_of_several_addresses_is_said_with_all_of_them() -> None:
     with pytest.raises(UnreachableError, match=r"no coordinator answers at tcp/127\.0\.0\.1:9,tcp/127\.0\.0\.1:10"):
         open_client("tcp/127.0.0.1:9,tcp/127.0.0.1:10")
+
+
+def test_the_owner_waits_for_nobody_who_takes_no_large_answer(
+    router: ZenohBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Clients that were stopped keep all threads; who asks for more is told to ask again, and small answers go out."""
+    are_taken, owner = threading.Event(), threading.get_ident()
+    send = router._reply
+
+    def reply(handle: object, key: str, payload: bytes | None) -> None:
+        if payload is not None and len(payload) >= zenoh_bus._LARGE:
+            assert threading.get_ident() != owner
+            are_taken.wait(LIMIT_S)
+        send(handle, key, payload)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(router, "_reply", reply)
+    monkeypatch.setattr(router, "_large", threading.BoundedSemaphore(6))
+    router.serve("asked/*")
+    with open_client(router.endpoint, wait_s=LIMIT_S) as client:
+        answers = dict[int, bytes | None]()
+        tokens = [client.get(f"asked/{number}", timeout_s=LIMIT_S) for number in range(9)]
+        for number in range(9):
+            router.reply(first(router, Query), b"small" if number == 8 else bytes(zenoh_bus._LARGE))  # type: ignore[arg-type]
+        for _ in range(3):
+            answer = first(client, Reply)
+            assert isinstance(answer, Reply)
+            answers[answer.token] = answer.payload
+        assert [answers[token] for token in tokens[6:]] == [None, None, b"small"]
+        are_taken.set()
+        for _ in range(6):
+            assert len(first(client, Reply).payload or b"") == zenoh_bus._LARGE  # type: ignore[attr-defined]

@@ -147,7 +147,7 @@ def test_uploads_that_no_job_uses_cost_no_job_its_life(store: Store) -> None:
     add(store, "mine", "10")
     size = store.held_for_all().freeable + 100_000
     for number in range(6):
-        store.put_chunk(str(number) * 64, 2 * CHUNK_SIZE, 0, bytes(CHUNK_SIZE))
+        store.put_chunk(str(number) * 64, 0, bytes(CHUNK_SIZE))
     assert deleted_in_turn(store, Retention(size_bytes=size)) == []
 
 

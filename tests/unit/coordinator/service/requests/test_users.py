@@ -14,6 +14,7 @@ from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import CHECK_INTERVAL_S, LEASE_S
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Times, Total
+from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, JobConfig
@@ -194,8 +195,11 @@ def test_whoever_knows_a_digest_alone_has_not_the_table(lab: Lab) -> None:
     assert isinstance(stolen, Failure)
     assert stolen.failure == "no-table"
     wrong = hashlib.sha256(b"guess!").hexdigest()
-    guess = lab.ask("bob", messages.Upload(blob=digest, size=6, index=0, sha256=wrong, data=b"guess!"))
-    assert guess == messages.Uploaded(blob=digest, missing=(0,))
+    guesses = [
+        said(lab.ask("bob", messages.Upload(blob=blob, size=6, index=0, sha256=wrong, data=b"guess!")))
+        for blob in (digest, "0" * 64)
+    ]
+    assert guesses[0] == guesses[1].replace("0" * 64, digest)
     assert lab.upload("bob", b"secret") == messages.Uploaded(blob=digest, missing=())
     assert view(lab.submit("bob", "his", b"secret")).submitter == "bob"
 
@@ -223,6 +227,72 @@ def test_a_table_that_another_has_may_take_its_time_to_be_shown(lab: Lab) -> Non
     assert lab.ask("bob", messages.Upload(blob=digest, size=len(table))) == messages.Uploaded(
         blob=digest, missing=(0, 1)
     )
+
+
+def part(table: bytes, index: int, **changes: object) -> messages.Upload:
+    """Return the upload of a chunk of a table."""
+    data = table[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]
+    fields = {"blob": hashlib.sha256(table).hexdigest(), "size": len(table), "index": index, "data": data}
+    return messages.Upload.model_validate({**fields, "sha256": hashlib.sha256(data).hexdigest(), **changes})
+
+
+def test_the_size_that_was_announced_first_gives_nobody_a_table(lab: Lab) -> None:
+    table = bytes(CHUNK_SIZE) + b"secret"
+    digest = hashlib.sha256(table).hexdigest()
+    for index in range(2):
+        lab.ask("ann", part(table, index))
+    lab.ask("ann", messages.Submit(job="mine", name="", config=JobConfig(), table=digest))
+    lab.ask("bob", messages.Upload(blob=digest, size=3))
+    assert lab.ask("bob", part(table, 0)) == messages.Uploaded(blob=digest, missing=(1,))
+    assert not lab.clients.uploads.has(digest, "bob", Viewer("bob"))
+    stolen = lab.ask("bob", messages.Submit(job="his", name="", config=JobConfig(), table=digest))
+    assert isinstance(stolen, Failure)
+    assert stolen.failure == "no-table"
+
+
+def test_wrong_bytes_of_one_user_keep_no_other_from_uploading(lab: Lab) -> None:
+    table = bytes(CHUNK_SIZE) + b"secret"
+    wrong = b"x" * CHUNK_SIZE
+    bad = part(table, 0, data=wrong, sha256=hashlib.sha256(wrong).hexdigest())
+    lab.ask("bob", bad)
+    lab.ask("bob", messages.Upload(blob=bad.blob, size=1))
+    for index, missing in ((0, (1,)), (1, ())):
+        assert lab.ask("ann", part(table, index)) == messages.Uploaded(blob=bad.blob, missing=missing)
+    assert lab.store.get_blob(bad.blob) == table
+
+
+def test_what_is_announced_takes_no_room_and_what_is_stored_counts(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = 1024**3
+    for number in range(20):  # more than the store takes, and one byte of each
+        last = {"size": size + 1, "index": size // CHUNK_SIZE, "data": b"x"}
+        digest = {"blob": f"{number:064}", "sha256": hashlib.sha256(b"x").hexdigest()}
+        lab.ask("bob", messages.Upload.model_construct(**digest, **last))
+        lab.ask("bob", messages.Upload(blob=f"{number:064}", size=size))
+    assert lab.store.blob_bytes() == 0
+    assert not isinstance(lab.upload("ann", b"t,x"), Failure)
+    monkeypatch.setattr(admission, "RESULT_RESERVE", 10)
+    limit(lab, user=Allowance(stored=CHUNK_SIZE + 100))
+    table = bytes(CHUNK_SIZE + 50)
+    lab.ask("eve", messages.Upload(blob=part(table, 0).blob, size=3))
+    lab.ask("eve", part(table, 0))
+    assert lab.clients.uploads.pending_bytes("eve", "")[0] == lab.store.blob_bytes() - 3 == CHUNK_SIZE
+    assert "are over the" in said(lab.upload("eve", bytes(91)))
+
+
+def test_no_question_about_an_upload_asks_the_store_for_every_table(lab: Lab) -> None:
+    limit(lab, user=Allowance(stored=10**6))
+
+    def queries() -> int:
+        made = list[str]()
+        lab.store._connection.set_trace_callback(made.append)
+        lab.ask("ann", messages.Upload(blob="0" * 64, size=3))
+        lab.store._connection.set_trace_callback(None)
+        return len(made)
+
+    before = queries()
+    for number in range(30):
+        lab.upload("ann", b"table %d" % number)
+    assert queries() == before
 
 
 def test_without_a_roster_everything_is_open() -> None:

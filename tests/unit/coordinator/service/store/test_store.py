@@ -21,7 +21,7 @@ from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.lock import Lock, last_beat
 from atoll_coordinator.service.store.schema import FILE_NAME, SCHEMA_VERSION
 from atoll_coordinator.service.store.store import Store
-from atoll_core.errors import LocalProtocolError, RemoteProtocolError, StoreError
+from atoll_core.errors import LocalProtocolError, StoreError
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.state_pieces import State
 from tests.placements import placements_in
@@ -161,7 +161,7 @@ def test_a_damaged_blob_is_forgotten_and_can_be_put_again(store: Store) -> None:
     store._connection.execute("UPDATE chunks SET data = x'08' WHERE digest = ? AND number = 1", (digest,))
     with pytest.raises(KeyError):
         store.get_blob(digest)
-    assert store.missing_chunks(digest, len(data)) == (0, 1)
+    assert not store.has_blob(digest)
 
 
 def _upload(size: int) -> tuple[bytes, str]:
@@ -169,47 +169,38 @@ def _upload(size: int) -> tuple[bytes, str]:
     return data, hashlib.sha256(data).hexdigest()
 
 
-def test_an_upload_comes_chunk_by_chunk_in_any_order_and_more_than_once(store: Store) -> None:
+def test_chunks_of_an_upload_are_kept_in_their_order(store: Store) -> None:
     data, digest = _upload(2 * CHUNK_SIZE + 5)
-    size = len(data)
-    assert store.missing_chunks(digest, size) == (0, 1, 2)
-    for index, whole in ((2, False), (0, False), (2, False), (1, True), (1, True)):
-        assert store.put_chunk(digest, size, index, data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]) is whole
-        assert store.has_blob(digest) is whole
-    assert store.missing_chunks(digest, size) == ()
+    chunks = [data[:CHUNK_SIZE], data[CHUNK_SIZE : 2 * CHUNK_SIZE], data[2 * CHUNK_SIZE :]]
+    assert store.put_chunk("hers", 0, chunks[0])
+    assert not store.put_chunk("hers", 2, chunks[2], digest)
+    assert store.put_chunk("hers", 1, chunks[1])
+    assert (store.has_blob(digest), store.blob_bytes()) == (False, 2 * CHUNK_SIZE)
+    assert store.put_chunk("hers", 2, chunks[2], digest)
     assert store.get_blob(digest) == data
+    assert (store.unused_blobs(), store.blob_bytes()) == ((digest,), len(data))
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_two_uploads_of_one_blob_are_kept_once(store: Store, is_first: bool) -> None:
+    data, digest = _upload(CHUNK_SIZE + 1)
+    names = (digest, "another") if is_first else ("another", digest)
+    for name in names:
+        assert store.put_chunk(name, 0, data[:CHUNK_SIZE])
+    assert store.put_chunk(names[0], 1, data[CHUNK_SIZE:], digest)
+    assert store.put_chunk(names[1], 1, data[CHUNK_SIZE:], digest)
+    assert store.get_blob(digest) == data
+    assert (store.unused_blobs(), store.blob_bytes()) == ((digest,), len(data))
 
 
 def test_a_started_upload_is_not_there_yet(store: Store) -> None:
     data, digest = _upload(CHUNK_SIZE + 1)
-    store.put_chunk(digest, len(data), 1, data[-1:])
-    assert store.missing_chunks(digest, len(data)) == (0,)
+    store.put_chunk(digest, 0, data[:CHUNK_SIZE])
     with pytest.raises(KeyError):
-        store.get_chunk(digest, 1)
+        store.get_chunk(digest, 0)
     assert store.put_blob(data) == digest
+    assert store.put_chunk(digest, 1, data[CHUNK_SIZE:], digest)
     assert store.get_blob(digest) == data
-
-
-def test_an_upload_with_the_wrong_digest_is_refused_and_forgotten(store: Store) -> None:
-    with pytest.raises(RemoteProtocolError, match="does not have the digest"):
-        store.put_chunk("00" * 32, 3, 0, b"abc")
-    assert store.missing_chunks("00" * 32, 3) == (0,)
-    assert store.blob_bytes() == 0
-
-
-@pytest.mark.parametrize(
-    ("size", "index", "data"), [(3, 0, b"ab"), (3, 1, b""), (3, -1, b"abc"), (CHUNK_SIZE + 1, 1, b"ab")]
-)
-def test_a_chunk_that_does_not_fit_its_upload_is_refused(store: Store, size: int, index: int, data: bytes) -> None:
-    with pytest.raises(RemoteProtocolError, match="does not fit"):
-        store.put_chunk("00" * 32, size, index, data)
-
-
-def test_an_upload_cannot_change_its_size(store: Store) -> None:
-    data, digest = _upload(CHUNK_SIZE + 1)
-    store.put_chunk(digest, len(data), 1, data[-1:])
-    with pytest.raises(RemoteProtocolError, match="announced before"):
-        store.put_chunk(digest, len(data) + 1, 1, b"ab")
 
 
 def test_threads_may_share_a_store(store: Store) -> None:
@@ -627,7 +618,7 @@ def test_space_of_a_deleted_job_is_used_again(tmp_path: Path) -> None:
 
 def test_uploads_that_no_job_uses_are_deleted(store: Store) -> None:
     ended(store, "a", None, b"table", b"dataset")
-    store.put_chunk("0" * 64, 2 * CHUNK_SIZE, 0, bytes(CHUNK_SIZE))
+    store.put_chunk("0" * 64, 0, bytes(CHUNK_SIZE))
     waiting = store.put_blob(b"waits for its job")
     assert set(store.unused_blobs()) == {"0" * 64, waiting}
     assert store.held_for_all() == Held(stored=len(b"table{}"), live=0, freeable=len(b"tabledataset{}"))

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 
 from atoll.cli import listener
-from atoll.cli.listener import heard_on
+from atoll.cli.listener import heard_on, own_address_of
 from atoll.cli.main import main
 from atoll.cli.verbs import serve
 from atoll.cli.verbs.serve import greeting
 from atoll_core.errors import NotNowError, StoreError, UnreachableError, UsageError, WrongStoreError
-from atoll_core.wire.addresses import destination
+from atoll_core.wire.addresses import Address, Destination, destination
+from atoll_core.wire.security.credentials import Credentials
 
 
 def test_one_address_gives_the_line_that_starts_a_worker() -> None:
@@ -102,3 +103,23 @@ def test_the_unit_of_systemd_stays_down_after_bad_options_alone() -> None:
     assert "StateDirectoryMode=0700\n" in unit
     assert {error.exit_code for error in (StoreError, NotNowError, UnreachableError)} == {1, 3}
     assert {error.exit_code for error in (UsageError, WrongStoreError)} == {2}
+
+
+@pytest.mark.parametrize(
+    ("host", "named", "dialled"),
+    [
+        ("127.0.0.1", ("lab.example", "127.0.0.1"), "127.0.0.1"),
+        ("0.0.0.0", ("lab.example", "localhost"), "localhost"),
+        ("0.0.0.0", ("lab.example",), "lab.example"),
+        ("10.0.0.5", ("lab.example", "10.0.0.5"), "10.0.0.5"),
+        ("::1", ("lab.example", "::1"), "[::1]"),
+        ("0.0.0.0", None, "127.0.0.1"),
+        ("10.0.0.5", None, "10.0.0.5"),
+    ],
+)
+def test_the_page_dials_where_its_coordinator_listens(host, named, dialled) -> None:
+    """The first name in a certificate may lead elsewhere, or nowhere from here."""
+    protocol = "tcp" if named is None else "tls"
+    credentials = None if named is None else Credentials(Path("a"), Path("b"), Path("c"), "lab", named)
+    at = Destination(Address(protocol, host, 7447), credentials)
+    assert own_address_of(at) == f"{protocol}/{dialled}:7447"

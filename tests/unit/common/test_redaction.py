@@ -1,0 +1,57 @@
+"""Tokens and passwords are shown nowhere: in no error, log line or command that is kept."""
+
+import json
+import logging
+
+import pytest
+
+from atoll.cli.web_process import opening
+from atoll.client.over_http import WebAddress, coordinator_at
+from atoll_core.errors import RefusedError, UsageError
+from atoll_core.logs import JsonLines, TextLines, fields
+from atoll_core.redaction import without_secrets
+
+SECRET = "s3cret-of-sixteen-and-more"
+PLACES = (
+    f"https://lab.example:7480/atoll/?token={SECRET}",
+    f"htps://lab.example?x=1&token={SECRET}",
+    f"http://ann:{SECRET}@lab.example:7480/",
+    f"Authorization: Bearer {SECRET}",
+    f"ATOLL_WEB_TOKEN={SECRET}",
+)
+
+
+@pytest.mark.parametrize("text", PLACES)
+def test_an_error_a_log_line_and_a_command_show_no_secret(text: str) -> None:
+    record = logging.LogRecord("a", logging.INFO, "", 0, text, (), None)
+    record.__dict__.update(fields(address=text, other=f'"{text}"'))
+    error = RefusedError("%s is no address", text, command=f"try {text}")
+    told = [
+        TextLines({}).format(record), JsonLines({}).format(record), str(error), error.on_command_line,
+        without_secrets(f"coordinator submit d.csv --connect '{text}' --seed 3"),
+    ]  # fmt: skip
+    assert [line for line in told if SECRET in line] == []
+    assert json.loads(told[1])["level"] == "info"
+    assert told[-1].endswith("--seed 3")
+
+
+def test_what_is_no_secret_stays() -> None:
+    for text in ("--initial token=3", "tcp/lab:7447", "a column token = 3", "https://lab.example/docs#a", ""):
+        assert without_secrets(text) == text
+
+
+def test_an_address_with_a_token_shows_it_nowhere() -> None:
+    address = coordinator_at(PLACES[0], {}, {})
+    assert isinstance(address, WebAddress)
+    assert (address.token, SECRET in repr(address) + str(address)) == (SECRET, False)
+    with pytest.raises(UsageError) as raised:
+        coordinator_at(PLACES[1], {}, {})
+    assert SECRET not in str(raised.value)
+
+
+def test_a_page_shows_its_token_on_a_terminal_alone() -> None:
+    url = "http://127.0.0.1:7480/"
+    assert opening(url, SECRET, is_terminal=True, is_given=False) == f"open {url}?token={SECRET}"
+    for is_given in (True, False):
+        assert SECRET not in opening(url, SECRET, is_terminal=False, is_given=is_given)
+    assert "ATOLL_WEB_TOKEN" in opening(url, SECRET, is_terminal=False, is_given=False)

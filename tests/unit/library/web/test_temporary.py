@@ -1,0 +1,30 @@
+"""What was sent to a process that was killed is removed by the next one, and nothing else."""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from atoll.web.temporary import PREFIX, held, remove_left
+
+LINE = """
+import os, pathlib, signal, sys, tempfile
+from atoll.web.temporary import PREFIX, held
+with tempfile.TemporaryDirectory(prefix=PREFIX) as folder, held(pathlib.Path(folder)):
+    pathlib.Path(folder, "body").write_bytes(b"t,x")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_process_has_left_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    subprocess.run([sys.executable, "-c", LINE], env={"TMPDIR": str(tmp_path)}, check=False)
+    (left,) = tmp_path.glob(f"{PREFIX}*")
+    used, other, making = (tmp_path / name for name in (f"{PREFIX}used", "other", f"{PREFIX}making"))
+    for folder in (used, other, making):
+        folder.mkdir()
+    with held(used):
+        remove_left()
+        assert (left.exists(), used.exists(), other.exists(), making.exists()) == (False, True, True, True)
