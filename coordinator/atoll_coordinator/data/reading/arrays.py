@@ -4,13 +4,16 @@ Letters: N rows, K columns of one array.
 """
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.data.reading.cells import cell_of
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
+from atoll_coordinator.data.roles.column_options import named_columns, split_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray
@@ -70,9 +73,10 @@ def table_of_arrays(
     """Return the columns of arrays of one length: vectors (N,), and those of matrices (N, K), counted from `first`.
 
     Where there is a time, its length is N, and arrays of another length are left out. Single numbers always are. Raises
-    DataError where the arrays do not fit together.
+    DataError where the arrays do not fit together, or one that options name is left out.
     """
-    vectors = {name: squeezed for name, array in arrays.items() if (squeezed := np.squeeze(np.asarray(array))).ndim}
+    given = {name: np.asarray(array) for name, array in arrays.items()}
+    vectors = {name: part for name, array in given.items() if (part := _squeezed(array)).ndim}
     count = _length(file, vectors, config)
     headers: list[str] = []
     columns: list[list[str]] = []
@@ -88,15 +92,40 @@ def table_of_arrays(
             headers.append(name if len(parts) == 1 else f"{name}{number + first}")
             columns.append(cells)
             column_units.append((units or {}).get(name, unit))
+    _check_left_out(file, {name: given[name] for name in left_out}, headers, count, config)
     others = (f"left out: {', '.join(left_out)}",) if left_out else ()
-    return with_breaks(headers, columns, (*remarks, *others), column_units)
+    return replace(with_breaks(headers, columns, remarks, column_units), left_out=others)
+
+
+def _squeezed(array: AnyArray) -> AnyArray:
+    """Return an array without axes of length 1, but for that of a single row."""
+    return array if array.ndim == 1 else np.squeeze(array)
+
+
+def _check_left_out(
+    file: str, left_out: Mapping[str, AnyArray], headers: Sequence[str], count: int, config: DataConfig
+) -> None:
+    """Raise DataError where options name an array that does not fit, or nothing is left beside the time."""
+    named = named_columns(config)
+    shapes = {name: array.shape for name, array in left_out.items() if array.ndim and array.size}
+    missed = next((name for name in shapes if split_unit(name)[0] in named), None)
+    is_nothing_left = all(split_unit(header)[0] in (config.time, *TIME_NAMES) for header in headers)
+    if missed is None and shapes and is_nothing_left:
+        missed = next(iter(shapes))
+    if missed is not None:
+        shape = "x".join(map(str, shapes[missed]))
+        rows = f"{count} row{'' if count == 1 else 's'}"
+        raise DataError(
+            f"'{missed}' of {file} has {shape} values, but the time has {rows}; give one value for each row"
+        )
 
 
 def _length(file: str, vectors: Mapping[str, AnyArray], config: DataConfig) -> int:
     """Return the number of rows."""
-    for name in (config.time or "", *TIME_NAMES):
-        if name in vectors and vectors[name].ndim == 1:
-            return len(vectors[name])
+    plain = {split_unit(name)[0]: array for name, array in vectors.items()}
+    for name in (split_unit(config.time or "")[0], *TIME_NAMES):
+        if name in plain and plain[name].ndim == 1:
+            return len(plain[name])
     lengths = {max(array.shape) if array.ndim == 2 else len(array) for array in vectors.values()}
     if len(lengths) != 1 or any(array.ndim > 2 for array in vectors.values()):
         shapes = sorted({array.shape for array in vectors.values()})
@@ -114,9 +143,12 @@ def _cells(file: str, name: str, values: AnyArray) -> tuple[list[str], str]:
         return ["" if text == "NaT" else text for text in np.datetime_as_string(values).tolist()], ""
     if values.dtype.kind == "b":
         return _texts(values.astype(np.float64)), ""
-    if values.dtype.kind == "S":
-        return [text.decode("utf-8", "replace") for text in values.tolist()], ""
-    return _texts(values), ""
+    if values.dtype.kind == "f":
+        return _texts(values), ""
+    cells = values.tolist()
+    if any(isinstance(cell, complex) for cell in cells):
+        raise DataError(f"array '{name}' of {file} holds complex numbers; real ones are expected")
+    return [*map(cell_of, cells)], ""
 
 
 def _texts(values: AnyArray) -> list[str]:

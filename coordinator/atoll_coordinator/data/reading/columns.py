@@ -28,7 +28,8 @@ TIME: Final = "time"
 class Columns:
     """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read.
 
-    `labels` are the texts that the numbers of a column of trajectories or groups stand for, from 1.
+    `labels` are the texts that the numbers of a column of trajectories or groups stand for, from 1; `left_out` says
+    what else of the file is no part of these columns.
     """
 
     file: str
@@ -39,6 +40,7 @@ class Columns:
     skipped: tuple[str, ...]
     remarks: tuple[str, ...]
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
 
 def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
@@ -87,8 +89,9 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
         raw.lines,
         raw.starts,
         skipped,
-        (*raw.remarks, *remarks, *renamed, *since, *left_out),
+        (*raw.remarks, *remarks, *renamed, *since, *raw.left_out, *left_out),
         labels,
+        raw.left_out,
     )
 
 

@@ -44,9 +44,16 @@ def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[st
     """
     if not paths:
         raise DataError("no data file was given; name at least one, such as a CSV file")
-    files = [_read_file(path, config) for path in paths]
-    group = strip_units(config, files[0].values).group
-    table = joined(files, {**config.units, **(time_units or {})}, group)
+    return table_of_parts([_read_file(path, config) for path in paths], config, time_units)
+
+
+def table_of_parts(parts: Sequence[Columns], config: DataConfig, time_units: Mapping[str, str] | None = None) -> Table:
+    """Return what was read of files, or of what a program holds, as one table; raises DataError.
+
+    `time_units` are as of `read_table`.
+    """
+    group = strip_units(config, parts[0].values).group
+    table = joined(parts, {**config.units, **(time_units or {})}, group)
     return without_empty(table, config)
 
 
@@ -121,6 +128,7 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str], group: str |
         "; ".join([_read_as(files), *remarks]),
         labels,
         origins,
+        tuple(dict.fromkeys(phrase for file in files for phrase in file.left_out)),
     )
 
 

@@ -25,7 +25,7 @@ class RawTable:
 
     `units` are those that a row of their own or the format gives, "" where there is none; `starts` are the rows at
     which trajectories begin; `remarks` say how the file was read; `separator` is what stands between cells, "" where
-    the format has none.
+    the format has none. `left_out` says what of the file is no part of the table, for a warning.
     """
 
     headers: tuple[str, ...]
@@ -35,6 +35,7 @@ class RawTable:
     remarks: tuple[str, ...]
     units: tuple[str, ...] = ()
     separator: str = ""
+    left_out: tuple[str, ...] = ()
 
 
 def table_of_records(

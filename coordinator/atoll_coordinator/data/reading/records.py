@@ -18,11 +18,13 @@ def read_records(path: Path) -> RawTable:
     text, _ = decode(path.name, path.read_bytes())
     if not text.strip():
         raise DataError(f"{path.name} is empty; {_EXPECTED}")
-    document, remark = _parsed(path.name, text)
-    headers, columns = _columns(path.name, document)
-    cells = [
-        [_cell(path.name, header, value) for value in column] for header, column in zip(headers, columns, strict=True)
-    ]
+    return table_of_document(path.name, *_parsed(path.name, text))
+
+
+def table_of_document(name: str, document: object, remark: str) -> RawTable:
+    """Return the table of records, or of columns by name; `name` is for messages, which DataError has."""
+    headers, columns = _columns(name, document)
+    cells = [[_cell(name, header, value) for value in column] for header, column in zip(headers, columns, strict=True)]
     return with_breaks(headers, cells, (remark,))
 
 

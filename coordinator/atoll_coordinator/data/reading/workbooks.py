@@ -36,8 +36,8 @@ def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
         raise DataError(f"{what} is empty; a header line and rows of numbers are expected")
     title = next((title for title, raw in tables.items() if _is_table(raw)), next(iter(tables)))
     others = [other for other, records in sheets.items() if other != title and records]
-    remarks = (f"Excel, sheet '{title}'", *([f"other sheets left out: {', '.join(others)}"] if others else []))
-    return replace(tables[title], remarks=(*remarks, *tables[title].remarks))
+    left_out = (f"other sheets left out: {', '.join(others)}",) if others else ()
+    return replace(tables[title], remarks=(f"Excel, sheet '{title}'", *tables[title].remarks), left_out=left_out)
 
 
 def check_sheet(files: Sequence[Path], sheet: str | None) -> None:

@@ -220,6 +220,8 @@ def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) ->
     remarks = []
     if table.skipped:
         remarks.append(f"Columns of text or without a name are not used: {', '.join(table.skipped)}.")
+    if table.left_out:
+        remarks.append(f"Not all of what the data hold was read: {'; '.join(table.left_out)}.")
     if roles.target is not None and config.states is None and not config.inputs:
         left = [name for name in TIME_NAMES if name in table.names and name not in roles.used]
         remarks += [f"Column '{name}' is taken for time and not used; add --inputs {name} to use it." for name in left]
