@@ -12,7 +12,7 @@ from typing import Protocol, TypeGuard
 
 import numpy as np
 
-from atoll_coordinator.data.reading.arrays import fields_of, table_of_arrays
+from atoll_coordinator.data.reading.arrays import fields_of, table_of_arrays, table_of_matrix
 from atoll_coordinator.data.reading.cells import cell_of
 from atoll_coordinator.data.reading.columns import TIME, columns_of
 from atoll_coordinator.data.reading.dates import is_date
@@ -60,7 +60,7 @@ def table_of(data: object, config: DataConfig) -> Table:
         if not given or len(parts) < len(given):
             raise DataError(
                 "data must be a file, a frame of pandas or polars, a data set of xarray, arrays by column name, an "
-                f"array with named fields, a list of these, or records; found {type(data).__name__}"
+                f"array of rows by columns, a list of these, or records; found {type(data).__name__}"
             )
         raws = [_cells_of(part, config) for part in parts]
     names = [NAME] if len(raws) == 1 else [f"{NAME}[{place}]" for place in range(len(raws))]
@@ -82,12 +82,14 @@ def _is_record(part: object) -> bool:
 
 def _has_columns(part: object) -> TypeGuard[_Columns]:
     if isinstance(part, np.ndarray):
-        return part.dtype.names is not None
+        return part.dtype.names is not None or part.ndim == 2
     return isinstance(part, Mapping) or (hasattr(part, "columns") and hasattr(part, "__getitem__"))
 
 
 def _cells_of(part: _Columns, config: DataConfig) -> RawTable:
     """Return the columns of a part as cells, and before them an index that says more than which row it is."""
+    if isinstance(part, np.ndarray) and part.dtype.names is None:
+        return table_of_matrix(NAME, _array(part, "the array"), config, (_kind(part),))
     columns = _named_arrays(part)
     index = {name: values for name, values in _index(part).items() if name not in columns}
     raw = table_of_arrays(NAME, {**index, **columns}, config, (_kind(part),))

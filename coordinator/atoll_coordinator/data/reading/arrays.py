@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.reading.cells import cell_of
+from atoll_coordinator.data.reading.header import named_by_place
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
@@ -37,7 +38,7 @@ def read_npz(path: Path, config: DataConfig) -> RawTable:
 
 
 def read_npy(path: Path, config: DataConfig) -> RawTable:
-    """Read an array of NumPy whose columns have names, a structured one; raises DataError."""
+    """Read an array of NumPy: a structured one, or the columns of a matrix without names; raises DataError."""
     try:
         array = np.load(path, allow_pickle=False)
     except OSError:
@@ -47,9 +48,16 @@ def read_npy(path: Path, config: DataConfig) -> RawTable:
     if not isinstance(array, np.ndarray):  # an archive with another ending
         raise DataError(f"{path.name} holds several arrays; give it the ending .npz")
     if array.dtype.names is None:
-        advice = "save them by name with numpy.savez, or as CSV"
-        raise DataError(f"{path.name} is a NumPy array without names of columns; {advice}")
+        return table_of_matrix(path.name, array, config, ("NumPy array",))
     return table_of_arrays(path.name, fields_of("", array), config, ("NumPy array",))
+
+
+def table_of_matrix(file: str, array: AnyArray, config: DataConfig, remarks: tuple[str, ...]) -> RawTable:
+    """Return the columns (N,) of a matrix (N, K), or of a vector (N,), which have no names; raises DataError."""
+    if array.ndim not in (1, 2) or not array.size:
+        raise DataError(f"{file} holds an array of the shape {array.shape}; rows by columns of numbers are expected")
+    columns = {str(place): column for place, column in enumerate(np.atleast_2d(array.T))}
+    return named_by_place(table_of_arrays(file, columns, config, remarks))
 
 
 def fields_of(name: str, array: AnyArray) -> dict[str, AnyArray]:

@@ -7,12 +7,14 @@ from typing import Final, cast
 
 import numpy as np
 
+from atoll_coordinator.data.reading.calendar_columns import with_calendar
 from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, shortened, visible
 from atoll_coordinator.data.reading.date_columns import STAMPS, compact_dates, read_date_columns, time_stamps
 from atoll_coordinator.data.reading.dates import Dates, is_date, split_origin
 from atoll_coordinator.data.reading.long_tables import widened
 from atoll_coordinator.data.reading.numerals import place, read_numbers
 from atoll_coordinator.data.reading.raw_table import RawTable
+from atoll_coordinator.data.reading.times_as_columns import turned
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.roles import assigned
 from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
@@ -50,7 +52,7 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     hold names, which are numbered. Dates are read as `read_date_columns` says. A column without a name (such as a
     table's row numbers) is set aside, by its place.
     """
-    raw = widened(file, _with_index(raw), config)
+    raw = widened(file, with_calendar(turned(file, _with_index(raw), config), config), config)
     written, cells = _headed(file, raw)
     counted = {name: split_origin(unit) for name, unit in written.items()}
     units = {name: unit for name, (unit, _) in counted.items()}

@@ -14,6 +14,7 @@ from typing import Any, Final
 from atoll_coordinator.data.reading.cells import cell_of, is_missing, is_numeral
 from atoll_coordinator.data.reading.dates import is_date
 from atoll_coordinator.data.reading.header import Record, take_header
+from atoll_coordinator.data.reading.preamble import find_preamble
 from atoll_coordinator.data.reading.raw_table import RawTable, table_of_records
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.errors import DataError, Field, UsageError
@@ -72,6 +73,12 @@ def _table(file: str, records: Sequence[Record]) -> RawTable:
     used = [place for _, cells in records for place, cell in enumerate(cells) if cell]
     first, last = min(used), max(used) + 1
     cut = [(line, [*cells[first:last], *[""] * (last - max(len(cells), first))]) for line, cells in records]
+    preamble = find_preamble([(line, cells) for line, cells in cut if any(cells)])
+    if preamble is not None:
+        kept = [record for record in cut if record[0] >= preamble.header and record[0] not in preamble.below]
+        header, below = take_header(kept)
+        raw = header.applied(table_of_records(file, header.names, below))
+        return replace(raw, remarks=(*preamble.remarks, *raw.remarks))
     above = len([*takewhile(lambda record: not any(record[1][1:]), cut)])
     above = 0 if above == len(cut) else above
     header, below = take_header(cut[above:])
