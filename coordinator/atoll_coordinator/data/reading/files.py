@@ -16,6 +16,7 @@ from atoll_coordinator.data.reading.arrays import read_npy, read_npz
 from atoll_coordinator.data.reading.columns import Columns, columns_of
 from atoll_coordinator.data.reading.dates import Dates, origin_of, times_of
 from atoll_coordinator.data.reading.empty_columns import without_empty
+from atoll_coordinator.data.reading.even_times import with_times
 from atoll_coordinator.data.reading.hdf5 import read_hdf5
 from atoll_coordinator.data.reading.layout import read_text
 from atoll_coordinator.data.reading.matlab import read_matlab
@@ -54,7 +55,7 @@ def table_of_parts(parts: Sequence[Columns], config: DataConfig, time_units: Map
     """
     group = strip_units(config, parts[0].values).group
     table = joined(parts, {**config.units, **(time_units or {})}, group)
-    return without_empty(table, config)
+    return with_times(without_empty(table, config), config)
 
 
 def _read_file(path: Path, config: DataConfig) -> Columns:

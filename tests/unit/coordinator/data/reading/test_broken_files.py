@@ -64,7 +64,7 @@ BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "a date with minutes and a fraction": ("a.csv", "time,x\n2020-01-01 00:00.5,0\n", "which is no date or time"),
     "clock that goes back": ("a.csv", "time,x\n23:00,1\n22:00,2\n" + rows("23:{j:02},1"), "from 23:00:00 to 22:00:00"),
     "no array": ("a.npy", b"\x93NUMPY", "a.npy is not a NumPy array of numbers that can be read; write it anew"),
-    "another word for time": ("a.csv", "x,Zeit\n" + rows("7,{i}"), "name it with --time (perhaps Zeit), or use"),
+    "another word for time": ("a.csv", "x,Zeit\n" + rows("7,{i}"), "name it with --time (perhaps Zeit), or give"),
     "numbers in JSON": ("a.json", "[1, 2]", 'a.json holds no records; a list of records such as [{"t": 0, "x": 1}]'),
     "a line of JSON": ("a.jsonl", '{"t": 0}\n{"t": \n{"t": 2}\n', "line 2 of a.jsonl is not valid JSON"),
     "lists in JSON": ("a.json", '[{"t": 0, "x": [1]}]', "column 'x' of a.json holds lists or objects"),
