@@ -53,7 +53,7 @@ def table_of(data: object, config: DataConfig) -> Table:
     files = files_of(data)
     if files and len(files) == len(given):
         return read_table(files, config)
-    if len(given) > 1 and all(map(_is_record, given)):
+    if given and isinstance(data, (list, tuple)) and all(map(_is_record, given)):
         raws = [table_of_document(NAME, given, "records")]
     else:
         parts = [part for part in given if _has_columns(part)]

@@ -134,6 +134,8 @@ def _length(file: str, vectors: Mapping[str, AnyArray], config: DataConfig) -> i
     for name in (split_unit(config.time or "")[0], *TIME_NAMES):
         if name in plain and plain[name].ndim == 1:
             return len(plain[name])
+    if not vectors:
+        raise DataError(f"{file} holds single values only; one array for each column is expected")
     lengths = {max(array.shape) if array.ndim == 2 else len(array) for array in vectors.values()}
     if len(lengths) != 1 or any(array.ndim > 2 for array in vectors.values()):
         shapes = sorted({array.shape for array in vectors.values()})

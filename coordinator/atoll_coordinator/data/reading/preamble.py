@@ -73,15 +73,18 @@ def find_preamble(rows: Sequence[Record]) -> Preamble | None:
 
 
 def _begins(rows: Sequence[Record]) -> bool:
-    """Tell whether rows of numbers begin here: all of one width, with a column of numbers or dates alone."""
+    """Tell whether rows of numbers begin here: all of one width, with columns of numbers or dates alone.
+
+    A setting such as ``Rate, 100`` fills one of them only.
+    """
     alike = [cells for _, cells in rows[:_ALIKE]]
     width = len(alike[0])
     if width < 2 or any(len(cells) != width for cells in alike) or not any(map(is_datum, alike[0])):
         return False
     columns = [[cell for cell in column if not is_missing(cell)] for column in zip(*alike, strict=True)]
-    return any(
-        column and all(map(is_datum, column)) and is_datum(alike[0][place]) for place, column in enumerate(columns)
-    )
+    numbers = [place for place, column in enumerate(columns) if column and all(map(is_datum, column))]
+    filled = sum(is_datum(alike[0][place]) for place in numbers)
+    return bool(numbers) and 2 * filled >= len(numbers)
 
 
 def _is_data(cells: Sequence[str], below: Sequence[str]) -> bool:

@@ -43,8 +43,7 @@ LINES = {
     "one column that ascends": "x\n" + "".join(f"{row}.5\n" for row in range(12)),
     "a time of another name": "clock,x\n" + "".join(f"{row},{row * row}\n" for row in range(12)),
     "a few missing values": "t,x\n" + "".join(f"{row},{row * row if row % 5 else ''}\n" for row in range(12)),
-    "a state with two values": "t,x,y\n"
-    + "".join(f"{row},{row * row},{row if row < 2 else ''}\n" for row in range(12)),
+    "a state with two values": "t,x,y\n" + "".join(f"{row},{row**2},{row if row < 2 else ''}\n" for row in range(12)),
     "a constant state": "t,x,y\n" + "".join(f"{row},{row * row},3\n" for row in range(12)),
 }
 OPTION = re.compile(r"(--time|--states|--missing|--step|--inputs)( \(perhaps (\S+)\)| ([\w.,]*\w))?")
@@ -72,7 +71,7 @@ def test_what_no_option_helps_with_says_so(tmp_path):
     for text, advice in (
         (
             "t,k\n" + "".join(f"{row},3\n" for row in range(12)),
-            "is constant (3 in every row); add a column that varies",
+            "(3 in every row); add a column that varies",
         ),
         ("t\n" + "".join(f"{row}\n" for row in range(12)), "to be a state besides 't'; add one for each state"),
         ("t,x\n" + "".join(f"{row},{row if row < 2 else ''}\n" for row in range(12)), "'x' has 2 values in 12 rows"),
