@@ -1,7 +1,7 @@
 """Excel workbooks -> `RawTable`, by openpyxl, an extra: ``pip install 'atoll[xlsx]'``.
 
-The sheet is read that is named, else the first that holds a table, from its first row that is not empty. Rows above it
-whose first cell alone is filled are notes.
+The sheet is read that is named, else the first that holds a table, else the one with the most numbers. Rows above the
+header whose first cell alone is filled are notes.
 """
 
 import warnings
@@ -35,7 +35,8 @@ def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
     if not tables:
         what = path.name if sheet is None else f"sheet '{sheet}' of {path.name}"
         raise DataError(f"{what} is empty; a header line and rows of numbers are expected")
-    title = next((title for title, raw in tables.items() if _is_table(raw)), next(iter(tables)))
+    title = next((title for title, raw in tables.items() if _is_table(raw)), None)
+    title = title or max(tables, key=lambda title: _numbers(tables[title]))
     others = [other for other, records in sheets.items() if other != title and records]
     left_out = (f"other sheets left out: {', '.join(others)}",) if others else ()
     return replace(tables[title], remarks=(f"Excel, sheet '{title}'", *tables[title].remarks), left_out=left_out)
@@ -93,6 +94,11 @@ def _is_table(raw: RawTable) -> bool:
     filled = [[cell for cell in column if not is_missing(cell)] for column in raw.columns]
     columns = [cells for cells in filled if cells and all(is_numeral(cell) or is_date(cell) for cell in cells)]
     return len(raw.lines) >= SETTINGS.checks.min_rows and len(columns) > 1
+
+
+def _numbers(raw: RawTable) -> int:
+    """Return how many numbers a sheet holds."""
+    return sum(is_numeral(cell) for column in raw.columns for cell in column)
 
 
 def _records(sheet: Any) -> Iterator[Record]:
