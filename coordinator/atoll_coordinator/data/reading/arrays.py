@@ -102,7 +102,9 @@ def table_of_arrays(
             column_units.append((units or {}).get(name, unit))
     _check_left_out(file, {name: given[name] for name in left_out}, headers, count, config)
     others = (f"left out: {', '.join(left_out)}",) if left_out else ()
-    return replace(with_breaks(headers, columns, remarks, column_units), left_out=others)
+    numeric = [name for name, array in vectors.items() if array.dtype.kind in "biufm"]
+    names = {split_unit(header)[0] for header in headers if header.rstrip("0123456789") in numeric or header in numeric}
+    return replace(with_breaks(headers, columns, remarks, column_units), left_out=others, numeric=frozenset(names))
 
 
 def _squeezed(array: AnyArray) -> AnyArray:

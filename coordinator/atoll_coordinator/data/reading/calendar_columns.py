@@ -53,7 +53,7 @@ _QUARTER: Final = re.compile(r"(?P<year>1\d{3}|2[01]\d\d)[ -]?Q(?P<n>[1-4])|Q(?P
 
 def year_of(cells: Sequence[str]) -> bool:
     """Tell whether all cells are years."""
-    return bool(cells) and all(_YEAR.fullmatch(cell.strip()) for cell in cells)
+    return bool(cells) and all(_YEAR.fullmatch(cell.strip().removesuffix(".0")) for cell in cells)
 
 
 def with_calendar(raw: RawTable, config: DataConfig) -> RawTable:
@@ -101,6 +101,7 @@ def _replaced(
         columns=[cells, *(raw.columns[place] for place in kept)],
         units=("", *(raw.units[place] for place in kept)) if raw.units else (),
         remarks=(*raw.remarks, f"the time told by {told}"),
+        numeric=raw.numeric | {config.time or TIME},
     )
 
 

@@ -162,4 +162,5 @@ def _of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
         starts=sorted(set(starts)),
         units=(),
         remarks=(*raw.remarks, f"a row for each month, whose values are called '{VALUE}'"),
+        numeric=raw.numeric | {TIME},
     )

@@ -267,3 +267,18 @@ def test_texts_of_an_array_are_numbers_as_in_files() -> None:
     assert numbers_of([["0,5", "1.234,5"], ["1,5", "2"]], "x").tolist() == [[0.5, 1234.5], [1.5, 2.0]]
     with pytest.raises(DataError, match="column '2' of x holds 'two' in row 2 where a number is expected"):
         numbers_of([["0,5", "1"], ["1,5", "two"]], "x")
+
+
+def test_numbers_that_are_no_text_do_not_tell_how_texts_are_written() -> None:
+    """Points of numbers in other columns made 6,773 a number of thousands."""
+    rows = {"t": [0.5, 1.5, 2.5], "x": ["6,773", "0,6", "7,25"]}
+    for data in (
+        rows,
+        polars.DataFrame(rows),
+        [dict(zip(rows, row, strict=True)) for row in zip(*rows.values(), strict=True)],
+    ):
+        assert table_of(data, DataConfig()).column("x").tolist() == [6.773, 0.6, 7.25]
+    with pytest.raises(DataError, match=r"holds '6,773', which may be 6773 or 6\.773"):
+        table_of({"t": [0.5, 1.5], "x": ["6,773", "7,125"]}, DataConfig())
+    quarters = {"year": [2020, 2020], "quarter": [1, 2], "x": ["6,773", "0,6"]}
+    assert table_of(quarters, DataConfig()).column("x").tolist() == [6.773, 0.6]
