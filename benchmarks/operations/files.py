@@ -247,8 +247,8 @@ def _lost(case: Case, table: Table) -> list[str]:
     """Return names of what is neither in the table nor named."""
     said = f"{table.read_as}; {', '.join(table.skipped)}"
     others = [name for name in case.others if name not in table.names and name not in said]
-    if case.is_damaged:  # a damaged header may give a column another name
-        return [name for name in others if not name.startswith("column ")]
+    if case.is_damaged:  # without its header a column has another name
+        return [name for name in others if not name.startswith("column ") and name != "unused"]
     held = [column[np.isfinite(column)] for column in table.columns]
     values = [*case.values.items()][:1] if "months" in case.how else [*case.values.items()]
     lost = [

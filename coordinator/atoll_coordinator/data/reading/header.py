@@ -77,10 +77,17 @@ def take_header(records: Iterable[Record]) -> tuple[Header, Iterator[Record]]:
 
 
 def _is_data(top: Sequence[str], following: Sequence[Sequence[str]]) -> bool:
-    """Tell whether the first row is one of data: numbers and dates alone, as those in the row below it."""
+    """Tell whether the first row is one of data: numbers and dates, in the first cell as well, as in the row below it.
+
+    Text may stand in the same cells of both, beside two numbers or dates at least.
+    """
     below = next((cells for cells in following if any(map(str.strip, cells))), top)
-    is_like = len(below) == len(top) and all(is_missing(cell) or is_datum(cell) for cell in (*top, *below))
-    return is_like and any(map(is_numeral, top))
+    if len(below) != len(top) or not any(map(is_numeral, top)):
+        return False
+    if all(is_missing(cell) or is_datum(cell) for cell in (*top, *below)):
+        return True
+    kinds = [[(is_datum(cell), is_missing(cell)) for cell in cells] for cells in (top, below)]
+    return kinds[0] == kinds[1] and is_datum(top[0]) and sum(map(is_datum, top)) > 1
 
 
 def named_by_place(raw: RawTable) -> RawTable:

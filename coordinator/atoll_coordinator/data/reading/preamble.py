@@ -123,7 +123,7 @@ def _header_of(rows: Sequence[Record], block: Sequence[int]) -> int | None:
     for known in (frozenset(TIME_NAMES), _TIMES):
         named = [place for place in wide if any(_plain(cell) in known for cell in rows[place][1])]
         if len(named) == 1:
-            return named[0] if _filled(rows[named[0]][1]) == most else None
+            return named[0] if _filled(rows[named[0]][1]) >= min(most, 2) else None
     return wide[0] if wide and wide[0] > 0 else None
 
 
