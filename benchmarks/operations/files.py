@@ -248,7 +248,8 @@ def _lost(case: Case, table: Table) -> list[str]:
     said = f"{table.read_as}; {', '.join(table.skipped)}"
     others = [name for name in case.others if name not in table.names and name not in said]
     if case.is_damaged:  # without its header a column has another name
-        return [name for name in others if not name.startswith("column ") and name != "unused"]
+        is_headed = "no header" not in said
+        return [name for name in others if is_headed and not name.startswith("column ") and name != "unused"]
     held = [column[np.isfinite(column)] for column in table.columns]
     values = [*case.values.items()][:1] if "months" in case.how else [*case.values.items()]
     lost = [
