@@ -87,6 +87,7 @@ CASES ?= 10000
 soak: $(STAMP) kernels
 	@$(BIN)/python -m tests.simulation.soak --schedules $(SCHEDULES)
 	@$(BIN)/python -m tests.simulation.every_method
+	@$(BIN)/python -m benchmarks.operations.files --cases 5000
 	@$(BIN)/python -m benchmarks.operations.pipelines --cases $(CASES) --out build/pipelines.jsonl
 
 bench: $(STAMP)

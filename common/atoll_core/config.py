@@ -74,6 +74,9 @@ class DataConfig(Frozen):
     """How the columns of the table are to be read. Names are column names as in the header, without units."""
 
     time: str | None = Field(default=None, description="time column; `t` or `time` unless named")
+    step: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = Field(
+        default=None, description="time between rows of a table without a time column"
+    )
     states: tuple[str, ...] | None = Field(
         default=None, description="state columns; all other numeric columns unless named"
     )

@@ -41,7 +41,8 @@ class Table:
     one 0. For messages: `files` are the names of the files, `file_of_row` (N,) indices into them, `line_of_row` (N,)
     line numbers from 1, or 0 where a file has no lines. `skipped` are columns that hold text. `read_as` says how
     the files were read, "" where that is not known. `labels` are the texts that the numbers of a column of groups stand
-    for, from 1. `origins` belong to columns that hold dates or clock times in the files.
+    for, from 1. `origins` belong to columns that hold dates or clock times in the files. `left_out` says what else of
+    the files is no part of the table, in phrases such as ``other sheets left out: notes``.
     """
 
     names: tuple[str, ...]
@@ -55,6 +56,7 @@ class Table:
     read_as: str = ""
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     origins: Mapping[str, Origin] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the parts fit together; raises DataError."""
@@ -119,6 +121,8 @@ class Table:
         header["read_as"] = self.read_as
         if self.labels:
             header["labels"] = {name: list(texts) for name, texts in self.labels.items()}
+        if self.left_out:
+            header["left_out"] = list(self.left_out)
         if self.origins:
             header["origins"] = {name: list(origin) for name, origin in self.origins.items()}
         arrays = {"columns": self.columns, "file_of_row": self.file_of_row, "line_of_row": self.line_of_row}
@@ -141,6 +145,7 @@ class Table:
                 _texts([header.get("read_as", "")])[0],
                 {name: _texts(texts) for name, texts in _items(header.get("labels", {}), dict).items()},
                 {name: _origin(*origin) for name, origin in _items(header.get("origins", {}), dict).items()},
+                _texts(header.get("left_out", [])),
             )
         except (*BROKEN, DataError) as error:
             raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error

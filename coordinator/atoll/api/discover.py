@@ -32,9 +32,13 @@ _INSTEAD: Final = {"report": "write the page of the model that comes back with m
 class Job:
     """A job that was submitted. Every call opens a connection of its own and closes it: nothing of it stays behind."""
 
-    def __init__(self, id: str, address: str | Whereabouts) -> None:
-        """`id` of a job of the coordinator at `address`; `is_interrupted`: a Ctrl-C ended it."""
+    def __init__(self, id: str, address: str | Whereabouts, read_as: str = "") -> None:
+        """`id` of a job of the coordinator at `address`; `is_interrupted`: a Ctrl-C ended it.
+
+        `read_as` says how its data were read, "" where that is not known.
+        """
         self.id = id
+        self.read_as = read_as
         self.is_interrupted = False
         self._address = address
 
@@ -57,6 +61,8 @@ class Job:
                 check_service(str(self._address))
                 return ()
 
+            if self.read_as:
+                display.print_note(f"read as {self.read_as}")
             try:
                 Follower(client, self.id, display, check).follow()
             except KeyboardInterrupt:
@@ -99,7 +105,8 @@ def discover(
     """Find the equations behind `data` and return them as a model.
 
     Args:
-        data: a file, a frame of pandas or polars, arrays by column name, or a list of these, one for each trajectory.
+        data: a file, a frame of pandas or polars, arrays by column name, or a list of these, one for each trajectory;
+            or a list of records. All are read by the rules for files: decimal commas, dates, long tables.
         connect: the coordinator, such as ``tcp/host:7447``; None: one on this machine, started at the first call.
         tls: files by ``ca``, ``cert`` and ``key``, for an address ``tls/…``.
         workers: processes on this machine; None: one for each core.
@@ -143,7 +150,7 @@ def submit(
         check_sheet(files_of(data), config.data.sheet)
         table = table_of(data, config.data)
         address = _address(connect, tls, workers)
-    job = Job(f"py-{uuid.uuid4().hex[:12]}", address)
+    job = Job(f"py-{uuid.uuid4().hex[:12]}", address, table.read_as)
     with python_words(), connected(address, CONNECT_LIMIT_S) as client:
         try:
             client.hand_in(job.id, table.files[0] if table.files else NAME, config, table.to_bytes(), priority)

@@ -229,8 +229,6 @@ def _matching_parts(given: npt.ArrayLike, count: int, what: str) -> list[npt.Arr
 
 def _rows(part: npt.ArrayLike) -> FloatArray:
     rows = numbers_of(part, "an array")
-    if rows is None:
-        raise DataError("an array holds text; numbers are expected")
     rows = rows[:, np.newaxis] if rows.ndim == 1 else rows
     if rows.ndim != 2:
         raise DataError(f"an array has the shape {rows.shape}; rows by columns are expected")

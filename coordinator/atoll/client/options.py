@@ -240,6 +240,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option("only", "data.only", names, "x", "search these equations only; the other states stay usable"),
         Option("offsets", "data.offsets", names, "x", "states measured up to an offset, fitted for each trajectory"),
+        Option("step", "data.step", number, "0.1", "time between rows, where no column has it"),
         Option("sheet", "data.sheet", text, "NAME", "sheet of an Excel workbook (default: the first with a table)"),
         Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
         Option(

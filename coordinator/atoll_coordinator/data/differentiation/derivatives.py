@@ -20,7 +20,7 @@ from atoll_coordinator.data.differentiation.interpolation import (
 )
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
-from atoll_coordinator.data.differentiation.noise import estimate_noise, estimate_value_noise
+from atoll_coordinator.data.differentiation.noise import are_moving, estimate_noise, estimate_value_noise
 from atoll_coordinator.data.differentiation.quantisation import find_quantisation, is_refuted
 from atoll_coordinator.data.differentiation.robust import fit_robustly, has_heavy_tails, weigh_by
 from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, select_smoother, smooth
@@ -178,10 +178,13 @@ def _estimate(
     is_weighted = any(signal.inverse_variances is not None for signal in signals)
     if not options.paper and not is_weighted and not (options.robust and is_tailed):
         errors, gains = predict_left_out([signal.measured for signal in searched])
-        noise, deviation = max(estimate_value_noise(errors, gains), least), _standard_deviation(searched)
+        moving = are_moving([signal.measured.values for signal in searched])
+        moving = moving if moving.sum() >= SETTINGS.checks.min_rows else np.ones_like(moving)
+        noise = max(estimate_value_noise(errors[moving], gains[moving]), least)
+        deviation = _standard_deviation(searched)
         largest, shares = SETTINGS.interpolation.largest_noise * deviation, SETTINGS.interpolation.judged_shares
         if noise > largest:
-            noise = max(estimate_value_noise(errors, gains, is_quiet=True), least)
+            noise = max(estimate_value_noise(errors[moving], gains[moving], is_quiet=True), least)
             shares = (*shares, SETTINGS.interpolation.quiet_share)
         if noise <= largest and is_interpolation_better(searched, errors, smoothed, shares):
             return _interpolate(signals, options.order, noise, deviation)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, smooth
 from atoll_coordinator.settings import SETTINGS
@@ -38,6 +39,24 @@ def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
                 squares += inverse_variance * residual * residual
                 degrees_of_freedom += free
     return math.sqrt(squares / max(degrees_of_freedom, 1.0))
+
+
+def are_moving(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
+    """Return which rows (R,) of trajectories are none of three or more with one value, NaN passed over.
+
+    Such rows, as of a sensor that ends at 0, are predicted without an error, and say nothing of the noise.
+    """
+    moving = []
+    for values in parts:
+        known = np.flatnonzero(np.isfinite(values))
+        same = np.diff(values[known]) == 0.0
+        in_three = np.zeros(len(known), dtype=bool)
+        for first in np.flatnonzero(same[1:] & same[:-1]).tolist():
+            in_three[first : first + 3] = True
+        flags = np.ones(len(values), dtype=bool)
+        flags[known[in_three]] = False
+        moving.append(flags)
+    return np.concatenate(moving)
 
 
 def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: bool = False) -> float:

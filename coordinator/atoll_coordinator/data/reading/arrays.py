@@ -4,13 +4,17 @@ Letters: N rows, K columns of one array.
 """
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.data.reading.cells import cell_of
+from atoll_coordinator.data.reading.header import named_by_place
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
+from atoll_coordinator.data.roles.column_options import named_columns, split_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray
@@ -34,7 +38,7 @@ def read_npz(path: Path, config: DataConfig) -> RawTable:
 
 
 def read_npy(path: Path, config: DataConfig) -> RawTable:
-    """Read an array of NumPy whose columns have names, a structured one; raises DataError."""
+    """Read an array of NumPy: a structured one, or the columns of a matrix without names; raises DataError."""
     try:
         array = np.load(path, allow_pickle=False)
     except OSError:
@@ -44,9 +48,16 @@ def read_npy(path: Path, config: DataConfig) -> RawTable:
     if not isinstance(array, np.ndarray):  # an archive with another ending
         raise DataError(f"{path.name} holds several arrays; give it the ending .npz")
     if array.dtype.names is None:
-        advice = "save them by name with numpy.savez, or as CSV"
-        raise DataError(f"{path.name} is a NumPy array without names of columns; {advice}")
+        return table_of_matrix(path.name, array, config, ("NumPy array",))
     return table_of_arrays(path.name, fields_of("", array), config, ("NumPy array",))
+
+
+def table_of_matrix(file: str, array: AnyArray, config: DataConfig, remarks: tuple[str, ...]) -> RawTable:
+    """Return the columns (N,) of a matrix (N, K), or of a vector (N,), which have no names; raises DataError."""
+    if array.ndim not in (1, 2) or not array.size:
+        raise DataError(f"{file} holds an array of the shape {array.shape}; rows by columns of numbers are expected")
+    columns = {str(place): column for place, column in enumerate(np.atleast_2d(array.T))}
+    return named_by_place(table_of_arrays(file, columns, config, remarks))
 
 
 def fields_of(name: str, array: AnyArray) -> dict[str, AnyArray]:
@@ -70,9 +81,10 @@ def table_of_arrays(
     """Return the columns of arrays of one length: vectors (N,), and those of matrices (N, K), counted from `first`.
 
     Where there is a time, its length is N, and arrays of another length are left out. Single numbers always are. Raises
-    DataError where the arrays do not fit together.
+    DataError where the arrays do not fit together, or one that options name is left out.
     """
-    vectors = {name: squeezed for name, array in arrays.items() if (squeezed := np.squeeze(np.asarray(array))).ndim}
+    given = {name: np.asarray(array) for name, array in arrays.items()}
+    vectors = {name: part for name, array in given.items() if (part := _squeezed(array)).ndim}
     count = _length(file, vectors, config)
     headers: list[str] = []
     columns: list[list[str]] = []
@@ -88,15 +100,44 @@ def table_of_arrays(
             headers.append(name if len(parts) == 1 else f"{name}{number + first}")
             columns.append(cells)
             column_units.append((units or {}).get(name, unit))
+    _check_left_out(file, {name: given[name] for name in left_out}, headers, count, config)
     others = (f"left out: {', '.join(left_out)}",) if left_out else ()
-    return with_breaks(headers, columns, (*remarks, *others), column_units)
+    numeric = [name for name, array in vectors.items() if array.dtype.kind in "biufm"]
+    names = {split_unit(header)[0] for header in headers if header.rstrip("0123456789") in numeric or header in numeric}
+    return replace(with_breaks(headers, columns, remarks, column_units), left_out=others, numeric=frozenset(names))
+
+
+def _squeezed(array: AnyArray) -> AnyArray:
+    """Return an array without axes of length 1, but for that of a single row."""
+    return array if array.ndim == 1 else np.squeeze(array)
+
+
+def _check_left_out(
+    file: str, left_out: Mapping[str, AnyArray], headers: Sequence[str], count: int, config: DataConfig
+) -> None:
+    """Raise DataError where options name an array that does not fit, or nothing is left beside the time."""
+    named = named_columns(config)
+    shapes = {name: array.shape for name, array in left_out.items() if array.ndim and array.size}
+    missed = next((name for name in shapes if split_unit(name)[0] in named), None)
+    is_nothing_left = all(split_unit(header)[0] in (config.time, *TIME_NAMES) for header in headers)
+    if missed is None and shapes and is_nothing_left:
+        missed = next(iter(shapes))
+    if missed is not None:
+        shape = "x".join(map(str, shapes[missed]))
+        rows = f"{count} row{'' if count == 1 else 's'}"
+        raise DataError(
+            f"'{missed}' of {file} has {shape} values, but the time has {rows}; give one value for each row"
+        )
 
 
 def _length(file: str, vectors: Mapping[str, AnyArray], config: DataConfig) -> int:
     """Return the number of rows."""
-    for name in (config.time or "", *TIME_NAMES):
-        if name in vectors and vectors[name].ndim == 1:
-            return len(vectors[name])
+    plain = {split_unit(name)[0]: array for name, array in vectors.items()}
+    for name in (split_unit(config.time or "")[0], *TIME_NAMES):
+        if name in plain and plain[name].ndim == 1:
+            return len(plain[name])
+    if not vectors:
+        raise DataError(f"{file} holds single values only; one array for each column is expected")
     lengths = {max(array.shape) if array.ndim == 2 else len(array) for array in vectors.values()}
     if len(lengths) != 1 or any(array.ndim > 2 for array in vectors.values()):
         shapes = sorted({array.shape for array in vectors.values()})
@@ -114,9 +155,12 @@ def _cells(file: str, name: str, values: AnyArray) -> tuple[list[str], str]:
         return ["" if text == "NaT" else text for text in np.datetime_as_string(values).tolist()], ""
     if values.dtype.kind == "b":
         return _texts(values.astype(np.float64)), ""
-    if values.dtype.kind == "S":
-        return [text.decode("utf-8", "replace") for text in values.tolist()], ""
-    return _texts(values), ""
+    if values.dtype.kind == "f":
+        return _texts(values), ""
+    cells = values.tolist()
+    if any(isinstance(cell, complex) for cell in cells):
+        raise DataError(f"array '{name}' of {file} holds complex numbers; real ones are expected")
+    return [*map(cell_of, cells)], ""
 
 
 def _texts(values: AnyArray) -> list[str]:

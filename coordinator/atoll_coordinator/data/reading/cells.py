@@ -1,5 +1,7 @@
 """One cell of a file: whether it is missing, a number, or text. Pure."""
 
+import datetime
+import fractions
 import math
 import re
 import textwrap
@@ -55,10 +57,23 @@ def is_text(cells: Sequence[str]) -> bool:
 
 
 def cell_of(value: object) -> str:
-    """Return a value that a format holds as a cell: nothing for None, 1 and 0 for what is true and false."""
-    if value is None:
+    """Return a value that a format or a program holds as a cell: nothing for None and what is no date, 1 and 0 for what
+    is true and false, dates with a time zone in UTC.
+    """
+    if value is None or value != value:  # NaN, and NaT of pandas
         return ""
-    return str(int(value)) if isinstance(value, bool) else str(value)
+    match value:
+        case bool():
+            return str(int(value))
+        case bytes():
+            return value.decode("utf-8", "replace")
+        case datetime.datetime() if value.tzinfo is not None:
+            return f"{value.astimezone(datetime.UTC).replace(tzinfo=None).isoformat()}Z"
+        case datetime.datetime():
+            return value.isoformat()
+        case fractions.Fraction():
+            return str(float(value))
+    return str(value)
 
 
 def shortened(text: str, most: int) -> str:

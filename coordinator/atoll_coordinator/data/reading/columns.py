@@ -7,12 +7,14 @@ from typing import Final, cast
 
 import numpy as np
 
+from atoll_coordinator.data.reading.calendar_columns import with_calendar
 from atoll_coordinator.data.reading.cells import is_missing, is_text, on_one_line, shortened, visible
 from atoll_coordinator.data.reading.date_columns import STAMPS, compact_dates, read_date_columns, time_stamps
 from atoll_coordinator.data.reading.dates import Dates, is_date, split_origin
 from atoll_coordinator.data.reading.long_tables import widened
 from atoll_coordinator.data.reading.numerals import place, read_numbers
 from atoll_coordinator.data.reading.raw_table import RawTable
+from atoll_coordinator.data.reading.times_as_columns import turned
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.roles import assigned
 from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
@@ -28,7 +30,8 @@ TIME: Final = "time"
 class Columns:
     """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read.
 
-    `labels` are the texts that the numbers of a column of trajectories or groups stand for, from 1.
+    `labels` are the texts that the numbers of a column of trajectories or groups stand for, from 1; `left_out` says
+    what else of the file is no part of these columns.
     """
 
     file: str
@@ -39,6 +42,7 @@ class Columns:
     skipped: tuple[str, ...]
     remarks: tuple[str, ...]
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
 
 def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
@@ -48,9 +52,9 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     hold names, which are numbered. Dates are read as `read_date_columns` says. A column without a name (such as a
     table's row numbers) is set aside, by its place.
     """
-    raw = widened(file, _with_index(raw), config)
-    written, cells = _headed(file, raw)
-    counted = {name: split_origin(unit) for name, unit in written.items()}
+    raw = widened(file, with_calendar(turned(file, _with_index(raw), config), config), config)
+    stated, cells = _headed(file, raw)
+    counted = {name: split_origin(unit) for name, unit in stated.items()}
     units = {name: unit for name, (unit, _) in counted.items()}
     since = tuple(f"{name}: in {unit} since {origin}" for name, (unit, origin) in counted.items() if origin)
     names = [*cells]
@@ -75,7 +79,9 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     called = {name: dates.renamed.get(name, name) for name in names if name in kept}
     if texts and not assigned([*called.values()], config, trajectory).equations:
         raise _nothing_left(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
-    numbers, remarks = read_numbers(file, plain, raw.lines, raw.separator)
+    written = {name: column for name, column in plain.items() if name not in raw.numeric}
+    numbers, remarks = read_numbers(file, written, raw.lines, raw.separator)
+    numbers |= read_numbers(file, {name: plain[name] for name in plain if name not in written}, raw.lines, ".")[0]
     read = cast(dict[str, FloatArray | Dates], {**runs, **read_dates, **numbers})
     skipped = (*_unnamed(raw), *(name for name in texts if name not in read and name != dates.absorbed))
     renamed = (f"column '{old}' is the {new}" for old, new in dates.renamed.items())
@@ -87,8 +93,9 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
         raw.lines,
         raw.starts,
         skipped,
-        (*raw.remarks, *remarks, *renamed, *since, *left_out),
+        (*raw.remarks, *remarks, *renamed, *since, *raw.left_out, *left_out),
         labels,
+        raw.left_out,
     )
 
 

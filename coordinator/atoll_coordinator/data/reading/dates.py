@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.data.reading.cells import is_missing, on_one_line
+from atoll_coordinator.data.reading.cells import is_missing, is_numeral, number, on_one_line
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import MIDNIGHT, Origin
 from atoll_core.errors import DataError
@@ -85,6 +85,20 @@ def split_origin(unit: str) -> tuple[str, str]:
 def is_date(cell: str) -> bool:
     """Tell whether `cell` has the form of a date or a clock time."""
     return _form(on_one_line(cell)) is not None
+
+
+def is_datum(cell: str) -> bool:
+    """Tell whether `cell` holds a number, a date or a clock time."""
+    return is_numeral(cell) or is_date(cell)
+
+
+def ascends(cells: Sequence[str], starts: Sequence[int]) -> bool:
+    """Tell whether cells hold dates, or numbers that only grow from one of `starts` to the next, as times do."""
+    if is_date(cells[0]):
+        return True
+    numbers = [number(cell.replace(",", ".")) for cell in cells]
+    pairs = [pair for place, pair in enumerate(pairwise(numbers), start=1) if place not in starts]
+    return bool(pairs) and all(one is not None and other is not None and one < other for one, other in pairs)
 
 
 def is_clock(cell: str) -> bool:

@@ -26,10 +26,12 @@ def without_empty(table: Table, config: DataConfig) -> Table:
     if not empty or not assigned(left, config, trajectory).equations:
         return table
     kept = [table.names.index(name) for name in left]
+    phrase = f"empty columns left out: {', '.join(empty)}"
     return replace(
         table,
         names=tuple(left),
         units=tuple(table.units[place] for place in kept),
         columns=np.ascontiguousarray(table.columns[kept]),
-        read_as="; ".join(filter(None, (table.read_as, f"empty columns left out: {', '.join(empty)}"))),
+        read_as="; ".join(filter(None, (table.read_as, phrase))),
+        left_out=(*table.left_out, phrase),
     )

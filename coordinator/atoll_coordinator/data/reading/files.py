@@ -16,6 +16,7 @@ from atoll_coordinator.data.reading.arrays import read_npy, read_npz
 from atoll_coordinator.data.reading.columns import Columns, columns_of
 from atoll_coordinator.data.reading.dates import Dates, origin_of, times_of
 from atoll_coordinator.data.reading.empty_columns import without_empty
+from atoll_coordinator.data.reading.even_times import with_times
 from atoll_coordinator.data.reading.hdf5 import read_hdf5
 from atoll_coordinator.data.reading.layout import read_text
 from atoll_coordinator.data.reading.matlab import read_matlab
@@ -44,10 +45,17 @@ def read_table(paths: Sequence[Path], config: DataConfig, time_units: Mapping[st
     """
     if not paths:
         raise DataError("no data file was given; name at least one, such as a CSV file")
-    files = [_read_file(path, config) for path in paths]
-    group = strip_units(config, files[0].values).group
-    table = joined(files, {**config.units, **(time_units or {})}, group)
-    return without_empty(table, config)
+    return table_of_parts([_read_file(path, config) for path in paths], config, time_units)
+
+
+def table_of_parts(parts: Sequence[Columns], config: DataConfig, time_units: Mapping[str, str] | None = None) -> Table:
+    """Return what was read of files, or of what a program holds, as one table; raises DataError.
+
+    `time_units` are as of `read_table`.
+    """
+    group = strip_units(config, parts[0].values).group
+    table = joined(parts, {**config.units, **(time_units or {})}, group)
+    return with_times(without_empty(table, config), config)
 
 
 def _read_file(path: Path, config: DataConfig) -> Columns:
@@ -121,6 +129,7 @@ def joined(files: Sequence[Columns], time_units: Mapping[str, str], group: str |
         "; ".join([_read_as(files), *remarks]),
         labels,
         origins,
+        tuple(dict.fromkeys(phrase for file in files for phrase in file.left_out)),
     )
 
 

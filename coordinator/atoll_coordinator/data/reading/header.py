@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice
 
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
-from atoll_coordinator.data.reading.dates import is_date
+from atoll_coordinator.data.reading.dates import ascends, is_date, is_datum
 from atoll_coordinator.data.reading.raw_table import RawTable, is_units_row, plain_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_coordinator.data.roles.unit_texts import are_units
@@ -20,17 +20,23 @@ Record = tuple[int, list[str]]
 
 @dataclass(frozen=True)
 class Header:
-    """The header of a table in line `line`: its `names`, and above each of them the name of its group, if any."""
+    """The header of a table in line `line`: its `names`, and above each of them the name of its group, if any.
+
+    A table without a header `is_made` one.
+    """
 
     line: int
     names: list[str]
     groups: tuple[str, ...] = ()
+    is_made: bool = False
 
     def applied(self, raw: RawTable) -> RawTable:
         """Return a table with this header; names that several groups have carry that of their group.
 
         Where the columns of one name are equal, as times of several objects are, they are one column.
         """
+        if self.is_made:
+            return named_by_place(raw)
         if not self.groups or len(raw.headers) != len(self.groups):
             return raw
         counts = Counter(name for name in raw.headers if name)
@@ -57,7 +63,9 @@ def take_header(records: Iterable[Record]) -> tuple[Header, Iterator[Record]]:
     rows = iter(records)
     line, top = next(((line, cells) for line, cells in rows if any(map(str.strip, cells))), (0, [""]))
     following = [*islice(rows, 3)]
-    if not following or not _are_groups(top, following[0][1], [cells for _, cells in following[1:]]):
+    if _is_data(top, [cells for _, cells in following]):
+        return Header(line, [""] * len(top), is_made=True), chain([(line, top)], following, rows)
+    if not following or not are_groups(top, following[0][1], [cells for _, cells in following[1:]]):
         return Header(line, top), chain(following, rows)
     (line, names), *below = following
     if below and not names[0].strip() and _names_index(below[0][1]):  # as pandas writes two levels of columns
@@ -68,7 +76,29 @@ def take_header(records: Iterable[Record]) -> tuple[Header, Iterator[Record]]:
     return Header(line, names, tuple(groups)), chain(below, rows)
 
 
-def _are_groups(top: Sequence[str], names: Sequence[str], below: Sequence[Sequence[str]]) -> bool:
+def _is_data(top: Sequence[str], following: Sequence[Sequence[str]]) -> bool:
+    """Tell whether the first row is one of data: numbers and dates, in the first cell as well, as in the row below it.
+
+    Text may stand in the same cells of both, beside two numbers or dates at least.
+    """
+    below = next((cells for cells in following if any(map(str.strip, cells))), top)
+    if len(below) != len(top) or not any(map(is_numeral, top)):
+        return False
+    if all(is_missing(cell) or is_datum(cell) for cell in (*top, *below)):
+        return True
+    kinds = [[(is_datum(cell), is_missing(cell)) for cell in cells] for cells in (top, below)]
+    return kinds[0] == kinds[1] and is_datum(top[0]) and sum(map(is_datum, top)) > 1
+
+
+def named_by_place(raw: RawTable) -> RawTable:
+    """Return a table without a header with names: t for the first column where it ascends, x1, x2, … for others."""
+    has_time = len(raw.headers) > 1 and ascends(raw.columns[0], raw.starts)
+    count = len(raw.headers) - has_time
+    names = (*(("t",) if has_time else ()), *(("x",) if count == 1 else [f"x{place + 1}" for place in range(count)]))
+    return replace(raw, headers=names, remarks=(*raw.remarks, f"no header: columns are called {', '.join(names)}"))
+
+
+def are_groups(top: Sequence[str], names: Sequence[str], below: Sequence[Sequence[str]]) -> bool:
     """Tell whether `top` holds names of groups of the columns that `names` names; `below` are a row or two of data.
 
     The names of a header are complete and differ; those of groups leave out cells that the row below them fills, above

@@ -10,12 +10,14 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Final, NamedTuple
 
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line, shortened
-from atoll_coordinator.data.reading.dates import is_date
+from atoll_coordinator.data.reading.dates import is_datum
 from atoll_coordinator.data.reading.encodings import decode
 from atoll_coordinator.data.reading.header import take_header
+from atoll_coordinator.data.reading.preamble import SAMPLED, Preamble, find_preamble
 from atoll_coordinator.data.reading.raw_table import RawTable, is_units_row, plain_unit, table_of_records
 from atoll_core.errors import DataError
 
@@ -34,11 +36,15 @@ _Line = tuple[int, str]
 
 
 class _Beginning(NamedTuple):
-    """What stands before the first row, a separator that the file names and comments, and the `first` line."""
+    """What stands before the first row, a separator that the file names and comments, and the `first` line.
+
+    Where something else stands above the header, `preamble` says what, and `first` is the header.
+    """
 
     separator: str | None
     comments: tuple[str, ...]
     first: _Line
+    preamble: Preamble | None = None
 
 
 def read_text(name: str, data: bytes) -> RawTable:
@@ -46,7 +52,7 @@ def read_text(name: str, data: bytes) -> RawTable:
     text, encoding = decode(name, data)
     if not text.strip():
         raise DataError(f"{name} is empty; a header line and rows of numbers are expected")
-    beginning = _beginning(name, text)
+    beginning = _without_preamble(text, _beginning(name, text))
     number, first = beginning.first
     if _JSON.match(first):
         raise DataError(f"{name} holds JSON or JSON lines; give it the ending .json or .jsonl")
@@ -80,8 +86,22 @@ def _beginning(name: str, text: str) -> _Beginning:
     raise DataError(f"{name} holds comments only; a header line and rows of numbers are expected")
 
 
+def _without_preamble(text: str, beginning: _Beginning) -> _Beginning:
+    """Return where the table begins, and what separates its cells, if it is not in the first line."""
+    sampled = ((number, line) for number, line in _lines(text) if number >= beginning.first[0] and line.strip())
+    lines = [*islice((pair for pair in sampled if not _COMMENT.match(pair[1])), SAMPLED)]
+    for separator in beginning.separator or "\t;, ":
+        rows = [(number, cells_of(line, separator)) for number, line in lines]
+        preamble = find_preamble([(number, cells) for number, cells in rows if any(map(str.strip, cells))])
+        if preamble is not None:
+            first = next(pair for pair in lines if pair[0] == preamble.header)
+            return beginning._replace(separator=separator, first=first, preamble=preamble)
+    return beginning
+
+
 def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[str], object]) -> RawTable:
     number, line = beginning.first
+    passed_over = () if beginning.preamble is None else beginning.preamble.below
     count = len(beginning.comments)
 
     def body() -> Iterator[_Line]:
@@ -89,7 +109,7 @@ def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[st
         for place, line in _lines(text):
             if place >= number and is_comment(line):
                 count += 1
-            elif place >= number:
+            elif place >= number and place not in passed_over:
                 yield place, line
 
     where: tuple[str, ...] = ()
@@ -104,12 +124,18 @@ def _split(name: str, text: str, beginning: _Beginning, is_comment: Callable[[st
     else:
         separator = beginning.separator or _separator(line, below)
         header, records = take_header(_records(name, body(), separator))
-        _check_header(name, header.names)
+        if not header.is_made:
+            _check_header(name, header.names)
         is_named_as_by_r = below.lstrip().startswith('"')
-        raw = header.applied(table_of_records(name, header.names, records, has_row_names=is_named_as_by_r))
+        raw = header.applied(
+            table_of_records(
+                name, header.names, records, has_row_names=is_named_as_by_r, may_have_commas=separator == ","
+            )
+        )
     left_out = (f"{count} comment {'line' if count == 1 else 'lines'} left out",) if count else ()
     how = f"text with {_NAMES.get(separator, repr(separator))}"
-    return replace(raw, remarks=(how, *where, *raw.remarks, *left_out), separator=separator)
+    above = () if beginning.preamble is None else beginning.preamble.remarks
+    return replace(raw, remarks=(how, *above, *where, *raw.remarks, *left_out), separator=separator)
 
 
 def _records(name: str, lines: Iterator[_Line], separator: str) -> Iterator[tuple[int, list[str]]]:
@@ -176,7 +202,7 @@ def _header_of_comments(
     """
     for separator in beginning.separator or "\t;, ":
         cells = cells_of(line, separator)
-        has_text = not all(map(_is_datum, cells))
+        has_text = not all(map(_may_be_datum, cells))
         if all(map(is_missing, cells)) or (has_text and not _are_alike(cells, cells_of(below, separator))):
             continue
         named = [_names(comment, separator, len(cells), is_strict=has_text) for comment in beginning.comments]
@@ -188,13 +214,13 @@ def _header_of_comments(
     return None
 
 
-def _is_datum(cell: str) -> bool:
-    return is_missing(cell) or is_numeral(cell) or is_date(cell)
+def _may_be_datum(cell: str) -> bool:
+    return is_missing(cell) or is_datum(cell)
 
 
 def _are_alike(cells: Sequence[str], below: Sequence[str]) -> bool:
     """Tell whether two rows hold numbers in the same cells, and there is one that does."""
-    kinds, kinds_below = [*map(_is_datum, cells)], [*map(_is_datum, below)]
+    kinds, kinds_below = [*map(_may_be_datum, cells)], [*map(_may_be_datum, below)]
     return kinds == kinds_below and any(map(is_numeral, cells))
 
 

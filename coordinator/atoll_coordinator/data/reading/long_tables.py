@@ -99,7 +99,8 @@ def widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
         lines=[raw.lines[row] for row in first],
         starts=[0, *breaks],
         units=_units(raw, headers, cells, roles, [*wide]),
-        remarks=(*raw.remarks, *_remarks(cells, roles, observables)),
+        remarks=(*raw.remarks, *_remarks(roles, observables)),
+        left_out=(*raw.left_out, *_left_out(cells, roles)),
     )
 
 
@@ -217,11 +218,16 @@ def _units(raw: RawTable, headers: Sequence[str], cells: Cells, roles: _Roles, n
     return tuple((told.get(name) or stated[roles.value]) if name in others else stated.get(name, "") for name in names)
 
 
-def _remarks(cells: Cells, roles: _Roles, observables: Sequence[str]) -> list[str]:
-    """Say what was taken for what."""
+def _left_out(cells: Cells, roles: _Roles) -> list[str]:
+    """Say which columns are no part of the wide table."""
     used = {roles.time, roles.observable, roles.value, roles.unit, *roles.carried, *roles.runs}
     others = [name for name in cells if name not in used]
+    return [f"left out: {', '.join(others)}"] if others else []
+
+
+def _remarks(roles: _Roles, observables: Sequence[str]) -> list[str]:
+    """Say what was taken for what."""
     remarks = [f"a long table, with a column for each '{roles.observable}': {', '.join(observables)}"]
     if roles.runs:
         remarks.append(f"trajectories by {', '.join(roles.runs)}")
-    return remarks + ([f"left out: {', '.join(others)}"] if others else [])
+    return remarks

@@ -1,13 +1,13 @@
 """The process that reads a MATLAB file of versions 5 to 7 by scipy, which a damaged file may end without an exception.
 
 ``python -m atoll_coordinator.data.reading.matlab_child FILE`` writes the arrays to stdout as NPZ: ``names`` as JSON,
-and the arrays by their number among these.
+pairs of a run (0 for arrays that belong to none) and a name, and the arrays by their number among these.
 """
 
 import io
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,53 @@ def main() -> None:
     import scipy.io
 
     values: dict[str, object] = scipy.io.loadmat(sys.argv[1], simplify_cells=True)
-    arrays = flat({name: value for name, value in values.items() if not name.startswith("__")})
+    values = {name: value for name, value in values.items() if not name.startswith("__")}
+    runs = runs_of(values)
+    given = {name: value for name, value in values.items() if name not in runs}
+    parts = [flat(given), *({} for _ in next(iter(runs.values()), []))]
+    for name, items in runs.items():
+        for run, item in enumerate(items, start=1):
+            parts[run] |= flat(item) if isinstance(item, dict) else flat({name: item})
+    arrays = {(run, name): array for run, part in enumerate(parts) for name, array in part.items()}
     packed = io.BytesIO()
     numbered: dict[str, Any] = {  # keywords of numpy
         str(number): array for number, array in enumerate(arrays.values())
     }
     np.savez(packed, names=np.array(json.dumps([*arrays])), **numbered)
     sys.stdout.buffer.write(packed.getvalue())
+
+
+def runs_of(values: Mapping[str, object]) -> dict[str, list[object]]:
+    """Return the parts of structure arrays and of cells, by name, that hold one run each: structures, or arrays.
+
+    All have as many parts as the first.
+    """
+    found: dict[str, list[object]] = {}
+    for name, value in values.items():
+        items = _items(value)
+        is_run = (all(isinstance(item, dict) for item in items) and not are_rows(items)) or all(map(_is_array, items))
+        if items and is_run and len(items) == len(next(iter(found.values()), items)):
+            found[name] = items
+    return found
+
+
+def _items(value: object) -> list[object]:
+    """Return the elements of a structure array or of cells, none of anything else."""
+    if isinstance(value, np.ndarray) and value.dtype.kind == "O":
+        items: list[object] = value.ravel().tolist()
+        return items
+    return [*value] if isinstance(value, list) else []
+
+
+def are_rows(items: Sequence[object]) -> bool:
+    """Tell whether elements are rows, structures of single values, as `table2struct` of MATLAB makes of tables."""
+    return bool(items) and all(
+        isinstance(item, dict) and item and all(np.ndim(part) == 0 for part in item.values()) for item in items
+    )
+
+
+def _is_array(item: object) -> bool:
+    return isinstance(item, np.ndarray) and item.dtype.kind in "biuf" and item.ndim in (1, 2) and item.size > 1
 
 
 def flat(values: Mapping[str, object]) -> dict[str, AnyArray]:
@@ -36,6 +76,10 @@ def flat(values: Mapping[str, object]) -> dict[str, AnyArray]:
     """
     arrays: dict[str, AnyArray] = {}
     for name, value in values.items():
+        rows = _items(value)
+        if are_rows(rows):
+            records = [row for row in rows if isinstance(row, dict)]
+            value = {field: np.array([row.get(field, np.nan) for row in records]) for field in records[0]}
         if isinstance(value, dict):
             inner = flat(value)
             arrays |= {field if field not in arrays else f"{name}.{field}": part for field, part in inner.items()}

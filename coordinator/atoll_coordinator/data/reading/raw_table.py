@@ -6,7 +6,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
-from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_line
+from atoll_coordinator.data.reading.cells import is_missing, is_numeral, is_text, on_one_line
+from atoll_coordinator.data.reading.dates import ascends
+from atoll_coordinator.data.roles.column_options import split_unit
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_coordinator.data.roles.unit_texts import are_units
 from atoll_core.errors import DataError
 
@@ -25,7 +28,8 @@ class RawTable:
 
     `units` are those that a row of their own or the format gives, "" where there is none; `starts` are the rows at
     which trajectories begin; `remarks` say how the file was read; `separator` is what stands between cells, "" where
-    the format has none.
+    the format has none. `left_out` says what of the file is no part of the table, for a warning.
+    `numeric` are columns that were no text, so that they do not tell how others are written.
     """
 
     headers: tuple[str, ...]
@@ -35,6 +39,8 @@ class RawTable:
     remarks: tuple[str, ...]
     units: tuple[str, ...] = ()
     separator: str = ""
+    left_out: tuple[str, ...] = ()
+    numeric: frozenset[str] = frozenset()
 
 
 def table_of_records(
@@ -42,11 +48,13 @@ def table_of_records(
     headers: Sequence[str],
     records: Iterable[tuple[int, list[str]]],
     has_row_names: bool = False,
+    may_have_commas: bool = False,
 ) -> RawTable:
     """Return the rows of line numbers and cells; blank records become starts of trajectories.
 
-    `has_row_names` says whether rows may begin with a name for which the header has no cell. Raises DataError where a
-    record has more or fewer cells than the header.
+    `has_row_names` says whether rows may begin with a name for which the header has no cell, `may_have_commas` whether
+    more cells than those of the header may come of decimal commas. Raises DataError where a record has more or fewer
+    cells than the header, unless the rows tell which columns have no name.
     """
     headers = [on_one_line(header) for header in headers]
     lines: list[int] = []
@@ -58,11 +66,7 @@ def table_of_records(
             lines.append(line)
         else:
             starts.append(len(lines))
-    if kept and all(len(record) == len(headers) + 1 for record in kept):
-        if not any(record[-1].strip() for record in kept):  # a separator at the end
-            kept = [record[:-1] for record in kept]
-        elif has_row_names:
-            headers = ["", *headers]
+    headers, kept = _with_unnamed(headers, kept, starts, has_row_names, may_have_commas)
     for line, record in zip(lines, kept, strict=True):
         if len(record) != len(headers):
             count = f"{len(record)} {'cell' if len(record) == 1 else 'cells'}"
@@ -70,6 +74,37 @@ def table_of_records(
     columns = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in headers]
     starts = sorted({start for start in starts if start < max(len(lines), 1)})
     return take_units(RawTable(tuple(headers), columns, lines, starts, ()))
+
+
+def _with_unnamed(
+    headers: list[str], rows: list[list[str]], starts: Sequence[int], has_row_names: bool, may_have_commas: bool
+) -> tuple[list[str], list[list[str]]]:
+    """Return headers and rows of a header over too few columns: those without a name are the first or the last ones.
+
+    Cells that are empty in all rows are cut off. Names of rows stand first. Elsewhere the names are those of the first
+    columns or of the last ones, if only one of both ways makes the time ascend above numbers.
+    """
+    width = len(rows[0]) if rows else 0
+    if width <= len(headers) or any(len(row) != width for row in rows):
+        return headers, rows
+    while width > len(headers) and not any(row[width - 1].strip() for row in rows):  # separators at the end
+        width, rows = width - 1, [row[: width - 1] for row in rows]
+    blank = [""] * (width - len(headers))
+    if not blank or (has_row_names and len(blank) == 1):
+        return [*blank, *headers], rows
+    if may_have_commas and not any("." in cell and is_numeral(cell) for row in rows for cell in row):
+        return headers, rows
+    place = next((place for place, name in enumerate(headers) if split_unit(name)[0] in TIME_NAMES), None)
+    if place is None:
+        return headers, rows
+    columns = [*zip(*rows, strict=True)]
+    fitting = [
+        named
+        for named in ([*headers, *blank], [*blank, *headers])
+        if ascends(columns[named.index(headers[place])], starts)
+        and not any(name and is_text(cells) for name, cells in zip(named, columns, strict=True))
+    ]
+    return fitting[0] if len(fitting) == 1 else headers, rows
 
 
 def take_units(raw: RawTable) -> RawTable:

@@ -1,7 +1,7 @@
 """Excel workbooks -> `RawTable`, by openpyxl, an extra: ``pip install 'atoll[xlsx]'``.
 
-The sheet is read that is named, else the first that holds a table, from its first row that is not empty. Rows above it
-whose first cell alone is filled are notes.
+The sheet is read that is named, else the first that holds a table, else the one with the most numbers. Rows above the
+header whose first cell alone is filled are notes.
 """
 
 import warnings
@@ -14,6 +14,7 @@ from typing import Any, Final
 from atoll_coordinator.data.reading.cells import cell_of, is_missing, is_numeral
 from atoll_coordinator.data.reading.dates import is_date
 from atoll_coordinator.data.reading.header import Record, take_header
+from atoll_coordinator.data.reading.preamble import find_preamble
 from atoll_coordinator.data.reading.raw_table import RawTable, table_of_records
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.errors import DataError, Field, UsageError
@@ -34,10 +35,11 @@ def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
     if not tables:
         what = path.name if sheet is None else f"sheet '{sheet}' of {path.name}"
         raise DataError(f"{what} is empty; a header line and rows of numbers are expected")
-    title = next((title for title, raw in tables.items() if _is_table(raw)), next(iter(tables)))
+    title = next((title for title, raw in tables.items() if _is_table(raw)), None)
+    title = title or max(tables, key=lambda title: _numbers(tables[title]))
     others = [other for other, records in sheets.items() if other != title and records]
-    remarks = (f"Excel, sheet '{title}'", *([f"other sheets left out: {', '.join(others)}"] if others else []))
-    return replace(tables[title], remarks=(*remarks, *tables[title].remarks))
+    left_out = (f"other sheets left out: {', '.join(others)}",) if others else ()
+    return replace(tables[title], remarks=(f"Excel, sheet '{title}'", *tables[title].remarks), left_out=left_out)
 
 
 def check_sheet(files: Sequence[Path], sheet: str | None) -> None:
@@ -72,6 +74,12 @@ def _table(file: str, records: Sequence[Record]) -> RawTable:
     used = [place for _, cells in records for place, cell in enumerate(cells) if cell]
     first, last = min(used), max(used) + 1
     cut = [(line, [*cells[first:last], *[""] * (last - max(len(cells), first))]) for line, cells in records]
+    preamble = find_preamble([(line, cells) for line, cells in cut if any(cells)])
+    if preamble is not None:
+        kept = [record for record in cut if record[0] >= preamble.header and record[0] not in preamble.below]
+        header, below = take_header(kept)
+        raw = header.applied(table_of_records(file, header.names, below))
+        return replace(raw, remarks=(*preamble.remarks, *raw.remarks))
     above = len([*takewhile(lambda record: not any(record[1][1:]), cut)])
     above = 0 if above == len(cut) else above
     header, below = take_header(cut[above:])
@@ -86,6 +94,11 @@ def _is_table(raw: RawTable) -> bool:
     filled = [[cell for cell in column if not is_missing(cell)] for column in raw.columns]
     columns = [cells for cells in filled if cells and all(is_numeral(cell) or is_date(cell) for cell in cells)]
     return len(raw.lines) >= SETTINGS.checks.min_rows and len(columns) > 1
+
+
+def _numbers(raw: RawTable) -> int:
+    """Return how many numbers a sheet holds."""
+    return sum(is_numeral(cell) for column in raw.columns for cell in column)
 
 
 def _records(sheet: Any) -> Iterator[Record]:

@@ -13,6 +13,8 @@ _SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets", "hold")
 """Options that name one column, and several."""
 _EXCLUSIONS: Final = (
     ("--target", "--derivatives", "give the one column set that is sought"),
+    ("--step", "--target", "rows of an explicit regression have no time"),
+    ("--step", "--derivatives", "given derivatives need no time"),
     ("--order 2", "--target", "explicit regression has no time derivative"),
     ("--holdout", "--target", "rows of an explicit regression are no trajectories"),
     ("--order 2", "--derivatives", "the velocity has to be derived from the data"),
@@ -85,6 +87,7 @@ def check_options(config: DataConfig) -> None:
         "--target": config.target is not None,
         "--derivatives": config.derivatives is not None,
         "--order 2": config.order == 2,
+        "--step": config.step is not None,
         "--holdout": config.holdout is not None,
         "--only": config.only is not None,
         "--robust": config.robust,

@@ -156,7 +156,11 @@ def _has_time_or_slopes(roles: Roles) -> bool:
 
 def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
     if not roles.equations:
-        raise DataError("no column is left to be a state; name the states with --states")
+        used = [f"'{name}'" for name in roles.used if name in table.names]
+        beside = f" besides {' and '.join(used)}" if used else ""
+        raise DataError(
+            f"no column of numbers is left in {table.files[0]} to be a state{beside}; add one for each state"
+        )
     clash = next((name for name in roles.states if roles.order == 2 and f"{name}_dot" in roles.states), None)
     if clash is not None:
         reason = f"'{clash}_dot' is a state and with --order 2 also the name of the velocity of '{clash}'"
@@ -206,10 +210,12 @@ def _check_no_text_time(table: Table) -> None:
 def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> DataError:
     """Return the error of a table without a time; it names a state that may be the time."""
     looked = config.time or " or ".join(TIME_NAMES[:2])
-    ascending = next((name for name in states if _ascends(table, name)), None)
-    perhaps = "" if ascending is None else f" (perhaps {ascending})"
-    reason = f"no time column was found (looked for {looked})"
-    return DataError(f"{reason}; name it with --time{perhaps}, or use --target COLUMN")
+    has_others = len(states) > 1
+    ascending = next((name for name in states if has_others and _ascends(table, name)), None)
+    advice = [] if ascending is None else [f"name it with --time (perhaps {ascending})"]
+    advice.append("give the time between rows, as --step 0.1, if it is always the same")
+    advice += ["use --target COLUMN, for one column as a function of the others"] if has_others else []
+    return DataError(f"no time column was found (looked for {looked}); {', or '.join(advice)}")
 
 
 def _ascends(table: Table, name: str) -> bool:

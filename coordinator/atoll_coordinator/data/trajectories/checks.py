@@ -45,7 +45,7 @@ def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None
     _check_count(table, len(rows))
     for name in roles.derivatives or roles.equations:
         role = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
-        check_varies(table, name, table.column(name)[rows], role)
+        check_varies(table, name, table.column(name)[rows], role, is_only=len(roles.equations) == 1)
 
 
 def check_sizes(columns: Mapping[str, FloatArray]) -> None:
@@ -62,8 +62,11 @@ def check_size(name: str, size: float) -> None:
         raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
 
 
-def check_varies(table: Table, name: str, values: FloatArray, role: str) -> None:
-    """Raise DataError when a column that is a state, a derivative or the target has too few values, or one only."""
+def check_varies(table: Table, name: str, values: FloatArray, role: str, *, is_only: bool = False) -> None:
+    """Raise DataError when a column that is a state, a derivative or the target has too few values, or one only.
+
+    Where it `is_only` one with an equation, no other part of it helps.
+    """
     values = values[np.isfinite(values)]
     if len(values) < MIN_ROWS:
         count = f"{len(values)} {'value' if len(values) == 1 else 'values'}"
@@ -71,6 +74,7 @@ def check_varies(table: Table, name: str, values: FloatArray, role: str) -> None
     if np.all(values == values[0]):
         value = f"{float(values[0]) + 0.0:g}"
         advice = "choose states with --states, or make it an input with --inputs" if role == "state" else "name another"
+        advice = "add a column that varies" if role == "state" and is_only else advice
         raise DataError(f"{role} '{name}' of {table.files[0]} is constant ({value} in every row); {advice}")
 
 
@@ -182,12 +186,13 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
     bad = ~np.isfinite(table.columns[used]) & has_weight
     if not bad.any():
         return weighted, []
-    if not drop:
-        raise DataError(_not_finite(table, used, bad))
     measured = () if roles.target is not None or roles.derivatives else roles.states
     is_state = np.array([name in measured for name in roles.used])
     is_lost = bad[~is_state].any(axis=0) | (bad[is_state].all(axis=0) & is_state.any())
     kept = np.flatnonzero(has_weight & ~is_lost).tolist()
+    if not drop:
+        few = [name for name, counts in zip(roles.used, (~bad[:, kept]).sum(axis=1), strict=True) if counts < MIN_ROWS]
+        raise DataError(_not_finite(table, used, bad, _cure(table, roles, bad, few)))
     if not kept:
         raise DataError(f"every row of {table.files[0]} holds NaN or infinity; nothing is left to search")
     sentences = []
@@ -200,8 +205,21 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
     return kept, sentences
 
 
-def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
-    """Name the first bad column and its rows, and say how many rows are bad over all."""
+def _cure(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str:
+    """Return what helps where numbers are missing; `few` columns have too few values in the rows that would be left."""
+    if not few:
+        return "correct them, or add --missing drop to do without them"
+    known = dict(zip(roles.used, (~bad).sum(axis=1).tolist(), strict=True))
+    poor = min(known, key=lambda name: known[name])
+    count = f"'{poor}' has {known[poor]} {'value' if known[poor] == 1 else 'values'} in {table.rows} rows"
+    others = [name for name in roles.states if name != poor]
+    if poor in roles.states and others and not roles.derivatives:
+        return f"{count}: leave it out with --states {','.join(others)}, or correct it"
+    return f"{count}, and without these rows at least {MIN_ROWS} are needed: correct it, or leave it out of the file"
+
+
+def _not_finite(table: Table, used: Sequence[int], bad: BoolArray, advice: str) -> str:
+    """Name the first bad column and its rows, say how many rows are bad over all, and what helps."""
     names = [table.names[index] for index in used]
     first = int(np.argmax(bad.any(axis=1)))
     rows = np.flatnonzero(bad[first]).tolist()
@@ -212,7 +230,7 @@ def _not_finite(table: Table, used: Sequence[int], bad: BoolArray) -> str:
     if others:
         total = int(bad.any(axis=0).sum())
         text += f", and so do {', '.join(others)} ({total} rows over all)"
-    return text + "; correct them, or add --missing drop to do without them"
+    return f"{text}; {advice}"
 
 
 def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) -> list[str]:
@@ -220,6 +238,8 @@ def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) ->
     remarks = []
     if table.skipped:
         remarks.append(f"Columns of text or without a name are not used: {', '.join(table.skipped)}.")
+    if table.left_out:
+        remarks.append(f"Not all of what the data hold was read: {'; '.join(table.left_out)}.")
     if roles.target is not None and config.states is None and not config.inputs:
         left = [name for name in TIME_NAMES if name in table.names and name not in roles.used]
         remarks += [f"Column '{name}' is taken for time and not used; add --inputs {name} to use it." for name in left]

@@ -7,7 +7,6 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Preparation, Recording, Source
 from atoll_coordinator.model import refinement
-from atoll_coordinator.model.inference.target_evidence import target_evidence
 from atoll_coordinator.model.inference.verdict import Verdict, judge, with_objection
 from atoll_coordinator.model.refinement import Alternative, GroupCovariance, JobKind, Refined
 from atoll_coordinator.model.result.numbers import curve, finite, thinned
@@ -49,6 +48,9 @@ def verdict(
         return Verdict("no model", "The search has found no equation.", ())
     judged = Verdict(shown.grade, shown.reason or "", shown.checks) if shown.grade is not None else None
     if judged is None:
+        # loads kernels, which the process that serves needs for such equations alone
+        from atoll_coordinator.model.inference.target_evidence import target_evidence
+
         kind: JobKind = "trajectories" if has_trajectories else "target"
         stopped = "the choice of the equation" if why in ("max-time", "cancelled") or state == "cancelled" else ""
         judged = judge(target_evidence(shown, problem, weights, kind=kind, is_known=why == _KNOWN, stopped=stopped))

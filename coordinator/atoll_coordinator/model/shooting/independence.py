@@ -5,12 +5,14 @@ Letters: O measured states, N rows.
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_core.data.dataset import FloatArray
+
+if TYPE_CHECKING:  # it brings the kernels along, which the checks of a verdict do without
+    from atoll_coordinator.model.shooting.measurements import Measurements
 
 ROUGHNESS_VARIANCE: Final = 35.0 / 9.0
 """Relative variance of the variance that `roughness` estimates, times the rows: second differences of independent
@@ -20,7 +22,7 @@ _ROUNDING: Final = 1e-9
 """Guard: sums of squares by transforms of 1e9 rows err by less than this share of the largest."""
 
 
-def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
+def roughness(measurements: "Measurements", residuals: FloatArray) -> FloatArray:
     """Return the standard deviation (O,) of the independent part of `residuals` (O, N), from their second differences.
 
     What varies slowly along the rows leaves nearly nothing in these.
@@ -38,7 +40,9 @@ def roughness(measurements: Measurements, residuals: FloatArray) -> FloatArray:
     return deviations
 
 
-def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
+def slow_shares(
+    measurements: "Measurements", residuals: FloatArray, pieces: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the share of the residuals' squares (O,) that slow waves explain, and that of independent errors.
 
     What a law leaves out moves a state no faster than its derivative varies, hence is a sum of about `pieces` (O,)
@@ -63,7 +67,7 @@ def slow_shares(measurements: Measurements, residuals: FloatArray, pieces: Float
     return shares, expected
 
 
-def count_pieces(measurements: Measurements) -> FloatArray:
+def count_pieces(measurements: "Measurements") -> FloatArray:
     """Return how many independent numbers (O,) errors are that vary as the states' derivatives do.
 
     Rows over their correlation length, the lag at which the autocorrelation of the smoothed states' differences falls
@@ -94,7 +98,7 @@ def _correlation_length(parts: Sequence[FloatArray]) -> int:
     return max(len(sums), 1)
 
 
-def _stretches(measurements: Measurements) -> Iterator[slice]:
+def _stretches(measurements: "Measurements") -> Iterator[slice]:
     """Yield the rows between which there is no gap, whatever pieces they are simulated in."""
     times = measurements.times
     steps = np.diff(times)

@@ -141,6 +141,14 @@ def test_an_interrupt_ends_the_job_and_keeps_the_best_so_far(
     assert capsys.readouterr().err == ""
 
 
+def test_who_sees_the_progress_learns_how_the_data_were_read(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(Client(result({"x": "-x"}))))
+    discover.discover({"t": [0, 1], "x": ["1,5", "2"], "by": ["A", "B"]}, connect="tcp/h:1", progress=True)
+    assert "read as arrays by name; decimal commas in x; text left out: by" in capsys.readouterr().err
+
+
 def test_a_priority_goes_with_the_job_and_a_wrong_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     client = Client(None)
     monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(client))

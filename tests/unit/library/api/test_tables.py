@@ -7,7 +7,9 @@ import polars
 import pytest
 
 from atoll.api.tables import numbers_of, table_of
-from atoll_core.config import DataConfig
+from atoll_coordinator.data.columns.examination import examine
+from atoll_core.config import DataConfig, JobConfig
+from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
 COLUMNS = {"t [s]": [0.0, 1.0, 2.0], "x": np.array([1, 2, 3])}
@@ -37,9 +39,11 @@ def test_text_is_numbered_in_the_trajectory_column_alone() -> None:
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ([1.0, "2.0", "n/a"], "holds 'n/a' in row 3"),
+        ([1.0, "2.0", "two"], "column 'x' of data holds 'two' in row 3 where a number is expected"),
         (np.array([1j, 2.0]), "complex"),
-        (["a", "b"], "all columns hold text"),
+        (np.array([1j, None]), "complex"),
+        (["a", "b"], "no column of numbers is left in data: 'x' holds 'a' in row 1"),
+        ([[1.0], [1.0, 2.0]], "column 'x' holds rows of different lengths"),
     ],
 )
 def test_what_is_no_number_is_named(values: object, sentence: str) -> None:
@@ -62,9 +66,10 @@ def test_dates_are_the_time(name: str) -> None:
     assert (durations.names, durations.units, durations.columns[0][1]) == (("t", "x"), ("s", ""), 86400.0)
 
 
-def test_dates_beside_a_time_are_refused() -> None:
-    with pytest.raises(DataError, match="'day' holds dates or times beside the time 't'"):
-        table_of({"t": [0.0, 1.0, 2.0], "day": DAYS}, DataConfig())
+def test_dates_beside_a_time_are_left_out_and_named() -> None:
+    table = table_of({"t": [0.0, 1.0, 2.0], "day": DAYS, "x": [1, 2, 3]}, DataConfig())
+    assert (table.names, table.skipped) == (("t", "x"), ("day",))
+    assert "text left out: day" in table.read_as
 
 
 def test_an_index_of_a_pandas_frame_is_a_column_where_it_says_something() -> None:
@@ -92,7 +97,9 @@ def test_files_are_read_as_the_command_line_reads_them(tmp_path: Path) -> None:
     assert table_of(tmp_path / "a.csv", DataConfig()).files == ("a.csv",)
 
 
-@pytest.mark.parametrize("data", [3, [], [{"x": [1.0]}, {"y": [1.0]}], {"x": []}, {"x": [1.0], "y": [1.0, 2.0]}])
+@pytest.mark.parametrize(
+    "data", [3, [], [{"x": [1.0]}, {"y": [1.0]}], {"x": []}, {"x": [1.0], "y": [1.0, 2.0]}, {"t": [0, 1], "x": [1]}]
+)
 def test_what_does_not_fit_is_refused(data: object) -> None:
     with pytest.raises(DataError):
         table_of(data, DataConfig())
@@ -105,7 +112,7 @@ BELOW = np.array([True, False, False])
 @pytest.mark.parametrize("kind", ["f8", "f4", "i4", "bool"])
 def test_what_is_masked_is_missing(kind: str) -> None:
     values = np.ma.array([-9999, 0, 1], mask=BELOW).astype(kind)
-    (found,) = table_of({"x": values}, DataConfig()).columns
+    _, found = table_of({"t": [0, 1, 2], "x": values}, DataConfig()).columns
     assert np.isnan(found).tolist() == BELOW.tolist()
     assert found[1:].tolist() == [0.0, 1.0]
     assert table_of({"x": np.ma.array([5, 6, 7])}, DataConfig()).columns.tolist() == [[5.0, 6.0, 7.0]]
@@ -123,7 +130,6 @@ def test_masked_dates_and_structured_arrays_keep_their_masks() -> None:
 
 def test_masked_arrays_of_a_discoverer_keep_their_masks() -> None:
     values = numbers_of(np.ma.array([[1, -9999], [2, 3]], mask=[[False, True], [False, False]]), "an array")
-    assert values is not None
     assert str(values.tolist()) == "[[1.0, nan], [2.0, 3.0]]"
 
 
@@ -152,7 +158,8 @@ def test_names_of_trajectories_are_kept() -> None:
 
 def test_columns_without_a_value_are_left_out() -> None:
     table = table_of({"t": [0, 1], "x": [1, 2], "y": [np.nan, np.nan]}, DataConfig())
-    assert (table.names, table.read_as) == (("t", "x"), "empty columns left out: y")
+    assert (table.names, table.read_as) == (("t", "x"), "arrays by name; empty columns left out: y")
+    assert table.left_out == ("empty columns left out: y",)
 
 
 def test_a_long_frame_is_read_as_a_long_file_is(tmp_path: Path) -> None:
@@ -169,3 +176,109 @@ def test_a_long_frame_is_read_as_a_long_file_is(tmp_path: Path) -> None:
     assert both.column("trajectory").tolist() == [1, 1, 1, 2, 2, 2, 2, 2, 2]
     plain = table_of({"species": ["A", "B"], "t": [0, 1], "value": [1, 2]}, DataConfig())
     assert plain.names == ("t", "value")
+
+
+PEOPLE: dict[str, list[object]] = {
+    "t [h]": [0, 1, 2, 3],
+    "x": ["0,60653", "0,7", "1,25", None],
+    "run": ["a", "a", "b", "b"],
+    "remark": ["", "bad", "", "good"],
+}
+"""Columns as people have them: decimal commas, names of trajectories, remarks."""
+
+
+def _written(path: Path) -> object:
+    polars.DataFrame(PEOPLE, strict=False).write_csv(path / "a.csv")
+    return path / "a.csv"
+
+
+def _pandas(_: Path) -> object:
+    return pytest.importorskip("pandas").DataFrame(PEOPLE)
+
+
+ENTRANCES = {
+    "a file": _written,
+    "arrays by name": lambda _: PEOPLE,
+    "object arrays": lambda _: {name: np.array(values, dtype=object) for name, values in PEOPLE.items()},
+    "polars": lambda _: polars.DataFrame(PEOPLE, strict=False),
+    "pandas": _pandas,
+    "records": lambda _: [dict(zip(PEOPLE, row, strict=True)) for row in zip(*PEOPLE.values(), strict=True)],
+}
+
+
+@pytest.mark.parametrize("entrance", ENTRANCES)
+def test_every_entrance_has_one_reader(entrance: str, tmp_path: Path) -> None:
+    """A column of text such as 0,60653 was left out of frames without a word, and read of files."""
+    table = table_of(ENTRANCES[entrance](tmp_path), DataConfig(trajectory="run"))
+    assert (table.names, table.units, table.skipped) == (("t", "x", "run"), ("h", "", ""), ("remark",))
+    assert str(table.column("x").tolist()) == "[0.60653, 0.7, 1.25, nan]"
+    assert (table.column("run").tolist(), table.labels) == ([1.0, 1.0, 2.0, 2.0], {"run": ("a", "b")})
+    assert table.read_as.endswith("; decimal commas in x; text left out: remark")
+
+
+def test_what_was_left_out_is_a_warning_of_the_result() -> None:
+    rows = np.arange(12.0)
+    data = {"t": rows, "x": rows**2, "remark": ["a"] * 12, "empty": [None] * 12, "k": [1, 2]}
+    table = table_of(data, DataConfig())
+    assert table.left_out == ("left out: k", "empty columns left out: empty")
+    warnings = examine(table, JobConfig()).measurements.warnings
+    assert "Columns of text or without a name are not used: remark." in warnings
+    assert "Not all of what the data hold was read: left out: k; empty columns left out: empty." in warnings
+    assert Table.from_bytes(table.to_bytes()).left_out == table.left_out
+
+
+def test_levels_of_an_index_with_a_name_are_columns() -> None:
+    pandas = pytest.importorskip("pandas")
+    index = pandas.MultiIndex.from_product([["hill", "lake"], [2001, 2002, 2003]], names=["site", "year"])
+    frame = pandas.DataFrame({"x": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]}, index=index)
+    table = table_of(frame, DataConfig(time="year", trajectory="site"))
+    assert table.names == ("site", "year", "x")
+    assert (table.labels["site"], table.column("year").tolist()) == (("hill", "lake"), [2001, 2002, 2003] * 2)
+    frame.index = frame.index.set_names([None, "year"])
+    assert table_of(frame, DataConfig(time="year")).skipped == ("column 1",)
+
+
+def test_an_index_of_names_or_of_numbers_without_a_name_is_not_lost_silently() -> None:
+    pandas = pytest.importorskip("pandas")
+    for index in (["a", "b", "c"], [0.0, 0.5, 1.0]):
+        table = table_of(pandas.DataFrame({"t": [0, 1, 2], "x": [1, 2, 3]}, index=index), DataConfig())
+        assert (table.names, table.skipped) == (("t", "x"), ("column 1",))
+
+
+def test_levels_of_columns_name_columns_where_one_does_not() -> None:
+    pandas = pytest.importorskip("pandas")
+    columns = pandas.MultiIndex.from_tuples([("", "t"), ("ball 1", "x"), ("ball 2", "x"), ("ball 2", "y")])
+    frame = pandas.DataFrame([[0, 1, 2, 3], [1, 2, 3, 5]], columns=columns)
+    assert table_of(frame, DataConfig()).names == ("t", "ball 1 x", "ball 2 x", "y")
+    frame.columns = ["t", "x", "x", "y"]
+    with pytest.raises(DataError, match="data has 2 columns named 'x'; give each column its own name"):
+        table_of(frame, DataConfig())
+
+
+def test_matrices_by_name_are_the_columns_that_a_file_of_arrays_has(tmp_path: Path) -> None:
+    arrays = {"t": np.arange(4.0), "x": np.arange(8.0).reshape(4, 2)}
+    np.savez(tmp_path / "a.npz", **arrays)
+    table, of_file = table_of(arrays, DataConfig()), table_of(tmp_path / "a.npz", DataConfig())
+    assert table.names == of_file.names == ("t", "x0", "x1")
+    assert table.columns.tolist() == of_file.columns.tolist()
+
+
+def test_texts_of_an_array_are_numbers_as_in_files() -> None:
+    assert numbers_of([["0,5", "1.234,5"], ["1,5", "2"]], "x").tolist() == [[0.5, 1234.5], [1.5, 2.0]]
+    with pytest.raises(DataError, match="column '2' of x holds 'two' in row 2 where a number is expected"):
+        numbers_of([["0,5", "1"], ["1,5", "two"]], "x")
+
+
+def test_numbers_that_are_no_text_do_not_tell_how_texts_are_written() -> None:
+    """Points of numbers in other columns made 6,773 a number of thousands."""
+    rows = {"t": [0.5, 1.5, 2.5], "x": ["6,773", "0,6", "7,25"]}
+    for data in (
+        rows,
+        polars.DataFrame(rows),
+        [dict(zip(rows, row, strict=True)) for row in zip(*rows.values(), strict=True)],
+    ):
+        assert table_of(data, DataConfig()).column("x").tolist() == [6.773, 0.6, 7.25]
+    with pytest.raises(DataError, match=r"holds '6,773', which may be 6773 or 6\.773"):
+        table_of({"t": [0.5, 1.5], "x": ["6,773", "7,125"]}, DataConfig())
+    quarters = {"year": [2020, 2020], "quarter": [1, 2], "x": ["6,773", "0,6"]}
+    assert table_of(quarters, DataConfig()).column("x").tolist() == [6.773, 0.6]

@@ -127,3 +127,16 @@ def test_slow_data_in_steps_are_not_known_better_than_to_the_step():
     times = 0.01 * np.arange(400)
     values = np.round(np.sin(0.2 * times) / 0.05) * 0.05
     assert estimate_derivatives([Signal(times, values)], Differentiation(), least_noise=0.0144).noise >= 0.0144
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_is_not_none_because_the_last_rows_are_zeros(seed):
+    """Rows of one value are predicted without an error whatever the noise of the others is."""
+    times = np.arange(12.0)
+    values = 10.0 * np.exp(-0.5 * times) + 0.3 * np.random.default_rng(seed).standard_normal(12)
+    values[-4:] = 0.0
+    estimate = estimate_derivatives([Signal(times, values)], Differentiation(1))
+    assert not estimate.is_interpolated
+    assert 0.05 < estimate.noise < 0.6
+    clean = np.concatenate([np.zeros(5), np.arange(1.0, 20.0) ** 3])
+    assert estimate_derivatives([Signal(np.arange(24.0), clean)], Differentiation(1)).noise < 0.05

@@ -26,8 +26,6 @@ BROKEN: dict[str, tuple[str, str | bytes, str]] = {
         "left in a.csv: 'at' holds '1700000000000000001' in line 2",
     ),
     "no rows": ("a.csv", "# made\nt,x\n", "a.csv has a header but no rows; rows of numbers"),
-    "no header": ("a.txt", rows("{i} {j}"), "the first line of a.txt holds numbers only; a header"),
-    "a comment that is no header": ("a.txt", "# my data\n" + rows("{i} {j} 3"), "holds numbers only; a header"),
     "a word": ("a.csv", "t,x\n" + rows("{i},{j}") + "12,two\n", "holds 'two' in line 14 where a number"),
     "a short row": ("a.csv", "t,x\n" + rows("{i},{j}") + "12\n", "line 14 of a.csv has 1 cell where the header has 2"),
     "a long row": ("a.txt", "t x\n" + rows("{i} {j}") + "1 2 3\n", "line 14 of a.txt has 3 cells"),
@@ -51,7 +49,6 @@ BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "control characters": ("a.csv", b"t,x\n0,\x01\xff\n", "a.csv is not UTF-8 text (byte 8)"),
     "UTF-16 without its mark": ("a.csv", "t,x\n0,1\n".encode("utf-16-le"), "or UTF-16 without a byte order mark"),
     "a cell without a header": ("a.csv", "t,x\n" + rows("{j},{i},3"), "line 2 of a.csv has 3 cells where the header"),
-    "a comment with a number": ("a.txt", "# run 7\n" + rows("{i} {j}"), "holds numbers only; a header"),
     "a workbook called CSV": ("a.csv", b"PK\x03\x04 and more", "a.csv is an Excel workbook or another ZIP archive"),
     "no workbook": ("a.xlsx", b"no", "a.xlsx is not an Excel workbook that can be read"),
     "no MATLAB file": ("a.mat", b"no matlab" * 100, "a.mat is not a MATLAB file that can be read"),
@@ -63,16 +60,11 @@ BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "units in cells": ("a.csv", "t,x\n" + rows("{i},{j} %"), "left in a.csv: 'x' holds '1 %' in line 2; write numbers"),
     "comments behind cells": ("a.csv", "t,x\n" + rows("{i},{j} # c"), "'x' holds '1 # c' in line 2; write"),
     "JSON lines": ("a.csv", '{"t":0,"x":4}\n{"t":1,"x":5}\n', "a.csv holds JSON or JSON lines; give it the ending"),
-    "a preamble": (
-        "a.csv",
-        "Instrument: FooMeter\nSerial: 123\n\nt,x,y\n" + rows("{i},{j},3"),
-        "lines 1 to 2 of a.csv stand above the header 't,x,y' in line 4; begin them with #",
-    ),
     "minutes with fractions": ("a.csv", "time,x\n00:00.5,0\n00:01.5,1\n", "'00:00.5', which may be minutes and"),
     "a date with minutes and a fraction": ("a.csv", "time,x\n2020-01-01 00:00.5,0\n", "which is no date or time"),
     "clock that goes back": ("a.csv", "time,x\n23:00,1\n22:00,2\n" + rows("23:{j:02},1"), "from 23:00:00 to 22:00:00"),
     "no array": ("a.npy", b"\x93NUMPY", "a.npy is not a NumPy array of numbers that can be read; write it anew"),
-    "another word for time": ("a.csv", "x,Zeit\n" + rows("7,{i}"), "name it with --time (perhaps Zeit), or use"),
+    "another word for time": ("a.csv", "x,Zeit\n" + rows("7,{i}"), "name it with --time (perhaps Zeit), or give"),
     "numbers in JSON": ("a.json", "[1, 2]", 'a.json holds no records; a list of records such as [{"t": 0, "x": 1}]'),
     "a line of JSON": ("a.jsonl", '{"t": 0}\n{"t": \n{"t": 2}\n', "line 2 of a.jsonl is not valid JSON"),
     "lists in JSON": ("a.json", '[{"t": 0, "x": [1]}]', "column 'x' of a.json holds lists or objects"),
@@ -93,12 +85,6 @@ def test_a_broken_file_is_one_sentence_and_code_2(kind: str, tmp_path: Path) -> 
     assert words in str(raised.value)
     assert "\n" not in str(raised.value)
     assert raised.value.exit_code == 2
-
-
-def test_an_array_without_names_is_refused(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", np.zeros((12, 3)))
-    with pytest.raises(DataError, match=r"a\.npy is a NumPy array without names of columns; save them by name with"):
-        read_table([tmp_path / "a.npy"], DataConfig())
 
 
 def test_arrays_of_several_lengths_without_a_time_are_refused(tmp_path: Path) -> None:

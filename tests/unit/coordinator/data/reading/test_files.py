@@ -161,7 +161,6 @@ def test_npz_is_read(tmp_path):
         ("t,x,x\n0,1,2\n", "a.csv has 2 columns named 'x'; give each column its own name"),
         ("t,x [m],x [s]\n0,1,2\n", "a.csv has 2 columns named 'x'; give each column its own name"),
         ("t,x\n0,1\n1,2,3\n", "line 3 of a.csv has 3 cells where the header has 2; correct it"),
-        ("0,1\n1,2\n", "the first line of a.csv holds numbers only; a header with column names is expected there"),
         ("t x y\n0 1\n", "a.csv has one column, 't x y'; separate columns with commas, semicolons or tabs"),
         (b"t,\xc3\xb8\n0,\xff\n", r"a.csv is not UTF-8 text (byte 8); save it as CSV in UTF-8, or as Parquet"),
     ],

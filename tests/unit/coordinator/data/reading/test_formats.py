@@ -167,14 +167,14 @@ WRITTEN: dict[str, tuple[str, Writer, dict[str, object]]] = {
     "Excel": (
         "a.xlsx",
         workbook,
-        {"units": ("s", "m", "m/s"), "says": "Excel, sheet 'Sheet'; other sheets left out: notes; units in line 3"},
+        {"units": ("s", "m", "m/s"), "says": "Excel, sheet 'Sheet'; units in line 3; other sheets left out: notes"},
     ),
     "Excel with notes": (
         "a.xlsx",
         with_notes,
         {
-            "says": "Excel, sheet 'run 1'; other sheets left out: Sheet, few, run 2; 2 rows of notes left out; "
-            "header in line 5 below names of groups: ball"
+            "says": "Excel, sheet 'run 1'; lines 1 to 3 above the header left out; "
+            "header in line 5 below names of groups: ball; other sheets left out: Sheet, few, run 2"
         },
     ),
     "numpy.save of a structured array": (
@@ -313,7 +313,8 @@ def test_a_sheet_may_be_named(tmp_path: Path) -> None:
     with_notes(tmp_path / "a.xlsx")
     table = read_table([tmp_path / "a.xlsx"], DataConfig(sheet="run 2"))
     assert np.allclose(table.column("x"), 2.0 * X)
-    assert table.read_as.startswith("Excel, sheet 'run 2'; other sheets left out: Sheet, few, run 1; 2 rows")
+    assert table.read_as.startswith("Excel, sheet 'run 2'; lines 1 to 3 above the header left out")
+    assert table.left_out == ("other sheets left out: Sheet, few, run 1",)
     assert read_table([tmp_path / "a.xlsx"], DataConfig(sheet="few")).rows == 2
 
 

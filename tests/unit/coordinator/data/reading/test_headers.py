@@ -1,6 +1,7 @@
 """Headers that do not stand alone in the first line: below names of groups, in comments beside cells of text."""
 
 import numpy as np
+import openpyxl
 import pytest
 
 from atoll_coordinator.data.reading.files import read_table
@@ -135,3 +136,64 @@ def test_times_with_a_unit_and_shorter_numbers_stay_as_they_are(read, text, opti
 def test_time_stamps_that_options_name_stay_numbers(read):
     table = read(f"t,stamp,x\n0,{STAMP},1\n1,{STAMP + 10**9},2\n", inputs=("stamp",))
     assert table.column("stamp").tolist() == [float(STAMP), float(STAMP + 10**9)]
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("0 1.5 2\n0.5 1.25 3\n1 1 4\n", ("t", "x1", "x2")),
+        ("0,1.5\n0.5,1.25\n1,1\n\n0,1\n0.5,7\n", ("t", "x")),
+        ("0;1,5\n0,5;1,25\n1;1\n", ("t", "x")),
+        ("3,1\n2,2\n4,1\n", ("x1", "x2")),
+        ("2020-01-01,1,ok\n2020-01-02,2,bad\n2020-01-03,1,ok\n", ("t", "x1")),
+        ("2020-01-01,1\n2020-01-02,2\n2020-01-03,1\n", ("t", "x")),
+        ("# run 7\n0,1.5,3\n1,1.25,2\n", ("t", "x1", "x2")),
+    ],
+)
+def test_a_table_without_a_header_keeps_its_first_row(text, names, read):
+    table = read(text)
+    assert table.names == names
+    assert table.rows == sum(map(bool, text.replace("# run 7\n", "").splitlines()))
+    assert f"no header: columns are called {', '.join(names)}" in table.read_as
+
+
+def test_a_workbook_and_an_array_without_a_header_keep_their_first_rows(tmp_path):
+    rows = [[0.0, 1.5, 2.0], [0.5, 1.25, 3.0], [1.0, 1.0, 4.0]]
+    book = openpyxl.Workbook()
+    for row in rows:
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    np.save(tmp_path / "a.npy", np.array(rows))
+    for name in ("a.xlsx", "a.npy"):
+        table = read_table([tmp_path / name], DataConfig())
+        assert (table.names, table.columns.T.tolist()) == (("t", "x1", "x2"), rows)
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "skipped"),
+    [
+        ("t,x\n0,1.5,a\n1,2.5,b\n", ("t", "x"), ("column 3",)),
+        ("t,x\n0,1.5,7,8,9\n1,2.5,7,7,7\n", ("t", "x"), ("column 3", "column 4", "column 5")),
+        ("x t\n7 2.5 0\n5 1.5 1\n", ("x", "t"), ("column 1",)),
+        ("t;x\nb;0;1\na;0,5;2\nc;1;2\n", ("t", "x"), ("column 1",)),
+        ("t,x\n0,1.5,,\n1,2.5,,\n", ("t", "x"), ()),
+    ],
+)
+def test_columns_beyond_the_header_are_left_out_and_named(text, names, skipped, read):
+    table = read(text)
+    assert (table.names, table.skipped) == (names, skipped)
+    assert ("text left out: " + ", ".join(skipped) in table.read_as) == bool(skipped)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,x\n0,0,1,5\n1,0,2,5\n",  # decimal commas
+        "t,x\n0,1,5\n1,2,5\n",  # these, in one column only
+        "t;x\n1;0,5;2\n2;1;2\n",  # both the first and the last two may be meant
+        "a,b\n5,1.5,0\n7,2.5,1\n",  # nothing tells
+    ],
+)
+def test_columns_beyond_the_header_that_may_be_something_else_are_refused(text, read):
+    with pytest.raises(DataError, match="where the header has 2"):
+        read(text)

@@ -97,8 +97,7 @@ def test_help_imports_none_of_the_heavy_libraries() -> None:
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.slow
-def test_kernels_are_for_the_processes_that_compute():
+def test_kernels_are_for_the_processes_that_compute() -> None:
     script = (
         "import sys\n"
         "import atoll.cli.local_run, atoll_coordinator.service.service_loop\n"
