@@ -19,9 +19,9 @@ def conclusion(result: Result) -> str:
     """Return one paragraph: what was sought in which data, what was found, and how far it can be trusted."""
     found = [equation for equation in result.equations if equation.expression is not None]
     if not found:
-        return f"Atoll looked for {_sought(result)}{_source(result)} and found no equation."
+        return f"Atoll looked{_source(result)} for {_sought(result)}, and found none."
     meaning = _trust(result.equations)
-    return f"Atoll looked for {_sought(result)}{_source(result)}. {_explained(result, found[0])}{meaning}"
+    return f"Atoll looked{_source(result)} for {_sought(result)}. {_explained(result, found[0])}{meaning}"
 
 
 def _sought(result: Result) -> str:

@@ -334,7 +334,7 @@ def test_a_page_begins_with_what_was_found_for_people_who_do_not_know_the_terms(
     page = read([overview(Findings(Result.of(contents), None))])
     assert page.texts[:2] == [
         "Found",
-        "Atoll looked for equations that say how fast x and y change in 3 rows of a.csv. dx/dt is the change of x per "
+        "Atoll looked in 3 rows of a.csv for equations that say how fast x and y change. dx/dt is the change of x per "
         "unit of t. Do not rely on predictions of the equation of dy/dt yet: another equation may be the right one. "
         "Within the measured range, predictions of the equation of dx/dt can be trusted.",
     ]
