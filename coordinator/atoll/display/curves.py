@@ -5,7 +5,7 @@ are kept as the curve bends, so that no picture shows a polygon. Letters: D stat
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
@@ -29,6 +29,8 @@ TOLERANCE: Final = 5e-4
 """Largest distance between a curve and its straight lines, as a share of the curve's range: below a pixel."""
 MOST_POINTS: Final = 4_000
 """Points of a curve at most: several for each pixel of a picture."""
+SHOWN: Final = 6
+"""Trajectories that a picture shows at most, each in a colour of its own."""
 _GRIDS: Final = (2_000, 8_000, 32_000)
 """Points at which a trajectory is simulated, more where a curve bends between them."""
 _AGREEMENT: Final = 5e-3
@@ -86,6 +88,15 @@ def curves_of(model: "Model | None", part: Simulated) -> ModelCurves:
     except AtollError:  # such as an input that was not recorded
         return listed
     return listed if found is None else _with_bands(known, part, *found)
+
+
+def chosen(parts: Sequence[Simulated]) -> list[Simulated]:
+    """Return the simulated trajectories; of more than `SHOWN` some, from the worst explained to the best."""
+    known = [part for part in parts if part.values]
+    if len(known) <= SHOWN:
+        return known
+    known.sort(key=lambda part: min((value for value in part.r2.values() if value is not None), default=0.0))
+    return [known[index * (len(known) - 1) // (SHOWN - 1)] for index in range(SHOWN)]
 
 
 def bends(values: FloatArray, times: FloatArray, tolerance: float = TOLERANCE) -> npt.NDArray[np.int64]:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from atoll.display.curves import ModelCurves, curves_of
+from atoll.display.curves import ModelCurves, chosen, curves_of
 from atoll.display.series import label
 from atoll.model.model import Model
-from atoll.report.chart import COLORS, Axis, Chart
+from atoll.report.chart import Axis, Chart
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 Found = TypeVar("Found")
 MOST_PROFILES: Final = 12
 """Constants whose profiles are drawn; of more they are not made, since each takes a fit for every point."""
-SHOWN: Final = COLORS
-"""Trajectories that are drawn, each in a colour of its own."""
-
 
 @dataclass(frozen=True)
 class Findings:
@@ -73,15 +70,6 @@ class Findings:
     def over_time(self, title: str, column: str) -> Chart:
         """Return an empty chart of a column over time, both labelled with their units."""
         return Chart(title, self.axis(self.result.time), self.axis(column))
-
-
-def chosen(parts: Sequence[Simulated]) -> list[Simulated]:
-    """Return the simulated trajectories; of more than `SHOWN` some, from the worst explained to the best."""
-    known = [part for part in parts if part.values]
-    if len(known) <= SHOWN:
-        return known
-    known.sort(key=lambda part: min((value for value in part.r2.values() if value is not None), default=0.0))
-    return [known[index * (len(known) - 1) // (SHOWN - 1)] for index in range(SHOWN)]
 
 
 def count_constants(result: Result) -> int:

@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+from atoll.display.curves import SHOWN
 from atoll.display.series import residuals
 from atoll.report.chart import Axis, Chart
-from atoll.report.findings import SHOWN, Findings
+from atoll.report.findings import Findings
 from atoll.report.markup import Element, figure, legend, number, paragraph, pictures, r2_cell, section, table
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.findings import Errors, Noise
