@@ -23,6 +23,7 @@ Found = TypeVar("Found")
 MOST_PROFILES: Final = 12
 """Constants whose profiles are drawn; of more they are not made, since each takes a fit for every point."""
 
+
 @dataclass(frozen=True)
 class Findings:
     """A result, and what is found of its model (None where an equation was not found).
