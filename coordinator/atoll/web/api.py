@@ -177,6 +177,7 @@ class Api:
             ("POST", "/jobs/{job}/retry", self.retry),
             ("PUT", "/jobs/{job}/priority", self.set_priority),
             ("PUT", "/jobs/{job}/sharing", self.set_sharing),
+            ("GET", "/logs", self.all_logs),
             ("GET", "/workers", self.workers),
             ("PUT", "/workers/{worker}/service", self.set_service),
             ("GET", "/coordinator", self.coordinator),
@@ -302,7 +303,14 @@ class Api:
 
     async def logs(self, request: Request) -> Response:
         """Give the events of a job after a number, or the last ones."""
-        job, after = _job(request), _whole(request, "after", 0, 0) or 0
+        return await self._events(request, _job(request))
+
+    async def all_logs(self, request: Request) -> Response:
+        """Give the events of workers and of all jobs that may be seen, after a number, or the last ones."""
+        return await self._events(request, None)
+
+    async def _events(self, request: Request, job: str | None) -> Response:
+        after = _whole(request, "after", 0, 0) or 0
         limit, of_workers = _whole(request, "limit", 200, 1, 1000) or 200, _flag(request, "of_workers")
         events = await gateway_of(request).ask(
             lambda client: client.events(job, after, limit, of_workers=of_workers)
