@@ -167,8 +167,8 @@ class NewJob {
   #offerMends(sentence) {
     const parts = mends(sentence, {
       options: new Map([...this.#fields].map(([name, { option }]) => [name, option])), given: this.#options, columns: this.#columns.map(({ name }) => name),
-      put: (name, value) => { this.#put(name, value); this.#ask(); },
-      choose: (column, option) => { this.#choose(column, Object.keys(OPTION_OF).find((role) => OPTION_OF[role] === option) ?? null, option); this.#ask(); },
+      put: (name, value) => this.#put(name, value),
+      choose: (column, option) => { this.#choose(column, Object.keys(OPTION_OF).find((role) => OPTION_OF[role] === option) ?? null, option); },
     });
     this.mending.replaceChildren(...parts);
     show(this.mending, parts.length > 0);
