@@ -10,7 +10,6 @@ from atoll.client.options import GROUPS, OPTIONS, Repeated
 from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
 
-
 LABELS: Final[Mapping[str, str]] = {
     "time": "Time column",
     "states": "State columns",
