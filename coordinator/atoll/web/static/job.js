@@ -40,11 +40,10 @@ class JobPage {
     this.equations = h("div", { class: "equations" }, h("p", { class: "faint" }, "No equations yet."));
     this.about = folding("About this job", this.facts);
     this.body = h("div", { hidden: true },
-      this.reason, this.outcome.conclusion, this.notes, this.outcome.refining,
+      this.reason, this.outcome.conclusion, this.notes, this.outcome.refining, this.actions.box,
       h("section", { "aria-label": "Equations" }, h("h2", {}, "Equations"), this.equations),
       this.outcome.pictures, this.outcome.downloads, this.outcome.remarks,
-      h("section", { "aria-label": "Job" }, h("h2", {}, "Job"), this.actions.box, this.about),
-      this.islands.box, this.log.box);
+      this.islands.box, h("section", { "aria-label": "Job" }, h("h2", {}, "Job"), this.about, this.log.events));
     root.append(h("p", { class: "crumb" }, h("a", { href: "#/jobs" }, "Jobs")), h("div", { class: "head" }, this.heading, this.state), this.fault, this.body);
   }
 

@@ -20,7 +20,6 @@ export class Log {
     this.list = h("ol", { class: "log", reversed: true });
     this.none = h("p", { class: "faint" }, "Nothing yet.");
     this.events = folding("Event log", h("p", {}, h("label", {}, this.all, " all events, also checkpoints and lines of workers")), this.none, h("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Events, newest first" }, this.list));
-    this.box = h("section", { "aria-label": "Events" }, h("h2", {}, "Events"), this.events);
   }
   /** Fetches what happened since the last event that is known, page by page. */
   async fetch() {
