@@ -116,6 +116,8 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
         first = tab.url.rpartition("/")[2]
 
         tab.get_by_role("button", name="Open the report").wait_for()
+        tab.get_by_text("checks passed", exact=False).first.wait_for()
+        tab.get_by_label("Phase portrait").locator("canvas").wait_for()  # nothing moves any more
         keys.to("Candidates, front and convergence")
         tab.keyboard.press("Enter")
         tab.get_by_role("slider").first.wait_for()
@@ -137,7 +139,7 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
         opened.value.get_by_role("heading", level=1).wait_for()
         opened.value.close()
 
-        stage.page.submit("long", seed="1", target_error="1e-300", max_epochs="100000")
+        stage.page.submit("long", seed="1", preset="paper", target_error="1e-300", max_epochs="100000")
         keys.to("Jobs", "Shift+Tab")
         tab.keyboard.press("Enter")
         tab.get_by_role("link", name="d.csv").wait_for()
