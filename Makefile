@@ -129,7 +129,8 @@ $(BROWSER): $(DOCS)
 
 browser: $(BROWSER) docs
 	@$(BIN)/pytest tests/integration/test_browser.py tests/integration/test_web_browser.py \
-	  tests/integration/test_web_keyboard.py tests/integration/test_web_tabs.py tests/integration/test_web_proxies.py --site site
+	  tests/integration/test_web_keyboard.py tests/integration/test_web_newcomers.py \
+	  tests/integration/test_web_tabs.py tests/integration/test_web_proxies.py --site site
 
 lock: $(STAMP)
 	@$(BIN)/python -m pip install -q --disable-pip-version-check uv

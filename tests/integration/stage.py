@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.browsers import CHROMIUM, OPTIONS, SERIOUS, SWITCHES, WIDTHS
+from tests.browsers import CHROMIUM, CUT, NARROWEST, OPTIONS, SERIOUS, SWITCHES, WIDTHS
 from tests.integration.test_web import TOKEN, Page, free_port
 from tests.programs import serving
 
@@ -80,6 +80,10 @@ def check(tab: Any, *schemes: str) -> None:
             found = axe.Axe().run(tab, options=OPTIONS).response["violations"]
             assert [one["id"] + one["nodes"][0]["html"] for one in found if one["impact"] in SERIOUS] == []
         assert not tab.evaluate("document.documentElement.scrollWidth > window.innerWidth"), width
+    tab.set_viewport_size({"width": NARROWEST, "height": 900})
+    assert not tab.evaluate("document.documentElement.scrollWidth > window.innerWidth"), NARROWEST
+    cut = tab.evaluate(CUT)
+    assert cut == [], cut
     tab.set_viewport_size({"width": WIDTHS[0], "height": 900})
 
 

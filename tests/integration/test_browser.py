@@ -13,7 +13,7 @@ import pytest
 
 from atoll.report.page import as_html
 from atoll_coordinator.result.result import Result
-from tests.browsers import CHROMIUM, OPTIONS, SERIOUS, SWITCHES, WIDTHS
+from tests.browsers import CHROMIUM, CUT, NARROWEST, OPTIONS, SERIOUS, SWITCHES, WIDTHS
 from tests.unit.library.report import results
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; make browser installs it")
@@ -114,6 +114,9 @@ def test_a_report_loads_nothing_and_can_be_read_by_everybody(name: str, browser:
     )
     assert {look: visit.look(*look) for look in looks} == {look: [] for look in looks}
     assert visit.complaints == []
+    assert visit.fit(NARROWEST) == []
+    visit.page.evaluate("document.querySelectorAll('details').forEach((each) => (each.open = true))")
+    assert visit.page.evaluate(CUT) == []
     assert visit.page.locator("img").count() == 0
     if name == "hostile":
         assert visit.page.locator("h1").inner_text() == f"Equations of {HOSTILE}, {LONG}.csv"

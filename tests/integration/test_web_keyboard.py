@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tests.integration.stage import LIMIT_MS, Stage, needs_chromium, shoot
+from tests.integration.stage import LIMIT_MS, Stage, needs_chromium
 from tests.integration.test_web import TOKEN, web
 from tests.programs import started, until
 
@@ -99,7 +99,7 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
         keys.to("Role of")
         data = stage.place / "mine.csv"
         data.write_bytes((Path("coordinator/atoll/web/static/predator_prey.csv")).read_bytes())
-        keys.to("Data files", "Shift+Tab")
+        keys.to("choose files", "Shift+Tab")
         tab.locator("#file").set_input_files(data)  # the dialog of the system is the browser's
         tab.get_by_text("mine.csv", exact=False).first.wait_for()
         keys.to("search")
@@ -116,10 +116,13 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
         first = tab.url.rpartition("/")[2]
 
         tab.get_by_role("button", name="Open the report").wait_for()
+        tab.get_by_text("checks passed", exact=False).first.wait_for()
+        tab.get_by_label("Phase portrait").locator("canvas").wait_for()  # nothing moves any more
+        keys.to("Candidates, front and convergence")
+        tab.keyboard.press("Enter")
         tab.get_by_role("slider").first.wait_for()
         check_round(keys)
         tab.get_by_label("Phase portrait").locator("canvas").wait_for()
-        shoot(tab, "web-job")
         keys.to("choose an equation")
         keys.press("End")
         last = chosen(tab)()
@@ -136,7 +139,7 @@ def test_from_an_empty_service_to_a_result_and_a_comparison_without_a_mouse(stag
         opened.value.get_by_role("heading", level=1).wait_for()
         opened.value.close()
 
-        stage.page.submit("long", seed="1", target_error="1e-300", max_epochs="100000")
+        stage.page.submit("long", seed="1", preset="paper", target_error="1e-300", max_epochs="100000")
         keys.to("Jobs", "Shift+Tab")
         tab.keyboard.press("Enter")
         tab.get_by_role("link", name="d.csv").wait_for()

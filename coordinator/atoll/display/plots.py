@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from atoll.display.curves import curves_of
 from atoll.display.series import front, label, residuals
 from atoll.model.beginnings import values_of_curve
 from atoll_coordinator.result.listed_trajectories import Simulated
@@ -29,17 +30,19 @@ def plot_fit(model: "Model", axes: object = None) -> Axes:
     parts = _trajectories(model)
     states = list(parts[0].values or {})
     each = _axes_over_time(model, states, axes)
+    curves = [curves_of(model, part) for part in parts]
     for at, state in zip(each, states, strict=True):
         for number, part in enumerate(parts):
             if not part.values:
                 continue
-            color, times = f"C{number % 10}", part.times
-            if part.lower:
-                bounds = (values_of_curve(curves[state]) for curves in (part.lower, part.upper or part.lower))
+            color, drawn = f"C{number % 10}", curves[number]
+            times = values_of_curve(drawn.times)
+            if drawn.lower and drawn.upper:
+                bounds = (values_of_curve(side[state]) for side in (drawn.lower, drawn.upper))
                 at.fill_between(times, *bounds, color=color, alpha=0.3)
-            at.plot(times, values_of_curve(part.values[state]), color=color, label=part.name)
+            at.plot(times, values_of_curve(drawn.values[state]), color=color, label=part.name)
             if part.measured:
-                at.plot(times, values_of_curve(part.measured[state]), ".", color=color, markersize=3)
+                at.plot(part.times, values_of_curve(part.measured[state]), ".", color=color, markersize=3)
     return each
 
 
@@ -80,7 +83,8 @@ def plot_phase(model: "Model", axes: object = None) -> Axes:
     at.streamplot(first, second, across, up, color="0.7", density=0.8)
     for part in _trajectories(model):
         if part.values and {x, y} <= set(part.values):
-            at.plot(values_of_curve(part.values[x]), values_of_curve(part.values[y]))
+            drawn = curves_of(model, part).values
+            at.plot(values_of_curve(drawn[x]), values_of_curve(drawn[y]))
     return each
 
 

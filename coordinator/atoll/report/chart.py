@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import Final
 
+from atoll.display.curves import SHOWN
 from atoll.report.markup import Element, element
 
 WIDTH: Final = 440
 HEIGHT: Final = 280
-COLORS: Final = 6
-"""Classes ``c0``, ``c1``, … of the style sheet."""
+COLORS: Final = SHOWN
+"""Classes ``c0``, ``c1``, … of the style sheet: one for each trajectory that is drawn."""
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 12, 12, 44
 _TICKS: Final = 5

@@ -9,7 +9,6 @@ from atoll.analysis.sentences import Listing, describe
 from atoll.model.groups import differing_groups
 from atoll.report.chart import COLORS, Axis, Chart
 from atoll.report.findings import Findings
-from atoll.report.fit import chosen
 from atoll.report.markup import Element, figure, legend, paragraph, pictures, section, table
 
 if TYPE_CHECKING:
@@ -62,15 +61,14 @@ def _phase_plane(findings: Findings, analysis: "Analysis") -> Element:
     for point in analysis.fixed_points.points:
         drawn.add_points([point.point[0]], [point.point[1]], "fixed stable" if point.is_stable else "fixed unstable")
     marks = [
-        ("line n0", f"d{first}/dt = 0"),
-        ("line n1", f"d{second}/dt = 0"),
+        ("line n0", f"d{first}/d{findings.result.time} = 0"),
+        ("line n1", f"d{second}/d{findings.result.time} = 0"),
         ("dot fixed stable", "stable fixed point"),
         ("dot fixed unstable", "other fixed point"),
     ]
     if analysis.cycles.cycles:
         marks.append(("line cycle", "limit cycle"))
-    parts = chosen(findings.result.simulated)
-    marks += [(f"line c{index}", f"trajectory {part.name}") for index, part in enumerate(parts)]
+    marks += [(f"line c{index}", f"trajectory {part.name}") for index, (part, _) in enumerate(findings.drawn)]
     return figure(
         drawn.svg(),
         "Phase plane" + ("; shades tell which attractor is reached" if len(analysis.basins.attractors) > 1 else ""),
@@ -128,8 +126,7 @@ def _add_trajectories(drawn: Chart, findings: Findings) -> None:
     if len(columns) != 2:
         return
     first, second = columns
-    for index, part in enumerate(chosen(findings.result.simulated)):
+    for index, (part, curves) in enumerate(findings.drawn):
         if part.measured:
             drawn.add_points(part.measured[first], part.measured[second], f"small c{index}")
-        values = part.values or {}
-        drawn.add_line(values[first], values[second], f"c{index}")
+        drawn.add_line(curves.values[first], curves.values[second], f"c{index}")

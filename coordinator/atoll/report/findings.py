@@ -1,12 +1,15 @@
 """What a page is about: a result, and where there is one its model and how it moves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from atoll.display.curves import ModelCurves, chosen, curves_of
 from atoll.display.series import label
 from atoll.model.model import Model
 from atoll.report.chart import Axis, Chart
+from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
 
@@ -51,6 +54,11 @@ class Findings:
             return cls(result, model, model.analyse(), "", identifiability, suggestions)
         except UsageError as error:
             return cls(result, model, None, str(error), identifiability, suggestions)
+
+    @cached_property
+    def drawn(self) -> Sequence[tuple[Simulated, ModelCurves]]:
+        """The simulated trajectories that are drawn with their curves, at most `SHOWN`, each in a colour of its own."""
+        return [(part, curves_of(self.model, part)) for part in chosen(self.result.simulated)]
 
     def labelled(self, column: str) -> str:
         """Return a column name with its unit."""

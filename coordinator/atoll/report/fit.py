@@ -3,16 +3,15 @@
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+from atoll.display.curves import SHOWN
 from atoll.display.series import residuals
-from atoll.report.chart import COLORS, Axis, Chart
+from atoll.report.chart import Axis, Chart
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, figure, legend, number, paragraph, pictures, r2_cell, section, table
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Simulated, Smoothed
 
-SHOWN: Final = COLORS
-"""Trajectories that are drawn, each in a colour of its own."""
 ROWS: Final = 60
 """Rows of the numbers behind a picture."""
 _LEFT: Final = (
@@ -23,13 +22,13 @@ _LEFT: Final = (
 
 def trajectories(findings: Findings) -> list[Element]:
     """Return the sections of the fit, of its residuals, and of the errors of the measurements."""
-    parts = chosen(findings.result.simulated)
+    parts = [part for part, _ in findings.drawn]
     sections = []
     if parts:
         states = list(parts[0].values or {})
-        fits = pictures(_fit(state, parts, findings) for state in states)
+        fits = pictures(_fit(state, findings) for state in states)
         left = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
-        sections.append(section("fit", "Measured and simulated", _which(parts, findings), fits, _explained(findings)))
+        sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explained(findings)))
         sections.append(section("residuals", "What the model leaves", paragraph(_LEFT), left))
     elif findings.result.simulated:
         sections.append(section("fit", "Measured and simulated", paragraph("The model could not be simulated.")))
@@ -69,39 +68,41 @@ def fitted_values(findings: Findings) -> list[Element]:
     return [section("fit", "Measured and fitted", pictures(drawn))]
 
 
-def chosen(parts: Sequence[Simulated]) -> list[Simulated]:
-    """Return the simulated trajectories; of more than `SHOWN` some, from the worst explained to the best."""
-    known = [part for part in parts if part.values]
-    if len(known) <= SHOWN:
-        return known
-    known.sort(key=lambda part: min((value for value in part.r2.values() if value is not None), default=0.0))
-    return [known[index * (len(known) - 1) // (SHOWN - 1)] for index in range(SHOWN)]
-
-
-def _which(parts: Sequence[Simulated], findings: Findings) -> Element:
-    text = (
-        "Dots are measured. Lines are simulated, each from one fitted initial state, with 95 % bands of the errors of "
-        "constants and initial states."
-    )
+def _which(findings: Findings) -> Element:
+    parts, curves = zip(*findings.drawn, strict=True)
+    text = f"Dots are measured. Lines are simulated by the model{_origin([each.pieces for each in curves])}"
+    text += "." if not any(part.lower for part in parts) else (
+        "; bands hold 95 % of the uncertainty that constants and initial states have."
+    )  # fmt: skip
     if len(findings.result.simulated) > len(parts):
         drawn = f"{len(parts)} trajectories of {len(findings.result.simulated)} are drawn"
         text += f" {drawn}, from the worst explained to the best."
     return paragraph(text)
 
 
-def _fit(state: str, parts: Sequence[Simulated], findings: Findings) -> Element:
-    drawn = findings.over_time(f"{state} over time, measured and simulated", state)
-    for index, part in enumerate(parts):
-        if part.lower and part.upper:
-            drawn.add_band(part.times, part.lower[state], part.upper[state], f"c{index}")
-    for index, part in enumerate(parts):
+def _origin(pieces: Sequence[int | None]) -> str:
+    """Return from what the trajectories are simulated; "" where that is not known of all."""
+    known = [count for count in pieces if count is not None]
+    if len(known) < len(pieces):
+        return ""
+    if max(known) == 1:
+        return ", from one fitted initial state" if len(known) == 1 else ", each from one fitted initial state"
+    return ", in pieces that each have a fitted initial state of their own"
+
+
+def _fit(state: str, findings: Findings) -> Element:
+    drawn, parts = findings.over_time(f"{state} over time, measured and simulated", state), findings.drawn
+    for index, (_, curves) in enumerate(parts):
+        if curves.lower and curves.upper:
+            drawn.add_band(curves.times, curves.lower[state], curves.upper[state], f"c{index}")
+    for index, (part, curves) in enumerate(parts):
         if part.measured:
             drawn.add_points(part.times, part.measured[state], f"c{index}")
-        drawn.add_line(part.times, (part.values or {})[state], f"c{index}")
+        drawn.add_line(curves.times, curves.values[state], f"c{index}")
     heads = ["trajectory", findings.result.time, "measured", "simulated", "lower", "upper"]
-    curves = [(part.name, _curves(part, state)) for part in parts]
-    numbers = table(f"{state}, measured and simulated", heads, _some_rows(curves))
-    names = [f"trajectory {part.name}" + (", held out" if part.held_out else "") for part in parts]
+    listed = [(part.name, _curves(part, state)) for part, _ in parts]
+    numbers = table(f"{state}, measured and simulated", heads, _some_rows(listed))
+    names = [f"trajectory {part.name}" + (", held out" if part.held_out else "") for part, _ in parts]
     marks = [legend((f"c{index}", name) for index, name in enumerate(names))] if len(parts) > 1 else []
     return figure(drawn.svg(), findings.labelled(state), numbers, *marks)
 

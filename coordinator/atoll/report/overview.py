@@ -1,5 +1,6 @@
 """What was asked and what was found, in one screen."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from atoll.display.notation import equation_mathml
@@ -7,8 +8,10 @@ from atoll.model.groups import remark_on_groups
 from atoll.model.parameters import r2_text
 from atoll.report.findings import Findings
 from atoll.report.markup import Element, element, facts, number, paragraph, parse_mathml, scrolling, section
-from atoll.text.tables import checks_text
-from atoll_coordinator.result.equations import Equation
+from atoll.text.conclusion import conclusion
+from atoll.text.tables import checks_text, constants_line
+from atoll_coordinator.result.equations import Check, Equation
+from atoll_coordinator.result.notes import is_note
 
 MEANINGS: Final = {
     "exact": "the data single this equation out, to all of their digits",
@@ -22,14 +25,20 @@ def overview(findings: Findings) -> Element:
     """Return the section: equations with verdicts, then what was asked."""
     result = findings.result
     equations = [_equation(equation, findings) for equation in result.equations]
-    warnings = [element("li", text) for text in result.warnings]
-    noted = (element("h3", "Warnings"), element("ul", *warnings)) if warnings else ()
+    warned = _listed("Warnings", [text for text in result.warnings if not is_note(text)])
+    noted = _listed("Notes", [text for text in result.warnings if is_note(text)])
     of_noise = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time." if result.process else ""
     remarks = map(paragraph, filter(None, [remark_on_groups(result), of_noise]))
     verdicts = dict.fromkeys(equation.verdict or "" for equation in result.equations)
     meanings = [f"{verdict.capitalize()}: {MEANINGS[verdict]}." for verdict in verdicts if verdict in MEANINGS]
     explained = paragraph(element("small", " ".join(meanings)))
-    return section("found", "Found", *equations, explained, *remarks, facts(_facts(findings)), *noted)
+    opening = paragraph(conclusion(result))
+    return section("found", "Found", opening, *equations, explained, *remarks, *warned, facts(_facts(findings)), *noted)
+
+
+def _listed(title: str, texts: Sequence[str]) -> list[Element]:
+    """Return a list with its heading; nothing of no texts."""
+    return [element("h3", title), element("ul", *(element("li", text) for text in texts))] if texts else []
 
 
 def _equation(equation: Equation, findings: Findings) -> Element:
@@ -39,13 +48,31 @@ def _equation(equation: Equation, findings: Findings) -> Element:
     else:
         formula = equation_mathml(lhs, equation.variable, equation.expression, findings.result.names)
         parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
+    errors = constants_line(equation.constants)
+    if errors:
+        parts.append(paragraph(errors[:1].upper() + errors[1:]))
     if verdict is not None:
         badge = element("strong", verdict, class_=f"verdict {verdict.replace(' ', '-')}")
         parts.append(paragraph(badge, f" {equation.reason or ''}"))
     if equation.checks:
-        rows = [element("li", f"{check.name}: {check.outcome}. {check.reason}") for check in equation.checks]
-        parts.append(element("details", element("summary", checks_text(equation.checks)), element("ul", *rows)))
+        parts += _checks(equation.checks)
     return element("div", *parts, class_="equation")
+
+
+def _checks(checks: Sequence[Check]) -> list[Element]:
+    """Return how many checks have passed, a list of those that have not, and the others behind it."""
+    text = checks_text(checks).partition(";")[0]
+    listed = [check for check in checks if check.outcome in ("failed", "not made")]
+    others = [check for check in checks if check.outcome not in ("failed", "not made")]
+    parts = [paragraph(text[:1].upper() + text[1:] + ("." if not listed else ":"))]
+    parts += [element("ul", *map(_check, listed))] if listed else []
+    if others:
+        parts.append(element("details", element("summary", "The other checks"), element("ul", *map(_check, others))))
+    return parts
+
+
+def _check(check: Check) -> Element:
+    return element("li", element("b", f"{check.name}: {check.outcome}."), f" {check.reason}")
 
 
 def _facts(findings: Findings) -> list[tuple[str, str]]:

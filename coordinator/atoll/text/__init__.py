@@ -1,1 +1,5 @@
-"""A result as text for people: `render` the whole, `tables` its tables, `process` what is said of a process."""
+"""A result as text for people.
+
+`render` has the whole, `tables` its tables, `process` what is said of a process, `conclusion` what it comes to in plain
+words.
+"""

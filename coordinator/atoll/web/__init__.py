@@ -8,7 +8,7 @@
 - `temporary`: folders of what was sent, also those that a killed process has left
 - `reading`: files, read by `reading_process` in forks with limits; there `submission`: what is made of a file
 - `description`: the API as OpenAPI describes it, in ``openapi.json``
-- `progress`: fronts and convergence as pages draw them
+- `progress`: equations, fronts and convergence as pages draw them; `simulation`: curves beside what was measured
 - ``static``: the page
 
 Nothing here is needed by a search: this process can end at any time.

@@ -34,8 +34,9 @@ from atoll.web.connections import most_connections
 from atoll.web.feed import MAX_LISTENERS, Feed
 from atoll.web.gateway import BusyError, Gateway
 from atoll.web.options import configured, options_by_heading, sizes_by_name
-from atoll.web.progress import progress, some
+from atoll.web.progress import progress
 from atoll.web.reading import MAX_BODY, TABLE, Readers, parted
+from atoll.web.simulation import simulated
 from atoll.web.temporary import PREFIX, held
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
@@ -184,6 +185,7 @@ class Api:
             ("POST", "/jobs/{job}/retry", self.retry),
             ("PUT", "/jobs/{job}/priority", self.set_priority),
             ("PUT", "/jobs/{job}/sharing", self.set_sharing),
+            ("GET", "/logs", self.all_logs),
             ("GET", "/workers", self.workers),
             ("PUT", "/workers/{worker}/service", self.set_service),
             ("GET", "/coordinator", self.coordinator),
@@ -306,7 +308,14 @@ class Api:
 
     async def logs(self, request: Request) -> Response:
         """Give the events of a job after a number, or the last ones."""
-        job, after = _job(request), _whole(request, "after", 0, 0) or 0
+        return await self._events(request, _job(request))
+
+    async def all_logs(self, request: Request) -> Response:
+        """Give the events of workers and of all jobs that may be seen, after a number, or the last ones."""
+        return await self._events(request, None)
+
+    async def _events(self, request: Request, job: str | None) -> Response:
+        after = _whole(request, "after", 0, 0) or 0
         limit, of_workers = _whole(request, "limit", 200, 1, 1000) or 200, _flag(request, "of_workers")
         events = await gateway_of(request).ask(
             lambda client: client.events(job, after, limit, of_workers=of_workers)
@@ -400,8 +409,8 @@ class Api:
         return JSONResponse({"islands": to_jsonable_python(islands)})
 
     async def simulation(self, request: Request) -> Response:
-        """Simulate the model from its first measured state."""
-        return JSONResponse(await run_in_threadpool(_simulated, await self._chosen(request)))
+        """Simulate the model from its first measured state, and along each measured trajectory, for pictures."""
+        return JSONResponse(await run_in_threadpool(simulated, await self._chosen(request)))
 
     async def report(self, request: Request) -> Response:
         """Give the report as HTML; 202 while a worker makes it."""
@@ -610,18 +619,6 @@ def _download(request: Request, text: str, name: str, media_type: str) -> Respon
 
 def _exported(result: Result, name: str) -> str:
     return OF_RESULTS[name](result) if name in OF_RESULTS else written(Model(result), name)
-
-
-def _simulated(result: Result) -> Mapping[str, Any]:
-    """Return a simulation as columns, decimated; none, with a sentence, of what is no model that moves."""
-    try:
-        simulation = Model(result).simulate(has_bands=False)
-    except AtollError as error:
-        return {"time": result.time, "columns": {}, "message": str(error)}
-    rows = some(len(simulation.t), 1_000)
-    columns = simulation.columns().items()
-    curves = {name: [float(f"{value:.6g}") for value in values[rows]] for name, values in columns}
-    return {"time": result.time, "columns": curves, "message": simulation.message}
 
 
 def _resource(name: str) -> str:

@@ -35,6 +35,12 @@ _FILE: Final[Mapping[str, tuple[Mapping[str, Any], str]]] = {
     "of": (_ID, "a job whose data are taken in the place of a body"),
 }
 
+_EVENTS: Final[Mapping[str, tuple[Mapping[str, Any], str]]] = {
+    "after": ({"type": "integer", "minimum": 0}, "the number of an event"),
+    "limit": ({"type": "integer", "minimum": 1, "maximum": 1000}, "events at most"),
+    "of_workers": (_FLAG, "only what workers have logged"),
+}
+
 QUERIES: Final[Mapping[str, Mapping[str, tuple[Mapping[str, Any], str]]]] = {
     "jobs": {
         "limit": ({"type": "integer", "minimum": 1, "maximum": MAX_PAGE_JOBS}, "jobs at most"),
@@ -52,11 +58,8 @@ QUERIES: Final[Mapping[str, Mapping[str, tuple[Mapping[str, Any], str]]]] = {
     "outline": _FILE,
     "preview": _FILE,
     "retry": {"id": (_ID, "the new job's id")},
-    "logs": {
-        "after": ({"type": "integer", "minimum": 0}, "the number of an event"),
-        "limit": ({"type": "integer", "minimum": 1, "maximum": 1000}, "events at most"),
-        "of_workers": (_FLAG, "only what workers have logged"),
-    },
+    "logs": _EVENTS,
+    "all_logs": _EVENTS,
     "events": {
         "jobs": ({"type": "array", "items": _TEXT, "maxItems": 32}, "ids, or all"),
         "after": ({"type": "integer", "minimum": 0}, "as the header Last-Event-ID"),
@@ -84,6 +87,7 @@ def _list(name: str, model: type[BaseModel], **further: Any) -> dict[str, Any]:
 _ANSWERS: Final[Mapping[str, Any]] = {
     "jobs": _list("jobs", JobView, next={"type": ["integer", "null"]}),
     "logs": _list("events", EventView),
+    "all_logs": _list("events", EventView),
     "islands": _list("islands", IslandView),
     "workers": _list("workers", WorkerView),
     "set_service": _list("workers", WorkerView),

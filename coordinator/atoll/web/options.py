@@ -1,14 +1,52 @@
 """Options of a job as a page sends them, those of the command line by name; light to import."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import PurePath
-from typing import Any
+from typing import Any, Final
 
 from atoll.client.configure import configure
 from atoll.client.options import GROUPS, OPTIONS, Repeated
 from atoll_core.config import JobConfig
 from atoll_core.errors import UsageError
+
+LABELS: Final[Mapping[str, str]] = {
+    "time": "Time column",
+    "states": "State columns",
+    "inputs": "Inputs: columns without an equation",
+    "hold": "Inputs that keep their value until the next row",
+    "trajectory": "A new trajectory begins where this column changes",
+    "group": "Constants may differ between values of this column",
+    "per_trajectory": "Constants may differ between runs",
+    "target": "Column to be explained by the others, without time",
+    "derivatives": "Measured derivatives",
+    "order": "Order of the equations",
+    "angle": "Angles",
+    "only": "Search these equations only",
+    "offsets": "States measured up to an offset",
+    "sheet": "Sheet of the workbook",
+    "missing": "Missing values",
+    "missing_value": "Number that stands for a missing value",
+    "robust": "Outliers lose their weight",
+    "stochastic": "Noise moves the system itself",
+    "holdout": "Trajectories held out to judge by",
+    "weights": "Weights of rows",
+    "unit": "Units",
+    "seed": "Seed",
+    "preset": "Settings of the search",
+    "operators": "What expressions are made of",
+    "allow": "Variables that an equation may use",
+    "require": "Variables that an equation must have",
+    "bound": "Bounds on constants",
+    "guess": "Equations to begin from",
+    "known": "Known equations",
+    "islands": "Islands for each equation",
+    "max_size": "Largest complexity",
+    "max_time": "Time limit",
+    "max_epochs": "Limit of epochs",
+    "target_error": "Error that counts as found",
+}
+"""What each option is called on a page, by name."""
 
 
 def options_by_heading() -> dict[str, Any]:
@@ -19,6 +57,7 @@ def options_by_heading() -> dict[str, Any]:
                 {
                     "name": option.name,
                     "flag": option.flag,
+                    "label": LABELS.get(option.name, option.name.replace("_", " ")),
                     "metavar": option.metavar,
                     "help": option.help,
                     "is_repeatable": option.is_repeatable,

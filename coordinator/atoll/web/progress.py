@@ -7,7 +7,12 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.display.notation import equation_mathml
-from atoll_coordinator.result.equations import Convergence, Equation, Member
+from atoll.model.equations import rounded
+from atoll.model.parameters import r2_text
+from atoll.text.conclusion import conclusion
+from atoll.text.tables import constants_line
+from atoll_coordinator.result.equations import Candidate, Convergence, Equation, Member
+from atoll_coordinator.result.notes import is_note
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError
 
@@ -25,17 +30,24 @@ def progress(result: Result) -> dict[str, Any]:
         "job": result.job,
         "config": result.config,
         "files": list(result.data.files) if result.data is not None else [],
+        "conclusion": conclusion(result),
+        "warnings": [sentence for sentence in result.warnings if not is_note(sentence)],
+        "notes": [sentence for sentence in result.warnings if is_note(sentence)],
         "equations": [_equation(equation, result.names, points) for equation in result.equations],
     }
 
 
 def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str, Any]:
     curves = _curves(equation.convergence, points)
+    constants = constants_line(equation.constants)
     return {
         "variable": equation.variable,
         "lhs": equation.lhs,
-        "expression": equation.expression,
+        "expression": _text(equation.expression, names),
         "mathml": _mathml(equation, equation.expression, names),
+        "constants": constants.removeprefix("constants: ") if constants else None,
+        "origin": equation.origin,
+        "candidates": [_candidate(candidate, names) for candidate in equation.candidates],
         "verdict": equation.verdict,
         "reason": equation.reason,
         "checks": [check.model_dump(include={"name", "outcome", "reason"}) for check in equation.checks],
@@ -50,10 +62,35 @@ def _member(member: Member, equation: Equation, names: Sequence[str]) -> dict[st
         "complexity": member.complexity,
         "error": member.error,
         "normalized_error": member.normalized_error,
-        "expression": member.expression,
+        "expression": _text(member.expression, names),
         "selected": member.selected,
         "mathml": _mathml(equation, member.expression, names),
     }
+
+
+def _candidate(candidate: Candidate, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "expression": _text(candidate.expression, names),
+        "nats": candidate.nats,
+        "r2": r2_text(candidate.r2),
+        "held_out_r2": None if candidate.held_out_r2 is None else r2_text(candidate.held_out_r2),
+        "complexity": candidate.complexity,
+        "origin": candidate.origin,
+        "selected": candidate.selected,
+    }
+
+
+def _text(expression: str | None, names: Sequence[str]) -> str | None:
+    """Return an expression with as many digits as the terminal shows."""
+    return None if expression is None else _rounded(expression, tuple(names))
+
+
+@lru_cache(4_096)
+def _rounded(expression: str, names: tuple[str, ...]) -> str:
+    try:
+        return rounded(expression, names)
+    except AtollError:
+        return expression
 
 
 def _mathml(equation: Equation, expression: str | None, names: Sequence[str]) -> str | None:

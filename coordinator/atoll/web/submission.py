@@ -74,9 +74,13 @@ class Submission:
                     "role": _role(name, roles),
                     "unit": units.get(name),
                     "angle": angles.get(name),
-                    "first": [f"{value:.6g}" for value in values[:SHOWN]],
+                    "first": [_cell(self.table, name, value) for value in values[:SHOWN].tolist()],
                 }
                 for name, values in zip(self.table.names, self.table.columns, strict=True)
+            ]
+            + [
+                {"name": name, "role": "unused", "unit": None, "angle": None, "first": []}
+                for name in self.table.skipped
             ],
             "command": self.command(),
             "python": self.python(),
@@ -144,6 +148,14 @@ def _role(name: str, roles: Roles) -> str:
     found = [role for role, column in single.items() if column == name]
     found += [role for role, columns in several.items() if name in columns]
     return found[0] if found else "unused"
+
+
+def _cell(table: Table, name: str, value: float) -> str:
+    """Return a value as the file has it: a text, a date, or a number in six digits."""
+    text = table.label(name, value)
+    if text is not None:
+        return text
+    return table.moment(name, value) if name in table.origins else f"{value:.6g}"
 
 
 def _numbers(values: Any) -> list[float | None]:

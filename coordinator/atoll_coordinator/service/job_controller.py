@@ -437,10 +437,14 @@ class JobController:
         """Tell whether a worker has a task that has not ended."""
         return self.tasks.table.on(worker) is not None
 
-    def lose_tasks(self, worker: str, now: float, *, had_left: bool) -> None:
-        """Take in that a worker is lost, which `had_left` if it had said that it would: others get its tasks."""
+    def lose_tasks(self, worker: str, now: float, *, had_left: bool) -> tuple[str, ...]:
+        """Take in that a worker is lost, which `had_left` if it had said that it would: others get its tasks.
+
+        Returns the jobs of these tasks.
+        """
         with self.breakages.tolerated("taking tasks from a worker that is lost"):
-            self.tasks.lose(worker, now, had_left=had_left)
+            return self.tasks.lose(worker, now, had_left=had_left)
+        return ()
 
     def stalls(self, job_id: str) -> tuple[str, ...]:
         """Return why archipelagos of a job stand still, in words, by variable."""

@@ -2,7 +2,7 @@
 
 const STORE = `atoll-token ${location.pathname}`;
 /** Told of each request whether anything answered. */
-export const hooks = { answered() {} };
+export const hooks = { answered() {}, refused() {} };
 export const session = { user: null, may_write: false, version: "", connect: "tcp/HOST:7447" };
 /** Takes the token from the address, where history and screenshots would keep it, into the store of this tab. */
 function takeToken() {
@@ -17,6 +17,17 @@ function takeToken() {
 takeToken(); // before anything asks for something
 
 export function token() { return sessionStorage.getItem(STORE); }
+/** Keeps a token that the service knows; raises ApiError for another one. */
+export async function keepToken(given) {
+  const headers = { Authorization: `Bearer ${given}` };
+  const response = await fetch(address("session"), { headers }).catch(() => { throw new ApiError("The service does not answer.", 0); });
+  if (!response.ok) throw new ApiError(response.status === 401 ? "This token is not known. Look at the address again." : `The service answered ${response.status}.`, response.status);
+  sessionStorage.setItem(STORE, given);
+  return true;
+}
+
+/** Forgets a token that the service does not know any more. */
+export function forgetToken() { sessionStorage.removeItem(STORE); }
 /** What a request failed with: a sentence for people, and the HTTP status, 0 where nothing answered. */
 export class ApiError extends Error {
   constructor(sentence, status) { super(sentence); this.status = status; }
@@ -50,6 +61,7 @@ export async function send(path, { query, headers, ...options } = {}) {
 export async function check(response) {
   if (response.ok || response.status === 304) return response;
   const problem = await response.json().catch(() => ({})); // no problem document: the status has to do
+  if (response.status === 401) hooks.refused(problem.detail);
   throw new ApiError(problem.detail ?? `The service answered ${response.status} ${response.statusText}`.trim(), response.status);
 }
 

@@ -241,42 +241,83 @@ export class LinesChart extends Chart {
   }
 }
 
-/** One state over another. `trails` holds {xs, ys, colour, isPoints}. */
-export class PhaseChart extends Chart {
+/** Curves and points, each with its own numbers across: over time, or one state over another.
+ *
+ * `trails` holds {xs, ys, colour, isPoints, low, high}: a line ends where a number is missing, and `low` and `high` are
+ * the edges of its band. */
+export class TrailsChart extends Chart {
   set(xLabel, yLabel, trails) {
-    const bounds = { x: extent(trails.flatMap((trail) => trail.xs)), y: extent(trails.flatMap((trail) => trail.ys)) };
+    const bounds = { x: extent(trails.map((trail) => trail.xs)), y: extent(trails.flatMap((trail) => [trail.ys, trail.low ?? [], trail.high ?? []])) };
     const facets = [{ scale: "x", auto: true }, { scale: "y", auto: true }];
     const series = trails.map((trail) => ({ facets, paths: (plot, index) => drawTrail(plot, index, trail) }));
     const options = () => frame(xLabel, yLabel, { mode: 2, bounds, series: [null, ...series], cursor: { show: false } });
-    this.draw([null, ...trails.map((trail) => [trail.xs, trail.ys])], `${xLabel} ${yLabel} ${bounds.x} ${bounds.y}`, options);
+    const shape = `${xLabel} ${yLabel} ${bounds.x} ${bounds.y} ${trails.map((trail) => `${trail.colour} ${trail.isPoints}`)}`;
+    this.draw([null, ...trails.map((trail) => [trail.xs, trail.ys, trail.low, trail.high])], shape, options);
   }
 }
 
-function extent(values) {
-  const known = values.filter((value) => value !== null && Number.isFinite(value));
-  const [low, high] = [Math.min(...known), Math.max(...known)];
+function extent(columns) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const values of columns) {
+    for (const value of values) if (value !== null && Number.isFinite(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
+  }
+  if (low > high) return [0, 1];
   const margin = 0.05 * (high - low || Math.abs(high) || 1);
   return [low - margin, high + margin];
 }
 
 function drawTrail(plot, index, trail) {
+  const [xs, ys, low, high] = plot.data[index];
   const { ctx } = plot;
-  const [xs, ys] = plot.data[index];
-  const path = new Path2D();
-  const size = 4 * devicePixelRatio;
-  for (let i = 0; i < xs.length; i += 1) {
-    if (xs[i] === null || ys[i] === null) continue;
-    const [x, y] = [plot.valToPos(xs[i], "x", true), plot.valToPos(ys[i], "y", true)];
-    if (trail.isPoints) path.rect(x - size / 2, y - size / 2, size, size);
-    else path.lineTo(x, y);
-  }
   ctx.save();
   ctx.strokeStyle = ctx.fillStyle = colour(trail.colour);
   ctx.lineWidth = 1.6 * devicePixelRatio;
-  if (trail.isPoints) ctx.fill(path);
-  else ctx.stroke(path);
+  if (trail.isPoints) ctx.fill(squares(plot, xs, ys));
+  else ctx.stroke(lines(plot, xs, ys));
+  if (low && high) {
+    ctx.globalAlpha = 0.2;
+    ctx.fill(band(plot, xs, low, high));
+  }
   ctx.restore();
   return null;
+}
+
+function at(plot, x, y) { return [plot.valToPos(x, "x", true), plot.valToPos(y, "y", true)]; }
+
+function squares(plot, xs, ys) {
+  const path = new Path2D();
+  const size = 4 * devicePixelRatio;
+  xs.forEach((x, i) => {
+    if (x === null || ys[i] === null) return;
+    const [left, top] = at(plot, x, ys[i]);
+    path.rect(left - size / 2, top - size / 2, size, size);
+  });
+  return path;
+}
+
+function lines(plot, xs, ys) {
+  const path = new Path2D();
+  let isDown = false;
+  xs.forEach((x, i) => {
+    const isKnown = x !== null && ys[i] !== null;
+    if (isKnown) path[isDown ? "lineTo" : "moveTo"](...at(plot, x, ys[i]));
+    isDown = isKnown;
+  });
+  return path;
+}
+
+/** Returns the area between two curves, piece by piece. */
+function band(plot, xs, low, high) {
+  const path = new Path2D();
+  let piece = [];
+  const close = () => {
+    piece.forEach((i, place) => path[place ? "lineTo" : "moveTo"](...at(plot, xs[i], high[i])));
+    piece.reverse().forEach((i) => path.lineTo(...at(plot, xs[i], low[i])));
+    piece = [];
+  };
+  xs.forEach((x, i) => { if (x === null || low[i] === null || high[i] === null) close(); else piece.push(i); });
+  close();
+  return path;
 }
 
 /** Lets an element be what arrow keys move through a front, as a slider says it to screen readers. */
@@ -295,5 +336,5 @@ export function steerable(element, label, { count, at, choose, say }) {
 }
 
 export function sayPoint(point) {
-  return point ? `complexity ${point.complexity}, error ${number(errorOf(point))}: ${point.expression}` : "no equation yet";
+  return point ? `complexity ${point.complexity}, error ${number(errorOf(point))}: ${point.expression}` : "none is marked";
 }

@@ -42,7 +42,7 @@ class Comparison {
   #draw(all) {
     const jobs = all.map(({ job }) => job);
     const names = jobs.map((job, index) => h("a", { href: `#/jobs/${encodeURIComponent(job.job)}` }, h("span", { class: `swatch ${cycled(index)}`, "aria-hidden": "true" }), `${job.name} (${job.job})`));
-    const facts = [["State", stateOf], ["Best error", (job) => number(largestError(job))], ["Elapsed", (job) => duration(job.elapsed)], ["Seed", (job) => job.seed], ["Preset", (job) => job.preset]];
+    const facts = [["State", stateOf], ["Largest error", (job) => number(largestError(job))], ["Elapsed", (job) => duration(job.elapsed)], ["Seed", (job) => job.seed], ["Preset", (job) => job.preset]];
     this.jobs.replaceChildren(pairTable("Jobs", names, facts.map(([label, say]) => [label, ...jobs.map(say)])));
     this.#drawEquations(all);
     const plain = jobs.map((job) => job.name);

@@ -95,6 +95,15 @@ export function confirmed(label, question, yes, act) {
   return h("span", {}, open, box);
 }
 
+/** Returns a part with its title that can be folded away. */
+export function folding(title, ...parts) { return h("details", { open: true }, h("summary", {}, title), parts); }
+
+/** Folds a part away when `isOver` becomes true, and unfolds it when that ends: what somebody has done since then stays. */
+export function foldWhen(part, isOver) {
+  if (part.isFolded === isOver) return;
+  [part.isFolded, part.open] = [isOver, !isOver];
+}
+
 /** Returns a text to copy with its button. */
 export function copyable(label, text) {
   const code = h("pre", { tabindex: "0", "aria-label": label }, text);

@@ -49,6 +49,9 @@ export function clock(text) {
   return Number.isNaN(time.getTime()) ? "" : time.toLocaleTimeString([], { hour12: false });
 }
 
+/** Returns an expression whose numbers have six digits, as the terminal shows them. */
+export function short(expression) { return expression.replace(/\d+\.\d+(e[+-]?\d+)?/g, (text) => String(Number(Number(text).toPrecision(6)))); }
+
 export function plural(amount, noun) { return `${amount} ${noun}${amount === 1 ? "" : "s"}`; }
 
 export const ENDED = ["done", "failed", "cancelled"];

@@ -2,8 +2,8 @@
 
 import { get, paths, session } from "./api.js";
 import { follow } from "./events.js";
-import { announce, facts, framed, faultBox, h, redraw, setClass, setText, show, viewHeading } from "./dom.js";
-import { ENDED, count, duration, elapsed, heard, moment, plural, stateOf } from "./format.js";
+import { announce, facts, foldWhen, folding, framed, faultBox, h, redraw, setClass, setText, show, viewHeading } from "./dom.js";
+import { ENDED, HAS_RESULT, count, duration, elapsed, heard, moment, plural, stateOf } from "./format.js";
 import { Actions } from "./job_actions.js";
 import { EquationCard } from "./job_equation.js";
 import { Islands } from "./job_islands.js";
@@ -20,7 +20,7 @@ class JobPage {
     this.app = app;
     this.draw = framed(() => this.#draw());
     this.actions = new Actions(id, app, (job) => this.#merge(job));
-    this.progress = new Progress(id, (equations) => this.#showEquations(equations));
+    this.progress = new Progress(id, (progress) => this.#showProgress(progress));
     this.islands = new Islands(id);
     this.log = new Log(id);
     this.outcome = new Outcome(id);
@@ -38,10 +38,12 @@ class JobPage {
     this.facts = h("div");
     this.fault = faultBox();
     this.equations = h("div", { class: "equations" }, h("p", { class: "faint" }, "No equations yet."));
+    this.about = folding("About this job", this.facts);
     this.body = h("div", { hidden: true },
-      this.reason, this.notes, this.facts, this.actions.box,
+      this.reason, this.outcome.conclusion, this.notes, this.outcome.refining, this.actions.box,
       h("section", { "aria-label": "Equations" }, h("h2", {}, "Equations"), this.equations),
-      this.outcome.box, this.islands.box, this.log.box);
+      this.outcome.pictures, this.outcome.downloads, this.outcome.remarks,
+      this.islands.box, h("section", { "aria-label": "Job" }, h("h2", {}, "Job"), this.about, this.log.events));
     root.append(h("p", { class: "crumb" }, h("a", { href: "#/jobs" }, "Jobs")), h("div", { class: "head" }, this.heading, this.state), this.fault, this.body);
   }
 
@@ -96,6 +98,8 @@ class JobPage {
     this.#drawNotes(job);
     this.#drawFacts(job);
     this.actions.update(job, session.may_write);
+    foldWhen(this.about, HAS_RESULT.includes(job.state));
+    foldWhen(this.log.events, HAS_RESULT.includes(job.state));
     for (const variable of job.variables ?? []) this.#card(variable.variable).update(variable, job);
     this.outcome.update(job);
     this.islands.update(job);
@@ -105,7 +109,7 @@ class JobPage {
     const isGoing = !ENDED.includes(job.state);
     const notes = [
       ...(job.stalls ?? []).map((text) => ["bad", "Stands still", text]),
-      ...(job.warnings ?? []).map((text) => ["doubtful", "Note", text]),
+      ...(isGoing ? job.warnings ?? [] : []).map((text) => ["doubtful", "Note", text]), // of a result they stand below
       ...(isGoing && job.ahead ? [["", "Waits", `${plural(job.ahead, "job")} before it in the line.`]] : []),
       ...(isGoing && job.held && !job.paused ? [["", "Waits", "It has begun and waits for a place."]] : []),
       ...(job.state === "running" && job.workers === 0 && !job.reason ? [["doubtful", "Waits", "No worker computes for it now."]] : []),
@@ -118,18 +122,19 @@ class JobPage {
     const pairs = [
       ["Job", job.job],
       ["Submitted", moment(job.submitted)], ["Owner", job.submitter ?? "–"], ["Elapsed", duration(elapsed(job))],
-      ["Workers", String(job.workers)], ["Points evaluated", count(job.point_evaluations)],
+      ["Workers", ENDED.includes(job.state) ? null : String(job.workers)], ["Points evaluated", count(job.point_evaluations)],
       ["Points per second", rate && !ENDED.includes(job.state) ? count(rate) : null],
       ["Seed", String(job.seed)], ["Preset", job.preset], ["Priority", String(job.priority)],
-      ["Deaths", job.counters?.deaths ? String(job.counters.deaths) : null],
-      ["Waited for migrants", job.counters?.waited_s ? duration(job.counters.waited_s) : null],
+      ["Workers lost", job.counters?.deaths ? String(job.counters.deaths) : null],
+      ["Time spent waiting for migrants", job.counters?.waited_s ? duration(job.counters.waited_s) : null],
     ];
     redraw(this.facts, pairs.join(), () => facts(pairs));
   }
 
-  #showEquations(equations) {
+  #showProgress(progress) {
     if (this.#isClosed) return;
-    for (const equation of equations) this.#card(equation.variable).show(equation);
+    this.outcome.show(progress);
+    for (const equation of progress.equations) this.#card(equation.variable).show(equation);
   }
 
   #card(variable) {

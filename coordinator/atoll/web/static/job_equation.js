@@ -1,9 +1,9 @@
 // One equation of a job: what it is now, its front of complexity against error, how the islands got there.
 
 import { ConvergenceChart, FrontChart, cycled, errorOf, legend, sayPoint, steerable } from "./charts.js";
-import { framed, h, keyed, redraw, setClass, setText, show } from "./dom.js";
+import { foldWhen, folding, framed, h, keyed, redraw, setClass, setText, show } from "./dom.js";
 import { formula } from "./mathml.js";
-import { count, number } from "./format.js";
+import { ENDED, count, number, short } from "./format.js";
 
 const WHY = {
   target: "found: its error is below the target", law: "found: an exact law", stagnation: "ended: nothing got better any more",
@@ -23,7 +23,9 @@ export class EquationCard {
     this.verdict = h("span", { class: "verdict", hidden: true });
     this.now = h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `Equation of ${this.variable}` }, "No equation yet.");
     this.facts = h("p", { class: "faint numbers" });
-    this.checks = h("details", { class: "reason", hidden: true });
+    this.constants = h("p", { class: "numbers" });
+    this.checks = h("div", { class: "reason", hidden: true });
+    this.candidates = h("div");
     this.front = new FrontChart(`Front of ${this.variable}`, (index) => this.#choose(index));
     this.curves = new ConvergenceChart(`Errors of the islands of ${this.variable} over generations`);
     this.picked = h("p", { class: "faint numbers" });
@@ -33,22 +35,23 @@ export class EquationCard {
     this.mark = steerable(this.front.box, `Front of ${this.variable}: choose an equation`, {
       count: () => this.#points.length, at: () => this.#index, choose: (index) => this.#choose(index), say: () => sayPoint(this.#points[this.#index]),
     });
+    this.pictures = h("div", { class: "pair" },
+      h("figure", {}, h("figcaption", {}, "Front: the least error for each complexity; a ring marks the equation above, if it is one of these. Click a point, or use arrow keys."), this.front.box, this.picked, this.pickedFormula),
+      h("figure", {}, h("figcaption", {}, "Convergence: the error of each island over generations."), this.curves.box, this.islands));
+    this.search = folding("Candidates, front and convergence", this.candidates, this.pictures, this.#table());
+    this.search.hidden = true;
     this.box = h("article", { class: "equation", "aria-label": `Equation of ${this.variable}` },
-      h("div", { class: "head" }, this.title, this.verdict), this.now, this.facts, this.checks,
-      (this.pictures = h("div", { class: "pair", hidden: true },
-        h("figure", {}, h("figcaption", {}, "Front: the least error for each complexity. Click a point, or use arrow keys."), this.front.box, this.picked, this.pickedFormula),
-        h("figure", {}, h("figcaption", {}, "Convergence: the error of each island over generations."), this.curves.box, this.islands))),
-      (this.table = this.#table()));
+      h("div", { class: "head" }, this.title, this.verdict), this.now, this.constants, this.facts, this.checks, this.search);
   }
 
   #table() {
     const heads = ["Complexity", "Error", "Equation"].map((text, index) => h("th", { scope: "col", class: index < 2 ? "number" : null }, text));
     const table = h("table", {}, h("caption", { class: "unseen" }, `Front of ${this.variable}`), h("thead", {}, h("tr", {}, heads)), this.rows);
-    return h("details", { hidden: true }, h("summary", {}, "The front as a table"), h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Front of ${this.variable} as a table` }, table));
+    return h("details", {}, h("summary", {}, "The front as a table"), h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Front of ${this.variable} as a table` }, table));
   }
   /** Shows what the job says of this equation. */
   update(view, job) {
-    this.complexity = view.complexity;
+    foldWhen(this.search, ENDED.includes(job.state));
     setText(this.title, view.lhs || view.variable);
     show(this.verdict, Boolean(view.verdict));
     setText(this.verdict, view.verdict ?? "");
@@ -60,30 +63,31 @@ export class EquationCard {
       `epoch ${view.epoch}`, `${count(view.point_evaluations)} points`, view.converged ? "islands agree" : null, state,
     ];
     setText(this.facts, parts.filter(Boolean).join(" · "));
-    if (!this.#equation && view.expression) setText(this.now, `${view.lhs} = ${view.expression}`);
+    if (!this.#equation && view.expression) setText(this.now, `${view.lhs} = ${short(view.expression)}`);
   }
   /** Shows an equation of the progress. */
   show(equation) { this.#equation = equation; this.#tell(); this.draw(); }
   get #points() { return this.#equation?.front ?? []; }
-  /** The chosen point stays chosen while the front grows; without a choice it is the one that the search holds best. */
+  /** The chosen point stays chosen while the front grows; without a choice it is the equation above, -1 where that is none of these. */
   get #index() {
-    const points = this.#points;
-    const find = (isMeant) => points.findIndex(isMeant);
-    const wanted = [find((point) => point.complexity === this.#chosen), find((point) => point.selected), find((point) => point.complexity === this.complexity)];
-    return wanted.find((index) => index >= 0) ?? points.length - 1;
+    const find = (isMeant) => this.#points.findIndex(isMeant);
+    const chosen = this.#chosen === null ? -1 : find((point) => point.complexity === this.#chosen);
+    return chosen >= 0 ? chosen : find((point) => point.selected);
   }
 
   #choose(index) { this.#chosen = this.#points[index]?.complexity ?? null; this.#tell(); this.draw(); }
   #tell() { if (this.#chosen !== null) this.pick(this.#index); } // its number is another one when the front has grown
 
   #draw() {
-    const { lhs, expression, mathml, convergence, plateau, reason, checks } = this.#equation;
+    const { lhs, expression, mathml, constants, convergence, plateau, reason, checks, candidates } = this.#equation;
+    setText(this.constants, constants ? `Constants: ${constants}` : "");
+    show(this.constants, Boolean(constants));
     show(this.checks, Boolean(reason));
-    redraw(this.checks, JSON.stringify([reason, checks]), () => [h("summary", {}, reason ?? ""),
-      h("ul", {}, (checks ?? []).map((check) => h("li", {}, `${check.name}: ${check.outcome}. ${check.reason}`)))]);
+    redraw(this.checks, JSON.stringify([reason, checks]), () => [h("p", {}, reason ?? ""), ...checkLists(checks ?? [])]);
+    redraw(this.candidates, JSON.stringify(candidates), () => candidateTable(this.variable, candidates ?? []));
     redraw(this.now, `${mathml} ${expression}`, () => formula(mathml, `${lhs} = ${expression ?? "…"}`));
-    for (const part of [this.pictures, this.table]) show(part, this.#points.length > 0);
-    this.front.set([this.#points], this.#index);
+    show(this.search, this.#points.length > 0 || candidates?.length > 0);
+    this.front.set([this.#points], this.#index >= 0 ? this.#index : null);
     this.curves.set(convergence ?? [], plateau);
     this.#drawLegend(convergence ?? []);
     this.#drawPicked(this.#points[this.#index]);
@@ -122,4 +126,30 @@ export class EquationCard {
   }
 
   close() { this.front.close(); this.curves.close(); }
+}
+
+/** Returns how many checks have passed, those that have not as a list, and the others folded away. */
+function checkLists(checks) {
+  if (!checks.length) return [];
+  const isOpen = ({ outcome }) => outcome === "failed" || outcome === "not made";
+  const item = ({ name, outcome, reason }) => h("li", {}, h("b", {}, `${name}: ${outcome}.`), ` ${reason}`);
+  const [missed, others] = [checks.filter(isOpen), checks.filter((check) => !isOpen(check))];
+  const passed = others.filter(({ outcome }) => outcome === "passed").length;
+  return [h("p", {}, `${passed} of ${passed + missed.length} checks passed${missed.length ? ":" : "."}`),
+    missed.length ? h("ul", {}, missed.map(item)) : null,
+    others.length ? h("details", {}, h("summary", {}, "The other checks"), h("ul", {}, others.map(item))) : null].filter(Boolean);
+}
+
+/** Returns the equations that were compared with the one above, by how much longer the data are to describe with them. */
+function candidateTable(variable, candidates) {
+  if (candidates.length < 2) return [];
+  const isHeldOut = candidates.some((candidate) => candidate.held_out_r2 !== null);
+  const heads = ["Δ log-likelihood", "R²", ...(isHeldOut ? ["Held-out R²"] : []), "Complexity", "Origin", "Equation"];
+  const rows = candidates.map((candidate) => [candidate.selected ? "shown" : candidate.nats === null ? "?" : candidate.nats.toFixed(1), candidate.r2,
+    ...(isHeldOut ? [candidate.held_out_r2 ?? ""] : []), candidate.complexity, candidate.origin ?? "", h("code", {}, candidate.expression)]);
+  const cell = (value, index) => h("td", { class: index < heads.length - 2 ? "number" : null }, value ?? "");
+  return [h("h4", {}, "Candidates"), h("p", { class: "faint" }, "How much worse the data are described by another equation: below about 3 the data hardly decide."),
+    h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Candidates of ${variable}` }, h("table", {}, h("caption", { class: "unseen" }, `Candidates of ${variable}`),
+      h("thead", {}, h("tr", {}, heads.map((head, index) => h("th", { scope: "col", class: index < heads.length - 2 ? "number" : null }, head)))),
+      h("tbody", {}, rows.map((row, index) => h("tr", { class: candidates[index].selected ? "chosen" : null }, row.map(cell))))))];
 }

@@ -1,7 +1,7 @@
 // What happened to a job, newest first: what somebody may have to do something about stands out.
 
 import { get, paths } from "./api.js";
-import { framed, h, keyed, show } from "./dom.js";
+import { folding, framed, h, keyed, show } from "./dom.js";
 import { clock } from "./format.js";
 
 const MOST = 300;
@@ -19,9 +19,7 @@ export class Log {
     this.all = h("input", { type: "checkbox", onchange: () => this.draw() });
     this.list = h("ol", { class: "log", reversed: true });
     this.none = h("p", { class: "faint" }, "Nothing yet.");
-    this.box = h("section", { "aria-label": "Events" },
-      h("div", { class: "head" }, h("h2", {}, "What happened"), h("label", {}, this.all, " everything")),
-      this.none, h("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Events, newest first" }, this.list));
+    this.events = folding("Event log", h("p", {}, h("label", {}, this.all, " all events, also checkpoints and lines of workers")), this.none, h("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Events, newest first" }, this.list));
   }
   /** Fetches what happened since the last event that is known, page by page. */
   async fetch() {

@@ -1,12 +1,13 @@
-// What a job gives: refining under way, then simulation, phase portrait, report and files to take along.
+// What a job gives: what it comes to, measured against simulated, report and files to download.
 
 import { check, get, getText, paths, send } from "./api.js";
-import { LinesChart, PhaseChart, cycled, legend, sparse } from "./charts.js";
+import { TrailsChart, cycled, legend } from "./charts.js";
 import { HAS_RESULT, plural } from "./format.js";
-import { announce, download, faultBox, h, setText, show } from "./dom.js";
+import { announce, download, faultBox, h, redraw, setText, show } from "./dom.js";
 import { Paced } from "./poll.js";
 
 const ASK_AGAIN = 1000;
+const MOST_STATES = 6;
 const EMPTY_PAGE = "<!doctype html><meta charset=utf-8><title>Report</title><p>A worker makes the report…</p>";
 const ENDINGS = { python: "py", c: "c", julia: "jl", matlab: "m", modelica: "mo", sbml: "xml", petab: "txt", xppaut: "ode", latex: "tex", sympy: "py", csv: "csv", json: "json" };
 
@@ -18,14 +19,18 @@ export class Outcome {
     this.tasks = h("p", { class: "faint" });
     this.refining = h("div", { class: "refining", hidden: true }, h("p", {}, "Refining: constants are fitted to the whole trajectories, candidates are compared, errors are estimated."),
       h("progress", { "aria-label": "Refining" }), this.tasks);
-    this.report = h("button", { type: "button", onclick: () => this.#openReport() }, "Open the report");
-    this.reportSaid = h("span", { class: "faint", role: "status" });
+    this.conclusion = h("p", { class: "lead", hidden: true });
+    this.report = h("button", { type: "button", class: "primary", onclick: () => this.#openReport() }, "Open the report");
+    this.reportStatus = h("span", { class: "faint", role: "status" });
     this.files = h("span", { class: "bar" });
     this.fault = faultBox();
+    this.caption = h("p", { class: "faint" });
     this.charts = h("div", { class: "pair" });
-    this.label = h("p", { class: "label" }, "Take along");
-    this.done = h("div", { hidden: true }, h("div", { class: "bar" }, this.report, this.reportSaid), this.label, this.files, this.fault, this.charts);
-    this.box = h("section", { "aria-label": "Outcome", hidden: true }, h("h2", {}, "Outcome"), this.refining, this.done);
+    this.label = h("p", { class: "label" }, "Download");
+    this.pictures = h("section", { "aria-label": "Measured and simulated", hidden: true }, h("h2", {}, "Measured and simulated"), this.caption, this.charts);
+    this.downloads = h("section", { "aria-label": "Report and downloads", hidden: true }, h("h2", {}, "Report and downloads"),
+      h("div", { class: "bar" }, this.report, this.reportStatus), this.label, this.files, this.fault);
+    this.remarks = h("section", { "aria-label": "Remarks", hidden: true });
   }
 
   update(job) {
@@ -33,21 +38,30 @@ export class Outcome {
     this.isWhole = (job.variables ?? []).every((variable) => variable.expression);
     if (job.state === this.#state) return;
     this.#state = job.state;
-    if (HAS_RESULT.includes(job.state)) this.pace.now();
+    if (this.#isDone) this.pace.now();
+    this.#show();
+  }
+
+  /** Shows what the progress says of the result as a whole. */
+  show({ conclusion, warnings, notes }) {
+    setText(this.conclusion, conclusion);
+    const lists = [["Warnings", warnings ?? []], ["Notes", notes ?? []]].filter(([, texts]) => texts.length);
+    redraw(this.remarks, JSON.stringify(lists), () => lists.flatMap(([title, texts]) => [h("h2", {}, title), h("ul", {}, texts.map((text) => h("li", {}, text)))]));
     this.#show();
   }
 
   /** Exports and simulation are of the equation that was chosen of a front, also while the job runs. */
   choose(variable, index) { if (this.#picks[variable] !== index) { this.#picks[variable] = index; this.pace.soon(); this.#show(); } }
   get #query() { return { pick: Object.entries(this.#picks).map((pair) => pair.join("=")) }; }
+  get #isDone() { return HAS_RESULT.includes(this.#state); }
+  get #isChosen() { return Object.keys(this.#picks).length > 0; }
   #show() {
-    const isDone = HAS_RESULT.includes(this.#state);
-    const isChosen = Object.keys(this.#picks).length > 0;
-    setText(this.label, isChosen ? "Take along, with the chosen equations" : "Take along");
+    setText(this.label, this.#isChosen ? "Download, with the chosen equations" : "Download");
     show(this.refining, this.#state === "refining");
-    show(this.report, isDone);
-    show(this.done, isDone || isChosen);
-    show(this.box, isDone || isChosen || this.#state === "refining");
+    show(this.report, this.#isDone);
+    show(this.downloads, this.#isDone || this.#isChosen);
+    show(this.conclusion, this.#isDone && Boolean(this.conclusion.textContent));
+    show(this.remarks, this.#isDone && this.remarks.childElementCount > 0);
   }
 
   async #load() {
@@ -56,46 +70,48 @@ export class Outcome {
     const files = (exports.value?.formats ?? []).map((format) => [format, `exports/${format}`, ENDINGS[format] ?? "txt"]);
     this.files.replaceChildren(...[["result.json", "result", "json"], ...files].map(([name, what, ending]) =>
       h("button", { type: "button", class: "small", onclick: () => this.#download(what, `${this.id}.${ending}`) }, name)));
-    if (simulation.value) this.#drawCharts(simulation.value, null);
+    if (simulation.value) this.#drawCharts(simulation.value);
   }
 
-  /** What was measured is in the result only, which may be large: it is fetched when somebody wants to see it. */
-  #addMeasured(simulation) { return this.fault.guard(async () => this.#drawCharts(simulation, await get(paths.of(this.id, "result")))); }
   #download(what, name) { return this.fault.guard(async () => download(name, await getText(paths.of(this.id, what), this.#query))); }
 
-  #drawCharts(simulation, result) {
-    const { time, columns } = simulation;
+  #drawCharts(simulation) {
+    const { time, trajectories, fitted, message } = simulation;
     this.#charts.forEach((chart) => chart.close());
+    this.#charts = [];
     this.charts.replaceChildren();
-    const times = columns[time];
-    const states = Object.keys(columns).filter((name) => name !== time && columns[name]?.length === times?.length);
-    if (!times || !states.length) return;
-    const data = result?.data?.trajectories?.[0];
-    const measured = data?.times?.length === undefined ? null : data;
-    this.#drawSimulation(time, times, states, columns, measured);
-    if (states.length > 1) this.#drawPhase(states, columns, measured);
-    if (!result) this.charts.append(h("p", {}, h("button", { type: "button", onclick: () => this.#addMeasured(simulation) }, "Show what was measured as well")));
+    show(this.pictures, Boolean(trajectories.length || fitted || message));
+    if (fitted) this.#drawFitted(fitted);
+    else if (trajectories.length) this.#drawTrajectories(simulation);
+    else setText(this.caption, message);
+    if (!time || !trajectories.length) return;
+    const states = Object.keys(trajectories[0].values);
+    if (states.length > 1) this.#drawPhase(states, simulation);
   }
 
-  #drawSimulation(time, times, states, columns, measured) {
-    const chart = this.#keep(new LinesChart("Simulation of the model"));
-    const shown = states.slice(0, 6);
-    this.charts.append(h("figure", {}, h("figcaption", {}, `Simulation from the first measured state${measured ? ", and what was measured" : ""}.`), chart.box,
-      legend(shown.map((name, index) => [cycled(index), name]))));
-    const lines = shown.map((name, index) => ({ values: columns[name], colour: cycled(index) }));
-    if (!measured) return chart.set(time, "", times, lines);
-    const xs = [...new Set([...times, ...measured.times])].sort((a, b) => a - b);
-    const on = (ts, values) => {
-      const known = new Map(ts.map((t, index) => [t, values[index]]));
-      return xs.map((x) => known.get(x) ?? null);
-    };
-    const points = shown.filter((name) => measured.measured?.[name])
-      .map((name) => ({ values: on(measured.times, sparse(measured.measured[name])), colour: cycled(shown.indexOf(name)), isPoints: true }));
-    return chart.set(time, "", xs, [...lines.map((line) => ({ ...line, values: on(times, line.values) })), ...points]);
+  #drawTrajectories({ time, trajectories, labels, trajectories_in_total: total }) {
+    const [states, label] = [Object.keys(trajectories[0].values), (name) => labels[name] ?? name];
+    setText(this.caption, captionOf(trajectories, total, states.length));
+    for (const state of states.slice(0, MOST_STATES)) {
+      const chart = this.#keep(new TrailsChart(`${state} over ${time}, measured and simulated`));
+      this.charts.append(h("figure", {}, h("figcaption", {}, label(state)), chart.box, legendOf(trajectories)));
+      chart.set(label(time), label(state), trajectories.flatMap((part, index) => [
+        { xs: part.measured_times, ys: part.measured[state] ?? [], colour: cycled(index), isPoints: true },
+        { xs: part.times, ys: part.values[state], colour: cycled(index), low: part.lower?.[state], high: part.upper?.[state] }]));
+    }
   }
 
-  #drawPhase(states, columns, measured) {
-    const chart = this.#keep(new PhaseChart("Phase portrait"));
+  #drawFitted({ target, measured, fitted }) {
+    setText(this.caption, "Dots: fitted over measured values; on the line they are equal.");
+    const chart = this.#keep(new TrailsChart(`${target}, fitted over measured`));
+    this.charts.append(h("figure", {}, h("figcaption", {}, target), chart.box));
+    const known = measured.filter((value) => value !== null);
+    const ends = known.length ? [Math.min(...known), Math.max(...known)] : [];
+    chart.set("measured", "fitted", [{ xs: ends, ys: ends, colour: "edge" }, { xs: measured, ys: fitted, colour: "c0", isPoints: true }]);
+  }
+
+  #drawPhase(states, { trajectories, labels }) {
+    const chart = this.#keep(new TrailsChart("Phase portrait"));
     const selects = [0, 1].map((index) => {
       const select = h("select", { onchange: () => draw() }, states.map((name) => h("option", { value: name }, name)));
       select.value = states[index];
@@ -103,12 +119,12 @@ export class Outcome {
     });
     const draw = () => {
       const [x, y] = selects.map((select) => select.value);
-      const trails = [{ xs: columns[x], ys: columns[y], colour: "c0" }];
-      if (measured?.measured?.[x] && measured.measured[y]) trails.push({ xs: measured.measured[x], ys: sparse(measured.measured[y]), colour: "c1", isPoints: true });
-      chart.set(x, y, trails);
+      chart.set(labels[x] ?? x, labels[y] ?? y, trajectories.flatMap((part, index) => [
+        { xs: part.measured[x] ?? [], ys: part.measured[y] ?? [], colour: cycled(index), isPoints: true },
+        { xs: part.values[x], ys: part.values[y], colour: cycled(index) }]));
     };
     const axes = h("span", { class: "bar" }, h("label", {}, "across ", selects[0]), h("label", {}, "up ", selects[1]));
-    this.charts.append(h("figure", {}, h("figcaption", {}, "Phase portrait"), states.length > 2 ? axes : null, chart.box));
+    this.charts.append(h("figure", {}, h("figcaption", {}, "Phase portrait"), states.length > 2 ? axes : null, chart.box, legendOf(trajectories)));
     draw();
   }
 
@@ -121,24 +137,39 @@ export class Outcome {
     try {
       const text = await this.#fetchReport();
       if (tab && !tab.closed) fillPage(tab, text);
-      setText(this.reportSaid, "");
-    } catch (error) { tab?.close(); setText(this.reportSaid, error.message); }
+      setText(this.reportStatus, "");
+    } catch (error) { tab?.close(); setText(this.reportStatus, error.message); }
     this.report.disabled = false;
   }
 
   async #fetchReport() {
-    setText(this.reportSaid, "A worker makes the report…");
+    setText(this.reportStatus, "A worker makes the report…");
     for (;;) {
       const response = await send(paths.of(this.id, "report"));
       if (response.status !== 202) { announce("The report is ready."); return (await check(response)).text(); }
       const { waits_for: reason } = await response.json();
-      if (reason) setText(this.reportSaid, `Waits for ${reason}.`);
+      if (reason) setText(this.reportStatus, `Waits for ${reason}.`);
       await new Promise((done) => setTimeout(done, ASK_AGAIN));
       if (this.#isClosed) throw new Error("");
     }
   }
 
   close() { this.#isClosed = true; this.pace.close(); this.#charts.forEach((chart) => chart.close()); }
+}
+
+/** Returns what lines and dots are; that a line starts from one initial state only where that is so. */
+function captionOf(trajectories, total, states) {
+  const isWhole = trajectories.every(({ pieces }) => pieces === 1);
+  const isInPieces = trajectories.some(({ pieces }) => pieces > 1);
+  const start = isWhole ? (trajectories.length > 1 ? ", each from one initial state" : ", from one initial state") : isInPieces ? ", in pieces that each have an initial state of their own" : "";
+  const band = trajectories.some(({ lower }) => lower) ? "; bands hold 95 % of the uncertainty" : "";
+  const some = total > trajectories.length ? ` ${trajectories.length} of ${total} trajectories are drawn, from the worst explained to the best.` : "";
+  const few = states > MOST_STATES ? ` The first ${MOST_STATES} of ${states} states are drawn; the report has all.` : "";
+  return `Dots are measured, lines simulated by the model${start}${band}.${some}${few}`;
+}
+
+function legendOf(trajectories) {
+  return trajectories.length > 1 ? legend(trajectories.map(({ name, held_out: out }, index) => [cycled(index), `${name}${out ? ", held out" : ""}`])) : null;
 }
 
 /** A page that we open has our strict policy, under which styles in its text do not count: they become style sheets. */

@@ -17,7 +17,7 @@ export class Progress extends Paced {
     await check(response);
     this.#tag = response.headers.get("ETag");
     const text = await response.text();
-    this.show(JSON.parse(text).equations);
+    this.show(JSON.parse(text));
     return (1000 * (Number(response.headers.get("Content-Length")) || text.length)) / BYTES_PER_SECOND;
   }
 }

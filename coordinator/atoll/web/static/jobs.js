@@ -3,7 +3,7 @@
 import { get, session } from "./api.js";
 import { follow } from "./events.js";
 import { framed, faultBox, h, keyed, redraw, setClass, setText, show, viewHeading } from "./dom.js";
-import { ENDED, duration, elapsed, heard, largestError, moment, number, plural, stateOf } from "./format.js";
+import { ENDED, duration, elapsed, heard, largestError, moment, number, plural, short, stateOf } from "./format.js";
 
 const STATES = ["queued", "preparing", "running", "refining", "done", "failed", "cancelled"];
 const PAGE = 50;
@@ -11,7 +11,8 @@ const PAGE = 50;
 const COLUMNS = {
   state: { title: "State", value: (job) => STATES.indexOf(job.state) },
   name: { title: "Name", value: (job) => job.name.toLowerCase() },
-  error: { title: "Best error", value: (job) => largestError(job) ?? Infinity, say: (job) => number(largestError(job)), isNumber: true },
+  equation: { title: "Equation", value: (job) => equations(job).join(), isCode: true },
+  error: { title: "Largest error", value: (job) => largestError(job) ?? Infinity, say: (job) => number(largestError(job)), isNumber: true },
   verdict: { title: "Verdicts", value: (job) => verdicts(job).join() },
   progress: { title: "Progress", value: (job) => epochs(job)[1], say: progress, isDown: true },
   owner: { title: "Owner", value: (job) => job.submitter ?? "", say: (job) => job.submitter },
@@ -86,6 +87,7 @@ class Jobs {
 
   async #load(cursor) {
     const page = await this.fault.guard(() => get("jobs", { limit: PAGE, cursor, state: this.filter }));
+    this.hasFailed = !page;
     if (page && cursor === null) this.#jobs.clear();
     for (const job of page?.jobs ?? []) this.#jobs.set(job.job, heard(job));
     if (page) [this.#next, this.#isLoaded] = [page.next, true];
@@ -154,7 +156,7 @@ class Jobs {
     show(this.table, jobs.length > 0);
     show(this.empty, isEmpty);
     show(this.more, Boolean(this.#next));
-    setText(this.status, this.#isLoaded ? (isEmpty ? "" : this.#summary(jobs)) : "Loading…");
+    setText(this.status, this.#isLoaded ? (isEmpty ? "" : this.#summary(jobs)) : this.hasFailed ? "" : "Loading…");
     this.#offerComparison();
   }
 
@@ -175,8 +177,8 @@ class Jobs {
     const choose = () => { this.#chosen[box.checked ? "add" : "delete"](job.job); this.draw(); };
     box.checked = this.#chosen.has(job.job);
     const row = h("tr", {}, h("td", { class: "check" }, box));
-    row.parts = Object.fromEntries(Object.entries(COLUMNS).map(([name, { title, isNumber }]) =>
-      [name, h("td", { "data-head": title, class: isNumber ? "number" : name === "name" ? "title" : null })]));
+    row.parts = Object.fromEntries(Object.entries(COLUMNS).map(([name, { title, isNumber, isCode }]) =>
+      [name, h("td", { "data-head": title, class: isCode ? "code" : isNumber ? "number" : name === "name" ? "title" : null })]));
     row.parts.name.append(h("a", { href: `#/jobs/${encodeURIComponent(job.job)}` }), " ", h("small", {}, job.job));
     row.parts.state.append(h("span"));
     row.append(...Object.values(row.parts));
@@ -190,10 +192,19 @@ class Jobs {
     setClass(state, `state ${stateOf(job)}`);
     state.title = job.reason ?? "";
     setText(parts.name.firstChild, job.name || job.job);
+    redraw(parts.equation, equations(job).join("\n"), () => equations(job).map((text) => h("code", { title: text }, text)));
     redraw(parts.verdict, verdicts(job).join(), () => h("span", { class: "verdicts" }, verdicts(job).map((verdict) => h("span", { class: `verdict ${verdict.replace(" ", "-")}` }, verdict))));
   }
 
   close() { clearInterval(this.clock); }
+}
+
+const MOST_EQUATIONS = 3;
+/** Returns the first equations of a job as the terminal writes them. */
+function equations(job) {
+  const known = (job.variables ?? []).filter((variable) => variable.expression);
+  const texts = known.slice(0, MOST_EQUATIONS).map(({ lhs, expression }) => `${lhs} = ${short(expression)}`);
+  return known.length > MOST_EQUATIONS ? [...texts, `and ${known.length - MOST_EQUATIONS} more`] : texts;
 }
 
 function verdicts(job) { return (job.variables ?? []).map((variable) => variable.verdict).filter(Boolean); }
@@ -206,6 +217,11 @@ function epochs(job) {
 function progress(job) {
   const [least, most] = epochs(job);
   const all = job.variables ?? [];
+  if (!ENDED.includes(job.state) && job.tasks?.length) {
+    const [{ function: kind, compared, worker }] = job.tasks;
+    const work = kind === "refine" ? `${compared.toLocaleString()} candidates compared` : "data are prepared";
+    return worker ? work : "waits for a worker";
+  }
   if (!all.length) return job.ahead ? `${job.ahead} ahead` : "";
   const found = all.filter((variable) => variable.finished).length;
   const end = ENDED.includes(job.state) || !found ? "" : `, ${found} of ${all.length} finished`;

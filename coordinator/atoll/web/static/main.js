@@ -1,6 +1,6 @@
 // The frame of the page: which view is shown, the banner of a lost connection, files dropped anywhere.
 
-import { get, hooks, session } from "./api.js";
+import { forgetToken, get, hooks, session, token } from "./api.js";
 import { announce, h, setText, viewHeading } from "./dom.js";
 import { follow, onConnection, startEvents } from "./events.js";
 
@@ -14,6 +14,7 @@ const VIEWS = {
   workers: { title: "Workers", load: () => import("./workers.js") },
   coordinator: { title: "Coordinator", load: () => import("./coordinator.js") },
   new: { title: "New job", load: () => import("./new.js") },
+  token: { title: "Enter the token", load: () => import("./token.js") },
 };
 
 const ASK_AGAIN = 2000;
@@ -34,7 +35,7 @@ function place() {
 
 async function visit() {
   const visitNumber = ++visits;
-  const { name, id, parameters } = place();
+  const { name, id, parameters } = session.needs_token ? { name: "token", parameters: new URLSearchParams() } : place();
   current?.close?.();
   current = null;
   follow(null, null);
@@ -80,9 +81,20 @@ function connection(source, isThere, reason) {
 
 async function loadSession() {
   const known = await get("session").catch(() => null);
-  if (!known) return; // the banner says it
+  if (!known) return; // the banner says it, or the field for a token
   Object.assign(session, known);
-  setText(document.getElementById("session"), `${session.may_write ? session.user ?? "signed in" : "looking only"} · ${session.version}`);
+  const sign = session.may_write ? session.user ?? "signed in" : h("a", { href: "#/token" }, "looking only: enter the token");
+  document.getElementById("session").replaceChildren(sign, ` · ${session.version}`);
+}
+
+/** Without a token that the service knows nothing can be shown: there is a field for one in the place of every view. */
+function refused(sentence) {
+  if (session.needs_token) return;
+  if (token()) session.refusal = "The token of this page is not known any more: the service was started anew, or the address is another one's.";
+  Object.assign(session, { needs_token: true, may_write: false });
+  forgetToken();
+  announce(session.refusal ?? sentence ?? "");
+  if (visits) visit();
 }
 
 function acceptFiles() {
@@ -109,6 +121,7 @@ async function begin() {
     main.focus();
   });
   acceptFiles();
+  hooks.refused = refused;
   hooks.answered = (isThere) => connection("requests", isThere, "The service does not answer.");
   setInterval(() => lost.has("requests") && loadSession(), ASK_AGAIN);
   onConnection(({ connected, reason }) => connection("events", connected, reason));
@@ -116,7 +129,7 @@ async function begin() {
   await loadSession();
   addEventListener("hashchange", visit);
   await visit();
-  startEvents();
+  if (!session.needs_token) startEvents();
 }
 
 begin();

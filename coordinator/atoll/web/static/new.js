@@ -4,9 +4,10 @@ import { get, paths, session, upload } from "./api.js";
 import { LinesChart, legend, sparse } from "./charts.js";
 import { announce, copyable, facts, faultBox, h, redraw, setText, show, viewHeading } from "./dom.js";
 import { HAS_RESULT, plural } from "./format.js";
+import { mends } from "./mend.js";
 
 const ROLES = ["time", "state", "input", "trajectory", "weights", "unused"];
-/** The option that each role of a column becomes. */
+/** The options that name the columns of roles: of those that nobody has chosen the service decides. */
 const OPTION_OF = { time: "time", state: "states", input: "inputs", trajectory: "trajectory", weights: "weights" };
 /** Settings that are not called like their option. */
 const SETTINGS = { allow: "variables_of", require: "required_of" };
@@ -19,7 +20,7 @@ export default function open(root, { parameters }, app) { return new NewJob(root
 
 class NewJob {
   #options = {};
-  #fields = new Map(); #charts = []; #files = null; #from = null; #columns = []; #asked = null; #timer = null;
+  #fields = new Map(); #charts = []; #files = null; #from = null; #columns = []; #asked = null; #timer = null; #chosen = new Map();
   constructor(root, parameters, app) {
     this.app = app;
     this.#build(root);
@@ -27,11 +28,11 @@ class NewJob {
   }
 
   #build(root) {
-    const file = h("input", { type: "file", id: "file", multiple: true, onchange: () => this.take([...file.files]) });
+    const file = h("input", { type: "file", class: "unseen", id: "file", multiple: true, onchange: () => this.take([...file.files]) });
     const demo = h("button", { type: "button", onclick: () => this.#takeDemo() }, "Use the demo data");
     this.hint = h("p", { class: "lines", role: "status" });
     [this.unread, this.fault] = [faultBox(), faultBox()];
-    [this.outline, this.preview, this.commands] = [h("div"), h("div"), h("div")];
+    [this.outline, this.preview, this.commands, this.mending] = [h("div"), h("div"), h("div"), h("div", { class: "tools", role: "group", "aria-label": "What would mend it", hidden: true })];
     this.form = h("div");
     this.name = h("input", { maxlength: "200" });
     this.priority = h("input", { type: "number", min: "-10", max: "10", value: "0" });
@@ -39,9 +40,9 @@ class NewJob {
     this.send = h("button", { class: "primary", disabled: true }, "Submit the job");
     const step = (title, ...parts) => h("section", {}, h("h2", {}, title), parts);
     root.append(viewHeading("New job"), h("form", { onsubmit: (event) => this.#submit(event) },
-      step("Data", h("div", { class: "drop" }, h("label", { for: "file" }, "Data files: drop them here, or choose some "), file, demo), this.hint, this.unread, this.outline),
+      step("Data", h("div", { class: "drop" }, h("span", {}, "Drop data files here, or "), file, h("label", { for: "file", class: "button" }, "choose files"), demo), this.hint, this.unread, this.mending, this.outline),
       (this.seen = step("Smoothed", this.preview)), step("Options", this.form), (this.same = step("The same elsewhere", this.commands)),
-      step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You are looking only: open the address with the token to submit."),
+      step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You are looking only. ", h("a", { href: "#/token" }, "Enter the token"), " to submit."),
         h("div", { class: "tools" }, h("label", {}, "Name ", this.name), h("label", {}, "Priority ", this.priority),
           h("label", {}, this.shared, " everybody may see it"), this.send), this.fault)));
     [this.seen, this.same].forEach((part) => show(part, false));
@@ -61,6 +62,8 @@ class NewJob {
     if (!files.length) return;
     [this.#files, this.#from] = [files, null];
     this.#columns = [];
+    this.#chosen.clear();
+    for (const option of Object.values(OPTION_OF)) this.#fill(option, null); // columns of another file
     redraw(this.outline, null, () => []);
     this.name.placeholder = files[0].name;
     setText(this.hint, `${this.#source} is read…`);
@@ -84,6 +87,7 @@ class NewJob {
     const found = (result?.equations ?? []).filter(({ expression, why }) => expression && why !== "known").map(({ lhs, expression }) => `${lhs}=${expression}`);
     if (found.length) this.#options.guess = found; // the search goes on from where the other one is
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
+    for (const [role, option] of Object.entries(OPTION_OF)) namesOf(this.#options[option]).forEach((name) => this.#chosen.set(name, role));
     this.#from = job;
     setText(this.hint, `Data and options are those of ${job.name}${found.length ? "; the search begins from its equations (--guess)" : ""}.`);
     this.#ask();
@@ -122,11 +126,11 @@ class NewJob {
       else input.value = [value ?? ""].flat().join("\n");
     };
     this.#fields.set(option.name, { option, show: fill });
-    return h("div", { class: "field" }, h("label", { for: id }, h("code", {}, option.flag)), input, h("small", { class: "faint", id: `${id}-help` }, option.help));
+    return h("div", { class: "field" }, h("label", { for: id }, option.label, " ", h("code", { class: "faint" }, option.flag)), input, h("small", { class: "faint", id: `${id}-help` }, option.help));
   }
 
   #set(name, value) {
-    if (value === "" || value === false || value?.length === 0) delete this.#options[name];
+    if (!value || value.length === 0) delete this.#options[name];
     else this.#options[name] = value;
     this.#askSoon();
   }
@@ -144,6 +148,7 @@ class NewJob {
     this.#asked?.abort();
     const { signal } = (this.#asked = new AbortController());
     this.unread.say();
+    show(this.mending, false);
     try {
       this.#drawOutline(await upload("outline", this.#body, this.#query, signal));
       this.send.disabled = !session.may_write;
@@ -153,15 +158,28 @@ class NewJob {
       if (error.name === "AbortError") return;
       setText(this.hint, `${this.#source} cannot be read like this.`);
       this.unread.say(error.message);
+      this.send.disabled = true;
       if (this.#files) await this.#guessColumns();
+      this.#offerMends(error.message);
     }
+  }
+  /** An error has buttons that mend it. */
+  #offerMends(sentence) {
+    const parts = mends(sentence, {
+      options: new Map([...this.#fields].map(([name, { option }]) => [name, option])), given: this.#options, columns: this.#columns.map(({ name }) => name),
+      put: (name, value) => this.#put(name, value),
+      choose: (column, option) => { this.#choose(column, Object.keys(OPTION_OF).find((role) => OPTION_OF[role] === option) ?? null, option); },
+    });
+    this.mending.replaceChildren(...parts);
+    show(this.mending, parts.length > 0);
   }
   /** What cannot be read yet, as there is no time, still has names in its first line, of which one can be chosen. */
   async #guessColumns() {
     const [line] = (await this.#files[0].slice(0, HEAD).text()).split(/\r?\n/);
     const names = line.split(/[,;\t]/).map((name) => name.trim().replace(/^"(.*)"$/, "$1"));
     const isText = names.length > 1 && names.every((name) => name && !/[\0-\x1f\ufffd]/.test(name));
-    if (!this.#columns.length && isText) this.#drawColumns({ columns: names.map((name) => ({ name, role: "state", first: [] })), equations: [] });
+    if (!this.#columns.length && isText) this.#columns = names.map((name) => ({ name, role: null, first: [] }));
+    if (this.#columns.length) this.#drawColumns({ columns: this.#columns, equations: [] });
   }
 
   #drawOutline(outline) {
@@ -182,9 +200,9 @@ class NewJob {
   #columnParts(columns, equations) {
     const heads = ["Column", "Role", "Unit", "Angle", "First values"].map((head) => h("th", { scope: "col" }, head));
     const rows = columns.map((column, index) => {
-      const roles = ROLES.includes(column.role) ? ROLES : [...ROLES, column.role];
-      const role = h("select", { id: `role-${index}`, "aria-label": `Role of ${column.name}`, onchange: () => this.#setRoles(columns) }, roles.map((name) => h("option", {}, name)));
-      role.value = column.role;
+      const role = h("select", { id: `role-${index}`, "aria-label": `Role of ${column.name}`, onchange: () => this.#choose(column.name, role.value) },
+        h("option", { value: "" }, column.role ? `automatic: ${column.role}` : "automatic"), ROLES.map((name) => h("option", {}, name)));
+      role.value = this.#chosen.get(column.name) ?? "";
       const unit = h("input", { id: `unit-${index}`, size: "8", value: column.unit ?? "", "aria-label": `Unit of ${column.name}`, onchange: () => this.#collect("unit", columns, (name, text) => `${name}=${text}`) });
       const angle = h("select", { id: `angle-${index}`, "aria-label": `Whether ${column.name} is an angle`, onchange: () => this.#collect("angle", columns, (name, text) => (text === "degrees" ? `${name}:deg` : name)) }, ["", "radians", "degrees"].map((name) => h("option", { value: name }, name || "no")));
       angle.value = column.angle ?? "";
@@ -195,11 +213,23 @@ class NewJob {
     return [h("div", { class: "wide" }, h("table", { class: "stacked" }, h("caption", { class: "unseen" }, "Columns"), h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
       ...(sought.length ? [h("h3", {}, "Equations to find"), facts(sought)] : [])];
   }
-  /** The selects decide all roles: each option names its columns, quoted where a name has a comma. */
-  #setRoles(columns) {
-    const named = Object.fromEntries(ROLES.map((role) => [role, []]));
-    columns.forEach((column, index) => (named[document.getElementById(`role-${index}`).value] ?? named.unused).push(column.name));
-    for (const [role, option] of Object.entries(OPTION_OF)) this.#put(option, named[role].map(quoted).join(","));
+  /** Gives a column a role; "" leaves it to the service, and an `option` without a role names the column. */
+  #choose(column, role, option = null) {
+    if (role === null) return this.#put(option, quoted(column));
+    if (role) this.#chosen.set(column, role);
+    else this.#chosen.delete(column);
+    if (["time", "trajectory", "weights"].includes(role)) {
+      for (const [name, other] of [...this.#chosen]) if (other === role && name !== column) this.#chosen.delete(name); // there is one of each
+    }
+    const named = (wanted) => this.#columns.filter(({ name }) => this.#chosen.get(name) === wanted).map(({ name }) => quoted(name));
+    for (const wanted of ["time", "input", "trajectory", "weights"]) this.#put(OPTION_OF[wanted], named(wanted).join(","));
+    this.#put("states", this.#states().map(quoted).join(","));
+    return undefined;
+  }
+  /** Returns the states, where somebody has said that a column is one or that a state is none: they are named together then. */
+  #states() {
+    const isSaid = this.#columns.some(({ name, role }) => this.#chosen.get(name) === "state" || (this.#chosen.get(name) === "unused" && role !== null));
+    return isSaid ? this.#columns.filter(({ name, role }) => (this.#chosen.get(name) ?? role) === "state").map(({ name }) => name) : [];
   }
 
   #collect(option, columns, say) {
@@ -207,7 +237,11 @@ class NewJob {
     this.#put(option, given.filter(([, text]) => text).map(([name, text]) => say(name, text)));
   }
 
-  #put(name, value) { this.#fields.get(name)?.show(value); this.#set(name, value); }
+  #put(name, value) { this.#fill(name, value); this.#set(name, value); }
+  #fill(name, value) {
+    this.#fields.get(name)?.show(value);
+    if (!value) delete this.#options[name];
+  }
 
   #drawPreview({ time_name: label, trajectories }) {
     const choice = h("select", { onchange: () => this.#drawTrajectory(label ?? "time", trajectories[choice.value]) }, trajectories.map(({ name }, index) => h("option", { value: index }, name)));
@@ -249,6 +283,11 @@ class NewJob {
     this.#asked?.abort();
     this.#charts.forEach((chart) => chart.close());
   }
+}
+
+/** Returns the names that an option has, which are quoted where they hold a comma. */
+function namesOf(text) {
+  return [...(text ?? "").matchAll(/"((?:[^"]|"")*)"|([^,]+)/g)].map(([, inQuotes, plain]) => (inQuotes?.replaceAll('""', '"') ?? plain.trim()));
 }
 
 function quoted(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }

@@ -33,9 +33,11 @@ export class Paced {
 
 /** Calls `draw(answer)` again and again until the view is closed; says it if nothing answers. */
 export class Poll extends Paced {
-  constructor(path, app, draw) {
+  #isDrawn = false;
+  /** `failed(sentence)` is called where nothing could be drawn so far. */
+  constructor(path, app, draw, failed = () => {}) {
     super(() => this.#read(path, draw));
-    this.app = app;
+    Object.assign(this, { app, failed });
     this.again();
   }
 
@@ -48,8 +50,13 @@ export class Poll extends Paced {
       const answer = await get(path);
       if (this.isClosed) return;
       draw(answer);
+      this.#isDrawn = true;
       this.app.connection("poll", true);
-    } catch (error) { if (!this.isClosed) this.app.connection("poll", false, error.message); }
+    } catch (error) {
+      if (this.isClosed) return;
+      if (!this.#isDrawn) this.failed(error.message);
+      this.app.connection("poll", false, error.message);
+    }
   }
 
   close() { super.close(); this.app.connection("poll", true); } // whoever asks no more misses nothing

@@ -1,61 +1,118 @@
-// The workers: what each computes and takes, and whether it is given more.
+// The workers: what each computes and takes, whether it is given more, and when workers came and went.
 
-import { change, session } from "./api.js";
-import { faultBox, h, keyed, setClass, setText, show, viewHeading } from "./dom.js";
-import { bytes, duration, plural } from "./format.js";
+import { change, get, session } from "./api.js";
+import { follow } from "./events.js";
+import { faultBox, h, keyed, redraw, setClass, setText, show, viewHeading } from "./dom.js";
+import { bytes, duration, moment, plural } from "./format.js";
 import { Poll } from "./poll.js";
 
-const HEADS = ["Worker", "State", "Doing", "Islands", "CPU", "Memory", "Received", "Sent", "Version", "Cores", "Joined", "Service"];
-const NUMBERS = new Set(["Islands", "CPU", "Memory", "Received", "Sent", "Cores", "Joined"]);
+const COLUMNS = ["Worker", "Host", "State", "Doing", "Islands", "Load", "CPU", "Memory", "Received", "Sent", "Version", "Joined", "Service"];
+const NUMBERS = new Set(["Islands", "Load", "CPU", "Memory", "Received", "Sent", "Joined"]);
 const SERVICES = { open: [["Cordon", "cordoned"], ["Drain", "draining"]], cordoned: [["Uncordon", "open"], ["Drain", "draining"]], draining: [["Uncordon", "open"]] };
 const SILENT = 5;
+const HISTORY = new Set(["worker-joined", "worker-lost", "worker-back", "refused"]);
+const MOST_EVENTS = 50;
 
 export default function open(root, _place, app) {
   const summary = h("p", { class: "faint" }, "Loading…");
   const fault = faultBox();
   const body = h("tbody");
-  const heads = HEADS.map((head) => h("th", { scope: "col", class: NUMBERS.has(head) ? "number" : null }, head));
+  const heads = COLUMNS.map((head) => h("th", { scope: "col", class: NUMBERS.has(head) ? "number" : null }, head));
   const table = h("table", { class: "list stacked", hidden: true }, h("caption", { class: "unseen" }, "Workers"), h("thead", {}, h("tr", {}, heads)), body);
   const none = h("p", { hidden: true }, "Start one on any machine that can reach the coordinator: ", h("code", {}, `island-worker --connect ${session.connect}`));
-  root.append(viewHeading("Workers"), summary, fault, h("div", { class: "wide" }, table), none);
+  const history = new History();
+  root.append(viewHeading("Workers"), summary, fault, h("div", { class: "wide" }, table), none, history.box);
+  const loads = new Loads();
   const poll = new Poll("workers", app, ({ workers }) => {
     const alive = workers.filter((worker) => worker.state !== "lost").length;
     setText(summary, workers.length ? `${plural(alive, "worker")}${workers.length > alive ? `, ${workers.length - alive} lost` : ""}.` : "No workers yet.");
     show(table, workers.length > 0);
-    show(none, !workers.length);
-    keyed(body, workers, (worker) => worker.worker, () => row(serve), fill);
-  });
+    show(none, !alive);
+    keyed(body, workers, (worker) => worker.worker, () => row(serve), (made, worker) => fill(made, worker, loads.of(worker)));
+  }, (sentence) => setText(summary, sentence));
   async function serve(worker, service) {
     await fault.guard(() => change("PUT", `workers/${encodeURIComponent(worker)}/service`, { service }));
     poll.again();
   }
+  follow("all", { happened: (event) => history.add([event]) });
+  history.fetch();
   return poll;
 }
 
+/** Seconds of a processor that each worker has used in a second, between the last two answers. */
+class Loads {
+  #last = new Map();
+  of({ worker, pid, counters }) {
+    const [now, used, key] = [Date.now() / 1000, counters?.cpu_s ?? 0, `${worker} ${pid}`];
+    const before = this.#last.get(key);
+    if (before && now - before.now < 0.5) return before.load;
+    const load = before && used >= before.used ? (used - before.used) / (now - before.now) : null;
+    this.#last.set(key, { now, used, load });
+    return load;
+  }
+}
+
+/** When workers came and went, newest first. */
+class History {
+  #events = new Map();
+  constructor() {
+    this.list = h("ol", { class: "log", reversed: true });
+    this.none = h("p", { class: "faint" }, "No worker has come or gone yet.");
+    this.box = h("section", { "aria-label": "History" }, h("h2", {}, "History"), this.none, this.list);
+  }
+
+  async fetch() { this.add((await get("logs", { limit: 1000 }).catch(() => ({ events: [] }))).events); }
+
+  add(events) {
+    for (const event of events) if (HISTORY.has(event.event)) this.#events.set(event.number, event);
+    const shown = [...this.#events.values()].sort((a, b) => b.number - a.number).slice(0, MOST_EVENTS);
+    show(this.none, !shown.length);
+    keyed(this.list, shown, (event) => event.number, (event) => h("li", { class: event.event === "worker-lost" || event.event === "refused" ? "doubtful" : "" },
+      h("time", { datetime: event.time }, moment(event.time)), h("span", { class: "kind" }, event.event),
+      h("span", {}, `${event.worker ?? ""}: ${event.text}`, event.job ? h("small", {}, " (job ", jobLink(event.job), ")") : null)));
+  }
+}
+
+function jobLink(job) { return h("a", { href: `#/jobs/${encodeURIComponent(job)}` }, job); }
+
 function row(serve) {
-  const made = h("tr", {}, HEADS.map((head) => h("td", { "data-head": head, class: NUMBERS.has(head) ? "number" : head === "Worker" ? "title" : null })));
-  made.children[1].append(h("span"), h("small", { class: "faint" }));
-  made.children[11].append(h("span"), h("span", { class: "bar" }));
+  const made = h("tr", {}, COLUMNS.map((head) => h("td", { "data-head": head, class: NUMBERS.has(head) ? "number" : head === "Worker" ? "title" : null })));
+  made.parts = Object.fromEntries(COLUMNS.map((head, index) => [head, made.children[index]]));
+  made.parts.State.append(h("span"), h("small", { class: "faint" }));
+  made.parts.Service.append(h("span"), h("span", { class: "bar" }));
   made.serve = serve;
   return made;
 }
 
-function fill(made, worker) {
-  const { 0: name, 1: state, 11: service } = made.children;
+function fill({ parts, serve }, worker, load) {
+  const isLost = worker.state === "lost";
   const traffic = worker.counters?.traffic ?? [];
   const sum = (what) => traffic.reduce((total, kind) => total + kind[what], 0);
-  const doing = [worker.doing || worker.detail, worker.standing > SILENT ? `(for ${duration(worker.standing)})` : ""].join(" ").trim();
-  const texts = [doing || "–", worker.islands, duration(worker.counters?.cpu_s), bytes(worker.counters?.memory_bytes), bytes(sum("bytes_in")), bytes(sum("bytes_out")), worker.version, worker.cores, `${duration(worker.joined)} ago`];
-  texts.forEach((text, index) => setText(made.children[2 + index], text));
-  setText(name, worker.worker);
-  name.title = `process ${worker.pid} on ${worker.host}`;
-  setText(state.firstChild, worker.state);
-  setClass(state.firstChild, `state ${worker.state}`);
-  setText(state.lastChild, worker.silent > SILENT ? ` silent for ${duration(worker.silent)}` : "");
-  setText(service.firstChild, worker.service);
-  const kind = session.may_write && worker.state !== "lost" ? worker.service : "";
-  if (service.dataset.kind === kind) return; // or a button would be lost under the finger every two seconds
-  service.dataset.kind = kind;
-  service.lastChild.replaceChildren(...(SERVICES[kind] ?? []).map(([label, wanted]) =>
-    h("button", { type: "button", class: "small", "aria-label": `${label} ${worker.worker}`, onclick: () => made.serve(worker.worker, wanted) }, label)));
+  const texts = {
+    Worker: worker.worker, Host: worker.host || "–", Islands: worker.islands, Load: isLost || load === null ? "–" : `${Math.round(100 * load)} %`,
+    CPU: duration(worker.counters?.cpu_s), Memory: isLost ? "–" : bytes(worker.counters?.memory_bytes), Received: bytes(sum("bytes_in")), Sent: bytes(sum("bytes_out")),
+    Version: worker.version, Joined: `${duration(worker.joined)} ago`,
+  };
+  for (const [head, text] of Object.entries(texts)) setText(parts[head], text);
+  parts.Worker.title = `process ${worker.pid} on ${worker.host}`;
+  parts.Load.title = `of one processor; ${plural(worker.cores, "core")} on this host may be used`;
+  setText(parts.State.firstChild, worker.state);
+  setClass(parts.State.firstChild, `state ${worker.state}`);
+  setText(parts.State.lastChild, worker.silent > SILENT ? ` silent for ${duration(worker.silent)}` : "");
+  fillDoing(parts.Doing, worker);
+  setText(parts.Service.firstChild, isLost ? "" : worker.service);
+  const kind = session.may_write && !isLost ? worker.service : "";
+  if (parts.Service.dataset.kind === kind) return; // or a button would be lost under the finger every two seconds
+  parts.Service.dataset.kind = kind;
+  parts.Service.lastChild.replaceChildren(...(SERVICES[kind] ?? []).map(([label, wanted]) =>
+    h("button", { type: "button", class: "small", "aria-label": `${label} ${worker.worker}`, onclick: () => serve(worker.worker, wanted) }, label)));
+}
+
+/** What a worker computes, the job first, is a link to that job. */
+function fillDoing(place, { state, doing, detail, standing }) {
+  const [job, rest] = doing ? doing.split(/\/(.*)/s, 2) : [null, ""];
+  const since = standing > SILENT ? ` (for ${duration(standing)})` : "";
+  if (state === "lost") return redraw(place, "lost", () => "–");
+  if (!job) return redraw(place, detail + since, () => `${detail || "–"}${since}`);
+  return redraw(place, doing + since, () => [jobLink(job), ` ${rest}${since}`]);
 }

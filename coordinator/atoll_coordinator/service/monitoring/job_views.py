@@ -123,4 +123,6 @@ class JobViews:
     def _live_view(self, job: Job, now: float) -> JobView:
         waiting_reason, stalls = self._workers.waiting_reason(job), self._workers.stalls(job.id)
         view = job_view(job, self._queue, now, waiting_reason, self._workers.counters.counters(job), stalls)
-        return view.model_copy(update={"tasks": self._workers.task_views(job.id)})
+        tasks = self._workers.task_views(job.id)
+        at_tasks = sum((task.worker is not None) + task.helpers for task in tasks)
+        return view.model_copy(update={"tasks": tasks, "workers": max(view.workers, at_tasks)})

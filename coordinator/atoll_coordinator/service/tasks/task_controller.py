@@ -356,9 +356,13 @@ class TaskController:
             if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
                 del task.helpers[worker]
 
-    def lose(self, worker: str, now: float, *, had_left: bool = False) -> None:
-        """Take in that a worker is lost, which `had_left` if it had said so: its tasks go to others at once."""
+    def lose(self, worker: str, now: float, *, had_left: bool = False) -> tuple[str, ...]:
+        """Take in that a worker is lost, which `had_left` if it had said so: its tasks go to others at once.
+
+        Returns the jobs of the tasks that it had or helped with.
+        """
         self._keeping.discard(worker)
+        had = [task for task in self.table if task.worker == worker or worker in task.helpers]
         for task in self.table:
             if task.worker == worker:
                 self._count(task, now)
@@ -366,6 +370,7 @@ class TaskController:
             if why is not None:
                 self._conclude_failed(task, "crash", why)
         self.dispatch(now)
+        return tuple(dict.fromkeys(task.job for task in had if not task.is_analysis))
 
     def add_report(self, worker: str, report: TaskReport, now: float) -> None:
         """Take in what came of a task; raises RemoteProtocolError when it cannot be."""

@@ -295,7 +295,7 @@ def _view(name: str, member: Member, now: float) -> WorkerView:
         islands=sum(assignment_status.islands for assignment_status in status.holdings)
         if status and state != "lost"
         else 0,
-        doing=_doing(status) if status is not None else "",
+        doing=_doing(status) if status is not None and state != "lost" else "",
         standing=max(0.0, now - member.progressed_at) if _is_computing(member) else 0.0,
         counters=status.counters if status is not None else Counters(),
         silent=max(0.0, now - member.heard_at),

@@ -55,7 +55,7 @@ class LiveJobs(Protocol):
 
     def has_task(self, worker: str) -> bool: ...
 
-    def lose_tasks(self, worker: str, now: float, *, had_left: bool) -> None: ...
+    def lose_tasks(self, worker: str, now: float, *, had_left: bool) -> tuple[str, ...]: ...
 
     def guarded(self, job_id: str, task: str, now: float) -> AbstractContextManager[None]: ...
 
@@ -218,11 +218,12 @@ class WorkerController:
         One that had said that it would leave was not ended by what it computed.
         """
         name = member.hello.name
-        self._lose_tasks(name, now, had_left=member.is_leaving)
+        of_tasks = self._lose_tasks(name, now, had_left=member.is_leaving)
         lost = [archipelago for archipelago in self._open_archipelagos() if name in archipelago.workers]
-        if not lost:
+        jobs = dict.fromkeys([*(archipelago.job for archipelago in lost), *of_tasks])
+        if not jobs:
             self._events.record("worker-lost", why, worker=name)
-        for job in dict.fromkeys(archipelago.job for archipelago in lost):
+        for job in jobs:
             with self._guarded(job, "taking in that a worker is lost", now):
                 self._events.record("worker-lost", why, job, worker=name)
         reasons: list[tuple[str, str]] = []

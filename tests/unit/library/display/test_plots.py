@@ -19,7 +19,8 @@ def model() -> Model:
     measured = {"x": [1.0, 0.7, None], "y": [0.0, 0.5, 1.0]}
     part = {"name": "1", "times": times, "values": curves, "lower": curves, "upper": curves, "measured": measured}
     contents["simulation"] = {"trajectories": [part]}
-    contents["equations"][0]["front"] = [{"complexity": 3, "normalized_error": 0.1, "selected": True}]
+    member = {"expression": "-y", "complexity": 3, "normalized_error": 0.1, "selected": True}
+    contents["equations"][0]["front"] = [member]
     return Model(contents)
 
 
@@ -44,3 +45,16 @@ def test_a_phase_plane_and_a_front_are_drawn_into_given_axes(model: Model) -> No
     assert axes[0].lines[-1].get_xdata().tolist() == [3]
     with pytest.raises(UsageError, match="1 axes are needed, but 2 were given"):
         model.plot_phase(axes)
+
+
+def test_curves_are_those_of_the_model_between_rows(model: Model) -> None:
+    times = [0.0, 2.0, 4.0, 6.0]
+    values = {"x": np.cos(times).tolist(), "y": np.sin(times).tolist()}
+    contents = result({"x": "-y", "y": "x"})
+    part = {"name": "1", "times": times, "values": values, "start": {"x": 1.0, "y": 0.0}}
+    contents["simulation"] = {"trajectories": [part]}
+    round_model = Model(contents)
+    above, _ = round_model.plot_fit()
+    assert above.lines[0].get_ydata().min() == pytest.approx(-1.0, abs=0.01)
+    (plane,) = round_model.plot_phase()
+    assert np.hypot(*plane.lines[-1].get_data()) == pytest.approx(1.0, abs=0.01)

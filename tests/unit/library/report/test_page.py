@@ -326,3 +326,54 @@ def test_simple_numbers_together_have_a_sentence_below_the_constants() -> None:
     contents["equations"][0]["simple_together"] = together
     page = read(constants(Findings(Result.of(contents), None)))
     assert "c1 = 3, judged together: odds 15 against all other numbers (chi-square 0.61)." in page.texts
+
+
+def test_a_page_begins_with_what_was_found_for_people_who_do_not_know_the_terms() -> None:
+    contents = dynamics()
+    contents["equations"][1] |= {"verdict": "doubtful"}
+    page = read([overview(Findings(Result.of(contents), None))])
+    assert page.texts[:2] == [
+        "Found",
+        "Atoll looked in 3 rows of a.csv for equations that say how fast x and y change. dx/dt is the change of x per "
+        "unit of t. Do not rely on predictions of the equation of dy/dt yet: another equation may be the right one. "
+        "Within the measured range, predictions of the equation of dx/dt can be trusted.",
+    ]
+
+
+def test_what_was_found_has_its_errors_its_checks_as_a_list_and_notes_apart_from_warnings() -> None:
+    note = "The search sees 8 of 80 rows, spread evenly; models are judged by all."
+    contents = dynamics(warnings=["Some measurements look like outliers.", note])
+    contents["equations"][0]["checks"] = [
+        {"name": "time", "outcome": "passed", "reason": "nothing was stopped"},
+        {"name": "poles", "outcome": "failed", "reason": "it passes 2"},
+    ]
+    texts = read([overview(Findings(Result.of(contents), None))]).texts
+    assert "Constants: 3 (3.00 ± 0.10)" in texts
+    checks = texts.index("Checks: 1 of 2 passed:")
+    assert texts[checks + 1 : checks + 4] == ["poles: failed.", " it passes 2", "The other checks"]
+    assert texts[texts.index("Warnings") + 1] == "Some measurements look like outliers."
+    assert texts[texts.index("Notes") + 1] == note
+
+
+def test_rates_are_written_with_the_name_of_the_time() -> None:
+    contents = dynamics()
+    contents["system"]["time"] = "year"
+    model = Model(contents)
+    page = read(section_of_dynamics(Findings(Result.of(contents), model, model.analyse())))
+    assert {"dx/dyear = 0", "dy/dyear = 0"} <= set(page.texts)
+
+
+def test_lines_of_a_fit_bend_and_say_where_they_start() -> None:
+    contents = dynamics()
+    (part,) = contents["simulation"]["trajectories"]
+    times = [0.0, 1.0, 2.0]
+    simulation = Model(contents).simulate(x0={"x": 1.0, "y": 3.0}, t=times)
+    part |= {"times": times, "values": {name: simulation[name].tolist() for name in ("x", "y")}}
+    part |= {"lower": None, "upper": None, "measured": part["measured"]}
+    findings = Findings(Result.of(contents), Model(contents))
+    text = to_text(trajectories(findings)[0])
+    assert "Lines are simulated by the model, from one fitted initial state." in text
+    assert max(line.count("L") for line in text.split('d="')) > 10
+    part["values"]["y"][1] += 1.0
+    assert "in pieces" in to_text(trajectories(Findings(Result.of(contents), Model(contents)))[0])
+    assert "simulated by the model." in to_text(trajectories(Findings(Result.of(contents), None))[0])

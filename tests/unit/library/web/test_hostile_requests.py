@@ -194,7 +194,7 @@ FOUND = {
 OF_NO_JOB = {
     ("GET", "/coordinator"), ("GET", "/demo"), ("GET", "/events"), ("GET", "/health"), ("GET", "/jobs"),
     ("GET", "/metrics"), ("GET", "/openapi.json"), ("GET", "/options"), ("GET", "/session"), ("GET", "/version"),
-    ("GET", "/workers"), ("GET", "/jobs/{job}/exports"), ("PUT", "/coordinator/queue"),
+    ("GET", "/logs"), ("GET", "/workers"), ("GET", "/jobs/{job}/exports"), ("PUT", "/coordinator/queue"),
     ("PUT", "/workers/{worker}/service"), ("POST", "/messages"),
 }  # fmt: skip
 """What says nothing of a job, or only of those that the coordinator names to whoever asks: tested beside it."""

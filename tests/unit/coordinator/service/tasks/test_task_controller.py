@@ -506,6 +506,13 @@ def test_a_lost_worker_costs_its_tasks_nothing_until_there_were_too_many() -> No
     assert f"its worker was lost, {MAX_LOSSES} times" in failed.sentence
 
 
+def test_a_lost_worker_is_told_of_with_the_jobs_whose_tasks_it_had_or_helped_with() -> None:
+    scene = refining("j", "w0", "w1")
+    scene.beat("w0", j="running")
+    scene.controller.tick(scene.now)
+    assert [scene.controller.lose(worker, scene.now) for worker in ("w1", "w0", "w9")] == [("j",), ("j",), ()]
+
+
 def test_the_end_of_a_job_ends_what_runs_for_it_and_who_helps_with_that() -> None:
     scene = refining("j", "w0", "w1", "w2")
     scene.beat("w0", j="running")

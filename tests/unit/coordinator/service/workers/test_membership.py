@@ -164,6 +164,8 @@ def test_views_say_what_a_worker_computes_islands_before_tasks() -> None:
     ):  # fmt: skip
         membership.record_heartbeat("w0", said.model_copy(update=told), 1.0)
         assert membership.views(1.0)[0].doing == expected
+    membership.expire(1_000.0)
+    assert [(view.state, view.doing) for view in membership.views(1_000.0)] == [("lost", "")]
 
 
 def test_lost_workers_are_forgotten_in_the_end() -> None:

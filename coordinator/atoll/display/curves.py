@@ -1,0 +1,291 @@
+"""Curves of a model for pictures: a page, a report and a notebook draw a simulated trajectory from here.
+
+A result lists a simulation at measured rows only. Between two rows the model is integrated again, and as many points
+are kept as the curve bends, so that no picture shows a polygon. Letters: D states, N rows, M points of a curve.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.model.beginnings import input_curves, values_of_curve
+from atoll.model.driving import inputs_along
+from atoll.model.groups import differing_groups
+from atoll.model.simulation import Inputs, simulate
+from atoll_coordinator.result.base import Curve
+from atoll_coordinator.result.listed_trajectories import Simulated
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import AtollError
+
+if TYPE_CHECKING:
+    from atoll.model.model import Model
+
+TOLERANCE: Final = 5e-4
+"""Largest distance between a curve and its straight lines, as a share of the curve's range: below a pixel."""
+MOST_POINTS: Final = 4_000
+"""Points of a curve at most: several for each pixel of a picture."""
+SHOWN: Final = 6
+"""Trajectories that a picture shows at most, each in a colour of its own."""
+_GRIDS: Final = (2_000, 8_000, 32_000)
+"""Points at which a trajectory is simulated, more where a curve bends between them."""
+_AGREEMENT: Final = 5e-3
+"""Largest difference between two simulations that count as the same, as a share of the range of the values."""
+_TINY: Final = float(np.finfo(np.float64).tiny)
+_SUBSTEPS: Final = 24
+"""Steps of the Runge-Kutta method between two listed rows."""
+
+
+@dataclass(frozen=True)
+class ModelCurves:
+    """A simulated trajectory for a picture.
+
+    `times` (M,) are those of the points; `values`, and with known standard errors `lower` and `upper`, are curves (M,)
+    by state, None where there is no value and between two pieces. `pieces` counts the fitted initial states that the
+    simulation starts from, None where that is not known.
+    """
+
+    times: Curve
+    values: Mapping[str, Curve]
+    lower: Mapping[str, Curve] | None = None
+    upper: Mapping[str, Curve] | None = None
+    pieces: int | None = None
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The listed rows of a trajectory: times (N,) that ascend, and values (D, N) of the listed states."""
+
+    states: tuple[str, ...]
+    times: FloatArray
+    values: FloatArray
+
+    @property
+    def sizes(self) -> FloatArray:
+        """The range (D, 1) of each state, above 0."""
+        low, high = np.nanmin(self.values, axis=1), np.nanmax(self.values, axis=1)
+        sizes: FloatArray = np.maximum(high - low, 1e-9 * np.maximum(np.abs(low), np.abs(high)) + _TINY)
+        return sizes[:, None]
+
+
+def curves_of(model: "Model | None", part: Simulated) -> ModelCurves:
+    """Return the curves of a simulated trajectory of a result; `model` is that of the result.
+
+    Without a model, or where it cannot be simulated as the result was, these are the listed rows. Raises nothing.
+    """
+    listed = ModelCurves(part.times, part.values or {}, part.lower, part.upper)
+    known = _rows(part)
+    if model is None or model.is_regression or known is None:
+        return listed
+    try:
+        own = _of_group(model, part.name)
+        inputs = _inputs(own, part, known)
+        found = _from_start(own, part, known, inputs) or _between_rows(own, known, inputs)
+    except AtollError:  # such as an input that was not recorded
+        return listed
+    return listed if found is None else _with_bands(known, part, *found)
+
+
+def chosen(parts: Sequence[Simulated]) -> list[Simulated]:
+    """Return the simulated trajectories; of more than `SHOWN` some, from the worst explained to the best."""
+    known = [part for part in parts if part.values]
+    if len(known) <= SHOWN:
+        return known
+    known.sort(key=lambda part: min((value for value in part.r2.values() if value is not None), default=0.0))
+    return [known[index * (len(known) - 1) // (SHOWN - 1)] for index in range(SHOWN)]
+
+
+def bends(values: FloatArray, times: FloatArray, tolerance: float = TOLERANCE) -> npt.NDArray[np.int64]:
+    """Return which points (M,) of curves (D, M) over ascending times keep straight lines within a tolerance.
+
+    The tolerance is a share of the range of each curve; it grows until `MOST_POINTS` are enough. All values are finite.
+    """
+    sizes = np.ptp(values, axis=1, keepdims=True)
+    scaled = values / np.where(sizes > 0.0, sizes, 1.0)
+    kept = _corners(scaled, times, tolerance)
+    while len(kept) > MOST_POINTS:
+        tolerance *= 2.0
+        kept = _corners(scaled, times, tolerance)
+    return kept
+
+
+def _corners(scaled: FloatArray, times: FloatArray, tolerance: float) -> npt.NDArray[np.int64]:
+    """Return the points (M,) of the method of Douglas and Peucker, by vertical distance."""
+    last = len(times) - 1
+    kept, waiting = {0, last}, [(0, last)]
+    while waiting:
+        first, end = waiting.pop()
+        if end - first < 2:
+            continue
+        inner = slice(first + 1, end)
+        share = (times[inner] - times[first]) / (times[end] - times[first])
+        line = scaled[:, [first]] + share * (scaled[:, [end]] - scaled[:, [first]])
+        distances = np.abs(scaled[:, inner] - line).max(axis=0)
+        place = int(distances.argmax())
+        if distances[place] > tolerance:
+            corner = first + 1 + place
+            kept.add(corner)
+            waiting += [(first, corner), (corner, end)]
+    return np.array(sorted(kept))
+
+
+def _rows(part: Simulated) -> _Rows | None:
+    """Return the rows that have a time and all values; None where there are not two."""
+    if not part.values:
+        return None
+    times, values = values_of_curve(part.times), np.array([values_of_curve(curve) for curve in part.values.values()])
+    is_known = np.isfinite(times) & np.isfinite(values).all(axis=0)
+    times, values = times[is_known], values[:, is_known]
+    if len(times) < 2 or (np.diff(times) <= 0.0).any():
+        return None
+    return _Rows(tuple(part.values), times, values)
+
+
+def _of_group(model: "Model", trajectory: str) -> "Model":
+    """Return the model with the constants of the group that a trajectory is of."""
+    if not differing_groups(model.result):
+        return model
+    return next(
+        (model.of_group(group.group) for group in model.result.groups if trajectory in group.trajectories), model
+    )
+
+
+def _inputs(model: "Model", part: Simulated, known: _Rows) -> Inputs | None:
+    """Return the inputs along a trajectory; raises UsageError where they were not recorded."""
+    recorded = next((each for each in model.result.recorded if each.name == part.name), None)
+    return inputs_along(model, None, known.times, {} if recorded is None else input_curves(model.result, recorded))
+
+
+_Found = tuple[FloatArray, FloatArray, int]
+"""Times (M,), values (D, M) of the listed states, NaN between pieces, and the number of pieces."""
+
+
+def _from_start(model: "Model", part: Simulated, known: _Rows, inputs: Inputs | None) -> _Found | None:
+    """Return the simulation from the fitted initial state; None where it is not the one that the result lists."""
+    columns = [model.result.columns_by_symbol[state] for state in model.states]
+    start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
+    places = [columns.index(state) for state in known.states if state in columns]
+    if not np.isfinite(start).all() or len(places) < len(known.states):
+        return None
+    offsets = np.array([part.offsets.get(state) or 0.0 for state in known.states])[:, None]
+    first, last = known.times[0], known.times[-1]
+    for points in _GRIDS:
+        even = np.linspace(first, last, points)
+        grid = np.union1d(known.times, even[np.abs(even - _nearest(known.times, even)) > 1e-9 * (last - first)])
+        simulation = simulate(model.field, start, grid, inputs)
+        if len(simulation.t) < len(grid):
+            return None
+        values = simulation.x.T[places] + offsets
+        at_rows = values[:, np.searchsorted(grid, known.times)]
+        if (np.abs(at_rows - known.values) > _AGREEMENT * known.sizes).any():
+            return None
+        if _is_fine(values / known.sizes, grid):
+            break
+    kept = bends(values, grid)
+    return grid[kept], values[:, kept], 1
+
+
+def _nearest(times: FloatArray, even: FloatArray) -> FloatArray:
+    """Return for each of `even` (M,) the nearest of ascending times (N,)."""
+    after = np.clip(np.searchsorted(times, even), 1, len(times) - 1)
+    before, following = times[after - 1], times[after]
+    return np.where(even - before < following - even, before, following)
+
+
+def _is_fine(scaled: FloatArray, grid: FloatArray) -> bool:
+    """Tell whether straight lines between points are within the tolerance, by leaving out every second point."""
+    before, middle, after = grid[:-2:2], grid[1:-1:2], grid[2::2]
+    share = (middle - before) / (after - before)
+    lines = scaled[:, :-2:2] + share * (scaled[:, 2::2] - scaled[:, :-2:2])
+    return bool((np.abs(scaled[:, 1:-1:2] - lines) <= 4.0 * TOLERANCE).all())  # of half the distance a quarter is left
+
+
+def _between_rows(model: "Model", known: _Rows, inputs: Inputs | None) -> _Found | None:
+    """Return the model integrated from each listed row to the next; a piece ends where that does not meet the next.
+
+    None where the rows do not list all states, as for equations of second order.
+    """
+    columns = [model.result.columns_by_symbol[state] for state in model.states]
+    if set(columns) != set(known.states):
+        return None
+    order = [known.states.index(column) for column in columns]
+    back = [columns.index(state) for state in known.states]
+    steps = np.diff(known.times)
+    courses = _runge_kutta(model, known.values[order, :-1].T, known.times[:-1], steps, inputs)[:, :, back]
+    with np.errstate(invalid="ignore"):
+        missed = np.abs(courses[-1].T - known.values[:, 1:]) > _AGREEMENT * known.sizes
+    ends = (missed | ~np.isfinite(courses).all(axis=0).T).any(axis=0)
+    shares = np.arange(_SUBSTEPS + 1)[:, None] / _SUBSTEPS
+    all_times = known.times[:-1] + shares * steps  # (substeps + 1, N - 1)
+    begins = [0, *(np.flatnonzero(ends) + 1).tolist(), len(steps)]
+    times, values = [], []
+    for begin, end in pairwise(begins):
+        if begin == end:
+            continue
+        own, course = all_times[:, begin:end].T.ravel(), courses[:, begin:end].transpose(2, 1, 0).reshape(len(back), -1)
+        is_first = np.append(True, np.diff(own) > 0.0) & np.isfinite(course).all(axis=0)
+        own, course = own[is_first], course[:, is_first]
+        if len(own) < 2:
+            continue
+        kept = bends(course, own)
+        times += [own[kept], own[-1:]]
+        values += [course[:, kept], np.full((len(back), 1), np.nan)]
+    if not times:
+        return None
+    return np.concatenate(times[:-1]), np.concatenate(values[:-1], axis=1), len(times) // 2
+
+
+def _runge_kutta(
+    model: "Model", states: FloatArray, times: FloatArray, steps: FloatArray, inputs: Inputs | None
+) -> FloatArray:
+    """Return the states (S + 1, N, D) along S equal substeps from `states` (N, D) at `times` (N,), all side by side."""
+
+    def rates(at: FloatArray, x: FloatArray) -> FloatArray:
+        given = None if inputs is None else np.array([inputs(time) for time in at.tolist()])
+        return model.field.values(x, given)
+
+    step, x, course = steps / _SUBSTEPS, states, [states]
+    with np.errstate(all="ignore"):
+        for number in range(_SUBSTEPS):
+            at, h = times + number * step, step[:, None]
+            end = np.nextafter(at + step, at)  # a held input changes at the end of an interval only
+            k1 = rates(at, x)
+            k2 = rates(at + 0.5 * step, x + 0.5 * h * k1)
+            k3 = rates(at + 0.5 * step, x + 0.5 * h * k2)
+            k4 = rates(end, x + h * k3)
+            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            course.append(x)
+    return np.array(course)
+
+
+def _with_bands(known: _Rows, part: Simulated, times: FloatArray, values: FloatArray, pieces: int) -> ModelCurves:
+    """Return curves with the band of the listed rows, its half width interpolated between them."""
+    by_state = {state: _curve(row) for state, row in zip(known.states, values, strict=True)}
+    if not part.lower or not part.upper:
+        return ModelCurves(_curve(times), by_state, None, None, pieces)
+    bounds: tuple[dict[str, Curve], dict[str, Curve]] = ({}, {})
+    for state, row in zip(known.states, values, strict=True):
+        half = _half_width(part, state, times)
+        for side, curves in zip((-1.0, 1.0), bounds, strict=True):
+            curves[state] = _curve(row + side * half)
+    return ModelCurves(_curve(times), by_state, *bounds, pieces)
+
+
+def _half_width(part: Simulated, state: str, times: FloatArray) -> FloatArray:
+    """Return half the width of the band of a state at `times` (M,), NaN where it is not known."""
+    from scipy.interpolate import PchipInterpolator
+
+    lower, upper = (values_of_curve((curves or {})[state]) for curves in (part.lower, part.upper))
+    at, half = values_of_curve(part.times), 0.5 * (upper - lower)
+    is_known = np.isfinite(at) & np.isfinite(half)
+    if np.count_nonzero(is_known) < 2:
+        return np.full(len(times), np.nan)
+    return np.asarray(PchipInterpolator(at[is_known], half[is_known], extrapolate=False)(times))
+
+
+def _curve(values: FloatArray) -> Curve:
+    return tuple(value if math.isfinite(value) else None for value in values.tolist())

@@ -1,0 +1,73 @@
+"""What a result comes to, in sentences for people who do not know the terms of the field."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.result import Result
+
+_MEANINGS: Final = {
+    "exact": "The data leave no other equation: {it} reproduce{s} them to all of their digits",
+    "good": "Within the measured range, predictions of {it} can be trusted",
+    "doubtful": "Do not rely on predictions of {it} yet: another equation may be the right one",
+    "no model": "Do not use {it}: nothing was found that describes the data",
+}
+_MOST_NAMES: Final = 4
+
+
+def conclusion(result: Result) -> str:
+    """Return one paragraph: what was sought in which data, what was found, and how far it can be trusted."""
+    found = [equation for equation in result.equations if equation.expression is not None]
+    if not found:
+        return f"Atoll looked{_source(result)} for {_sought(result)}, and found none."
+    meaning = _trust(result.equations)
+    return f"Atoll looked{_source(result)} for {_sought(result)}. {_explained(result, found[0])}{meaning}"
+
+
+def _sought(result: Result) -> str:
+    variables = [equation.variable for equation in result.equations]
+    if result.kind == "regression":
+        return f"a formula that gives {variables[0]} from {_listed(result.names)}"
+    states = result.columns.states or variables
+    noise = " and how large its noise is" if result.process else ""
+    if len(states) == 1:
+        return f"an equation that says how fast {states[0]} changes{noise}"
+    return f"equations that say how fast {_listed(states)} change{noise.replace('its', 'their')}"
+
+
+def _source(result: Result) -> str:
+    data = result.data
+    if data is None or not data.rows:
+        return ""
+    return f" in {data.rows:,} rows of {_listed(data.files)}" if data.files else f" in {data.rows:,} rows"
+
+
+def _explained(result: Result, equation: Equation) -> str:
+    """Return how a left-hand side is read; "" of a formula without time."""
+    lhs, variable, time = equation.lhs, equation.variable, result.time
+    if lhs == f"d{variable}/d{time}":
+        return f"{lhs} is the change of {variable} per unit of {time}. "
+    if lhs == f"d2{variable}/d{time}2":
+        return f"{lhs} is the acceleration of {variable}: the change of its rate per unit of {time}. "
+    return ""
+
+
+def _trust(equations: Sequence[Equation]) -> str:
+    """Return what the verdicts mean, the worst first; "" without verdicts."""
+    sentences = []
+    for verdict in ("no model", "doubtful", "good", "exact"):
+        named = [equation.lhs for equation in equations if equation.verdict == verdict]
+        if named:
+            is_one = len(named) == 1
+            it = f"the equation of {named[0]}" if is_one else f"the equations of {_listed(named)}"
+            if len(named) == len(equations):
+                it = "this equation" if is_one else "these equations"
+            sentences.append(_MEANINGS[verdict].format(it=it, s="s" if is_one else ""))
+    return "".join(f"{sentence}. " for sentence in sentences).rstrip()
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as ``a, b and c``; of many the first and their number."""
+    if len(names) > _MOST_NAMES:
+        return f"{', '.join(names[:_MOST_NAMES])} and {len(names) - _MOST_NAMES} more"
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))

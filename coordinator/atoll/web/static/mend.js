@@ -1,0 +1,38 @@
+// An error that names an option has a button that sets it, takes it back, or lets a column be chosen.
+
+import { h } from "./dom.js";
+
+const NAMED = /--([a-z][a-z-]*)(?: (-?[a-z0-9.]+))?/g;
+/** Options that name one column of the data. */
+const OF_COLUMN = ["time", "trajectory", "group", "target", "weights"];
+
+/** Returns elements that mend what a sentence complains about. `put(name, value)` sets an option; null takes it back. */
+export function mends(sentence, { options, given, columns, put, choose }) {
+  const seen = new Set();
+  return [...sentence.matchAll(NAMED)].flatMap(([, flag, word]) => {
+    const name = flag.replaceAll("-", "_");
+    const option = options.get(name);
+    if (!option || seen.has(name)) return [];
+    seen.add(name);
+    if (OF_COLUMN.includes(name) && given[name] === undefined) return columns.length ? columnMend(option, sentence, columns, choose) : [];
+    if (isValue(option, word) && String(given[name]) !== word) return [button(`${option.label}: ${word}`, () => put(name, option.is_repeatable ? [word] : word))];
+    if (given[name] !== undefined) return [button(`Take back “${option.label}”`, () => put(name, null))];
+    return option.metavar === null ? [button(option.label, () => put(name, true))] : [];
+  });
+}
+
+function button(label, act) { return h("button", { type: "button", onclick: act }, label); }
+/** A word behind an option is a value of it where it is one of its choices, or a number where it takes numbers. */
+function isValue({ metavar, name }, word) {
+  if (word === undefined || metavar === null) return false;
+  return metavar.split("|").includes(word) || (["missing_value", "step"].includes(name) && word !== "" && Number.isFinite(Number(word)));
+}
+
+/** A column that the sentence itself proposes is a button; any other can be chosen. */
+function columnMend(option, sentence, columns, choose) {
+  const proposed = sentence.match(/perhaps ([^),;]+)/)?.[1];
+  const act = (column) => choose(column, option.name);
+  const select = h("select", { onchange: () => select.value && act(select.value) }, ["", ...columns].map((name) => h("option", { value: name }, name || "(choose)")));
+  return [option.name === "time" && columns.includes(proposed) ? button(`${option.label}: ${proposed}`, () => act(proposed)) : null,
+    h("label", {}, `${option.label} `, select)].filter(Boolean);
+}

@@ -1,0 +1,24 @@
+// Who has no token gives it here: without it one looks only, or sees nothing at all.
+
+import { keepToken, session } from "./api.js";
+import { faultBox, h, viewHeading } from "./dom.js";
+
+const WHERE = "It stands in the address that coordinator web (or serve --http, run --web) has printed, behind token=.";
+
+export default function open(root) {
+  const why = session.refusal ?? (session.needs_token ? "This service shows its jobs to people with a token." : "You are looking only. With a token you may submit and change jobs.");
+  const fault = faultBox();
+  const field = h("input", { type: "password", id: "token", autocomplete: "current-password", required: true, size: "36" });
+  const form = h("form", { class: "tools", onsubmit: enter }, h("label", { for: "token" }, "Token"), field, h("button", { class: "primary" }, "Go on"));
+  root.append(viewHeading("Enter the token"), h("p", {}, why), h("p", { class: "faint" }, WHERE), form, fault);
+  field.focus();
+  async function enter(event) {
+    event.preventDefault();
+    const given = field.value.trim().replace(/^.*[?&]token=([^&#]*).*$/, "$1"); // the whole address will do
+    const accepted = await fault.guard(() => keepToken(given));
+    if (accepted === undefined) return field.select();
+    if (location.hash.startsWith("#/token")) location.hash = "#/jobs";
+    return location.reload(); // all of the page begins anew as whoever the token stands for
+  }
+  return { close() {} };
+}
