@@ -387,6 +387,15 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _OUTPUT,
         _switch("--json", "write JSON, with all times"),
     )),
+    "compare": ("two results, or two candidates of one: which describes the data better, and how sure that is", (
+        _value("first", "A", "PATH/result.json, its folder or the id of a job; with :N candidate N of it, 1 the best"),
+        _value("second", "B", "the other one, or :N for a candidate of the same result"),
+        *_CONNECT,
+        _GROUP,
+        _DATA,
+        _OUTPUT,
+        _switch("--json", "write JSON"),
+    )),
     "export": ("write the model of a result for other programs", (
         _RESULT,
         *_CONNECT,
