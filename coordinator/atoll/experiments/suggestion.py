@@ -173,7 +173,7 @@ class Suggestions:
         if len(self.candidates) < 2:
             return ""
         first, second = self.candidates[:2]
-        return which_of_two(f"1 ({first.origin})", f"2 ({second.origin})", second.nats - first.nats)
+        return which_of_two("candidate 1", "candidate 2", second.nats - first.nats)
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the experiments, a row each: initial state and inputs by name, `since`, `until`, `samples`, `cost`, …
