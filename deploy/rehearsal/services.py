@@ -277,7 +277,10 @@ def rehearse_systemd(machine: Machine) -> str:
             raise FailedError(f"{unit} has Result={result}, but success was expected")
     systemctl("poweroff")
     booted.wait(60)
-    return "all units started, the page answered, workers killed and started again, digest equal to the checkout's, units stopped"
+    return (
+        "all units started, the page answered, workers killed and started again, digest equal to the checkout's, units "
+        "stopped"
+    )
 
 
 def _boot(machine: Machine, address: str) -> subprocess.Popen[bytes]:
