@@ -1,10 +1,12 @@
 """The job on what deploy/ starts, struck meanwhile: containers of the image, a Slurm of one node, systemd's units."""
 
+import contextlib
 import os
 import re
 import shutil
 import socket
 import subprocess
+import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +18,9 @@ from deploy.rehearsal.machine import ROOT, FailedError, Machine, NotPossibleErro
 
 ATOLL_USER = 10001
 PORT = 7447
+PAGE_PORT = 7480
 UNITS = ROOT / "deploy" / "systemd"
-COORDINATOR, WORKERS = "atoll-coordinator.service", "atoll-island-worker@lab.service"
+COORDINATOR, WORKERS, PAGE = "atoll-coordinator.service", "atoll-island-worker@lab.service", "atoll-web.service"
 PROGRAMS = {"sbatch": "slurm-wlm", "slurmctld": "slurm-wlm", "slurmd": "slurm-wlm", "munged": "munge"}
 SETTINGS = """\
 ClusterName=rehearsal
@@ -71,6 +74,8 @@ def rehearse_containers(machine: Machine) -> str:
     wait_until(
         f"the health check `{' '.join(check)}` succeeds", lambda: machine.run(*checking, check=False).returncode == 0
     )
+    page, _ = start("page", "page")
+    wait_until("the page answers", lambda: _page_answers(PAGE_PORT))
     first, _ = start("worker", "worker-1")
     second, _ = start("worker", "worker-2")
     command = ["coordinator", "submit", f"/data/{job.DATA.name}", *job.OPTIONS, "--out", "/data/out"]
@@ -85,12 +90,19 @@ def rehearse_containers(machine: Machine) -> str:
     )
     job.check_submitted(machine, submitting, data / "out")
     (told,) = job.ask(machine, "jobs", address)
-    for container in (second, third, coordinator):
+    for container in (second, third, page, coordinator):
         container.stop()
     lost, expected = told["counters"]["deaths"], len(told["variables"])
     if lost != expected:
         raise FailedError(f"{lost} losses of a worker were counted, but {expected} expected: 1 for each variable")
-    return f"worker with {killed} processes killed, another added, digest equal to the checkout's"
+    return f"the page answered, worker with {killed} processes killed, another added, digest equal to the checkout's"
+
+
+def _page_answers(port: int) -> bool:
+    """Tell whether the page answers on this machine, with which the containers share their network."""
+    with contextlib.suppress(OSError), urllib.request.urlopen(f"http://127.0.0.1:{port}/api/v1/health", timeout=5):
+        return True
+    return False
 
 
 def _folder(folder: Path) -> Path:
@@ -257,14 +269,18 @@ def rehearse_systemd(machine: Machine) -> str:
         lambda: len(now := job.computing(machine, address)) == cores and not now & before,
     )
     job.check_submitted(machine, submitting, out)
-    for unit in (WORKERS, COORDINATOR):
+    wait_until("the page answers", lambda: _page_answers(PAGE_PORT))
+    for unit in (PAGE, WORKERS, COORDINATOR):
         systemctl("stop", unit)
         result = systemctl("show", "--value", "--property=Result", unit)
         if result != "success":
             raise FailedError(f"{unit} has Result={result}, but success was expected")
     systemctl("poweroff")
     booted.wait(60)
-    return "both units started, workers killed and started again, digest equal to the checkout's, units stopped"
+    return (
+        "all units started, the page answered, workers killed and started again, digest equal to the checkout's, units "
+        "stopped"
+    )
 
 
 def _boot(machine: Machine, address: str) -> subprocess.Popen[bytes]:
@@ -279,10 +295,10 @@ def _boot(machine: Machine, address: str) -> subprocess.Popen[bytes]:
     settings = root / "etc" / "atoll"
     settings.mkdir(exist_ok=True)
     kind = (root / "var" / "cache" / "atoll" / "kinds").read_text("utf-8").split()[0]
-    for name, variable in (("coordinator", "ATOLL_LISTEN"), ("lab", "ATOLL_CONNECT")):
+    for name, variable in (("coordinator", "ATOLL_LISTEN"), ("lab", "ATOLL_CONNECT"), ("web", "ATOLL_CONNECT")):
         text = f"{variable}={address}\nNUMBA_CPU_NAME={kind}\nNUMBA_CPU_FEATURES=\n"
         (settings / f"{name}.env").write_text(text, "utf-8")
-    machine.run(*nspawn, "--pipe", "systemctl", "enable", COORDINATOR, WORKERS)
+    machine.run(*nspawn, "--pipe", "systemctl", "enable", COORDINATOR, WORKERS, PAGE)
     return machine.start("systemd", *nspawn, "--boot", "--console=pipe")
 
 
@@ -293,7 +309,7 @@ def _verify(machine: Machine) -> str:
     folder.mkdir(exist_ok=True)
     for file in UNITS.iterdir():
         (folder / file.name).write_text(re.sub(r"/opt/atoll/bin/\S+", "/bin/true", file.read_text("utf-8")), "utf-8")
-    for unit in (COORDINATOR, WORKERS):
+    for unit in (COORDINATOR, WORKERS, PAGE):
         said = machine.run("systemd-analyze", "verify", str(folder / unit)).stderr
         if str(folder) in said:
             raise FailedError(said.strip())

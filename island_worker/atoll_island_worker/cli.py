@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from atoll_core.command_line import Parser, add_log_options, add_tls_options, duration, seconds
 from atoll_core.completion import complete
+from atoll_core.machine.batch_jobs import batch_job
 from atoll_core.main_program import exit_code_of
 from atoll_core.signals import raise_interrupts
 from atoll_island_worker.launch import work, work_together
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 _GRACE_S: Final = 30.0
 _MOST_PROCESSES: Final = 1024
-_LONGEST_BATCH_ID: Final = 10
-"""Digits of a number of 32 bits, which Slurm's ids are."""
 
 _EPILOG: Final = """\
 exit codes: 0 the coordinator ended or the worker was told to end, 1 failed, 2 bad usage or refused by the coordinator,
@@ -174,9 +173,8 @@ def _default_name() -> str:
     import socket
 
     host = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname().split(".")[0]) or "worker"
-    batch_job = os.environ.get("SLURM_JOB_ID", "")
-    if batch_job.isdecimal() and len(batch_job) <= _LONGEST_BATCH_ID:  # `coordinator adapt` looks for it
-        return f"{host[:28]}-slurm{batch_job}-{os.getpid()}"
+    if job := batch_job(os.environ):  # `coordinator adapt` looks for it
+        return f"{host[:28]}-{job}-{os.getpid()}"
     return f"{host[:40]}-{os.getpid()}"
 
 

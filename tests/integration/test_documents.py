@@ -48,6 +48,8 @@ NOT_RUN = {
     r"make ": "installs, or runs these tests; tests/unit/test_project.py looks whether the target exists",
     r"docker |ATOLL_PUBLISH=.* docker ": "needs Docker: make deploy-rehearsal STEPS=compose",
     r"kubectl ": "needs Kubernetes: make deploy-rehearsal STEPS=kubernetes",
+    r"srun ": "needs Slurm: tests/unit/deploy/test_scripts.py runs its tasks as processes",
+    r"coordinator compare ": "needs results with candidates: tests/unit/library/cli/verbs/test_compare.py",
     r"sbatch ": "needs Slurm: make deploy-rehearsal STEPS=slurm",
     r"python3 -m venv |pip ": "installs from the network: make test-wheel",
     r"make-authority |cd ": "tests/unit/test_make_authority.py runs it",
@@ -66,6 +68,7 @@ NOT_RUN = {
     r"limit cycles as c3 varies": "minutes of another system: tests/unit/library/analysis/test_cycle_continuation.py",
     r"identifiability \(95 %": "of data that the page does not have: tests/unit/library/experiments",
     r"candidates, their constants": "of data that the page does not have: tests/unit/library/experiments",
+    r"dhare/dyear: another form": "of a result that the page does not have: tests/unit/library/experiments",
     r"dx/dt = 0.534067": "of data that the page lacks: tests/unit/coordinator/model/inference/test_group_constants.py",
     r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/coordinator/test_units.py",
     r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
@@ -80,7 +83,7 @@ PAGES = [name for name, blocks in BLOCKS.items() if blocks]
 _FUNCTIONS = """\
 set -eu
 said() { printf '%s\\0' "${ATOLL_CONNECT:-}" "$@" $'\\x01'; }
-for program in coordinator island-worker make docker kubectl sbatch python python3 pip make-authority cd; do
+for program in coordinator island-worker make docker kubectl sbatch srun python python3 pip make-authority cd; do
   eval "$program() { said $program \\"\\$@\\"; }"
 done
 """

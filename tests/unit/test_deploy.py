@@ -114,6 +114,22 @@ def test_compose_keeps_the_state_in_a_named_volume(compose: dict[str, Any]) -> N
     assert "volumes" not in compose["services"]["worker"], "kernels are in the image"
 
 
+def test_compose_shows_the_page_on_this_machine_alone(compose: dict[str, Any]) -> None:
+    page = compose["services"]["page"]
+    options = parsed(page["command"])
+    assert (options.verb, options.listen) == ("web", ("127.0.0.1", 7480))
+    assert page["network_mode"] == "host", "what listens on the loopback of a container is published to nobody"
+    assert "ports" not in page
+    (published,) = compose["services"]["coordinator"]["ports"]
+    assert parse_address(page["environment"]["ATOLL_CONNECT"]).port == int(interpolated(published).split(":")[1])
+    assert page["environment"]["ATOLL_WEB_TOKEN"] is None, "the variable of whoever calls docker compose, if it is set"
+
+
+def test_the_image_has_what_the_page_needs(image: list[Instruction]) -> None:
+    (install,) = re.findall(r"pip install [^&]*", " ".join(of(image, "RUN")))
+    assert ".[web]" in shlex.split(install)
+
+
 def test_compose_builds_the_one_image_that_both_services_use(compose: dict[str, Any]) -> None:
     images = {service["image"] for service in compose["services"].values()}
     builds = [service["build"] for service in compose["services"].values() if "build" in service]

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -23,9 +23,13 @@ from atoll.model.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.errors import UsageError
 from atoll_core.hints import did_you_mean
-from atoll_core.quoting import shown
+from atoll_core.quoting import first_lines, shown
+
+if TYPE_CHECKING:
+    import polars
 
 MOST_STATES: Final = 12
 """Lorenz's model of 1996 with so many takes 8 s of one core, near the 10 s that an analysis may take."""
@@ -68,6 +72,19 @@ class Analysis:
         from atoll.analysis.rendering import as_text
 
         return as_text(self)
+
+    def __repr__(self) -> str:
+        return first_lines(str(self), "print it")
+
+    def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
+        """Return the isolated fixed points, a row each: the states, `kind`, `is_stable` and `attracts_in_box`.
+
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas.
+        """
+        points = self.fixed_points.points
+        states = {name: [float(point.point[place]) for point in points] for place, name in enumerate(self.field.states)}
+        told = {name: [getattr(point, name) for point in points] for name in ("kind", "is_stable", "attracts_in_box")}
+        return frame_of(states | told, library)
 
     def as_dict(self) -> dict[str, object]:
         """Return all of it as plain data, as ``coordinator analyse --json`` prints it."""

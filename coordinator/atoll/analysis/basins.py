@@ -1,7 +1,7 @@
 """Basins of attraction: which attractor simulations from a box reach. Letters: N starts, A attractors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -46,8 +46,8 @@ class Basins:
     """
 
     attractors: tuple[Attractor, ...]
-    starts: FloatArray
-    reached: npt.NDArray[np.int64]
+    starts: FloatArray = field(repr=False)
+    reached: npt.NDArray[np.int64] = field(repr=False)
     duration: float
     grid: int | None
 

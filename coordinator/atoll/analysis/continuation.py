@@ -6,7 +6,7 @@ the imaginary axis (Kuznetsov 2004, chapter 10). Letters: D states, n points.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -51,9 +51,9 @@ class SpecialPoint:
 class Branch:
     """Fixed points (n, D) at `values` (n,) of the parameter, each with so many `unstable` eigenvalues (n,)."""
 
-    values: FloatArray
-    points: FloatArray
-    unstable: npt.NDArray[np.int64]
+    values: FloatArray = field(repr=False)
+    points: FloatArray = field(repr=False)
+    unstable: npt.NDArray[np.int64] = field(repr=False)
     special: tuple[SpecialPoint, ...]
 
 

@@ -7,7 +7,7 @@ passes 1 (Kuznetsov 2004, sections 5.3 and 10.3). Letters: D states, N intervals
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 from typing import Final
 
@@ -44,8 +44,8 @@ class SpecialCycle:
 class CycleBranch:
     """`cycles` at `values` (n,) of the parameter; `ends` say why it is not followed beyond the first and the last."""
 
-    values: FloatArray
-    cycles: tuple[LimitCycle, ...]
+    values: FloatArray = field(repr=False)
+    cycles: tuple[LimitCycle, ...] = field(repr=False)
     special: tuple[SpecialCycle, ...]
     ends: tuple[str, str]
 

@@ -4,7 +4,7 @@ The model is simulated freely from where each measured trajectory begins, and as
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -45,8 +45,8 @@ class Measured:
     """
 
     name: str
-    times: FloatArray
-    states: FloatArray
+    times: FloatArray = field(repr=False)
+    states: FloatArray = field(repr=False)
     inputs: Inputs | None = None
 
 

@@ -6,7 +6,7 @@ they began. Letters: D states, n points.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -45,9 +45,9 @@ class FixedSet:
     """
 
     dimension: int
-    course: FloatArray
-    whole: FloatArray
-    points: tuple[FixedPoint, ...]
+    course: FloatArray = field(repr=False)
+    whole: FloatArray = field(repr=False)
+    points: tuple[FixedPoint, ...] = field(repr=False)
 
     @property
     def is_straight(self) -> bool:

@@ -8,7 +8,7 @@ simulations come near are found.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -85,7 +85,7 @@ class LimitCycle:
     period: float
     multipliers: Complexes
     log_multiplier_product: float
-    points: FloatArray
+    points: FloatArray = field(repr=False)
 
     @property
     def is_isolated(self) -> bool:
@@ -114,7 +114,7 @@ class LimitCycles:
     starts: int
     duration: float
     resting: tuple[FixedPoint, ...]
-    unsettled: FloatArray
+    unsettled: FloatArray = field(repr=False)
     has_family: bool = False
 
 

@@ -2,6 +2,7 @@
 
 from atoll.api.tables import table_of
 from atoll.api.wording import python_words
+from atoll.experiments.comparison import Comparison, compare
 from atoll.experiments.design_search import suggest
 from atoll.experiments.determination import Identifiability
 from atoll.experiments.identifiability import identify
@@ -24,6 +25,12 @@ def suggestions(model: Model, data: object, request: Request) -> Suggestions:
     """Return the experiments that would tell most; see `atoll.Model.suggest`."""
     with python_words():
         return suggest(model.result, request, _table(model.result, data))
+
+
+def comparison(first: Model, second: Model, data: object) -> Comparison:
+    """Return two models beside each other; see `atoll.Model.compare`."""
+    with python_words():
+        return compare(first.result, second.result, table=_table(first.result, data))
 
 
 def _table(result: Result, data: object) -> Table | None:

@@ -13,7 +13,7 @@ from typing import Final
 from atoll_core.main_program import exit_code_of, flush_streams
 from atoll_core.signals import raise_interrupts
 
-_READERS: Final = frozenset({"result", "simulate", "analyse", "report", "suggest", "export"})
+_READERS: Final = frozenset({"result", "simulate", "analyse", "report", "suggest", "compare", "export"})
 _MAY_BE_EDITED: Final = "; if the result was edited, give it as it was written"
 
 

@@ -4,11 +4,16 @@ Each function draws into `axes`, or into a new figure, and returns the axes as a
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from atoll.analysis.analysis import MOST_STATES, box_of
+from atoll.analysis.box import Box
+from atoll.analysis.dynamics import measured_trajectories
+from atoll.analysis.fixed_points import fixed_points
+from atoll.analysis.flow import Flow
 from atoll.display.curves import curves_of
 from atoll.display.series import front, label, residuals
 from atoll.model.beginnings import values_of_curve
@@ -62,30 +67,49 @@ def plot_residuals(model: "Model", axes: object = None) -> Axes:
 
 
 def plot_phase(model: "Model", axes: object = None) -> Axes:
-    """Plot directions and simulated trajectories in the plane of the first two states, the others at their middle."""
+    """Plot the plane of the first two states about the measured range: directions, with the others at their middle.
+
+    On it measured points, simulated trajectories and the fixed points of the model, full where they are stable.
+    """
     if len(model.states) < 2:
         raise UsageError("a phase plane takes two states; this model has one")
     if model.inputs:
         raise UsageError(f"the model has the inputs {', '.join(model.inputs)}, so that no plane shows its directions")
+    model.require_one_group()
     columns, known = model.result.columns_by_symbol, model.result.ranges
     lacking = next((name for name in model.states if name not in known), None)
     if lacking is not None:
         raise UsageError(f"the result does not say in which range {lacking!r} was measured")
-    ranges = [known[name] for name in model.states]
-    (left, right), (low, high) = ranges[0], ranges[1]
-    first, second = np.meshgrid(np.linspace(left, right, _GRID), np.linspace(low, high, _GRID))
-    points = np.tile([0.5 * (lower + upper) for lower, upper in ranges], (first.size, 1))
+    box = box_of(model.result, model.field, measured_trajectories(model.result, model.field), {})
+    first, second = np.meshgrid(*(np.linspace(box.lower[place], box.upper[place], _GRID) for place in (0, 1)))
+    points = np.tile([0.5 * sum(known[name]) for name in model.states], (first.size, 1))
     points[:, 0], points[:, 1] = first.ravel(), second.ravel()
     across, up = (rates.reshape(first.shape) for rates in model.field.values(points).T[:2])
     x, y = (columns[name] for name in model.states[:2])
     each = _axes(axes, [label(model.result, y)], label(model.result, x))
     at = each[0]
     at.streamplot(first, second, across, up, color="0.7", density=0.8)
-    for part in _trajectories(model):
+    for number, part in enumerate(_trajectories(model)):
         if part.values and {x, y} <= set(part.values):
-            drawn = curves_of(model, part).values
-            at.plot(values_of_curve(drawn[x]), values_of_curve(drawn[y]))
+            color, drawn = f"C{number % 10}", curves_of(model, part).values
+            at.plot(values_of_curve(drawn[x]), values_of_curve(drawn[y]), color=color)
+            if part.measured and {x, y} <= set(part.measured):
+                at.plot(*(values_of_curve(part.measured[name]) for name in (x, y)), ".", color=color, markersize=3)
+    _add_fixed_points(at, model, box)
     return each
+
+
+def _add_fixed_points(at: Any, model: "Model", box: Box) -> None:
+    """Mark the fixed points in `box`, of models that can be analysed."""
+    if len(model.states) > MOST_STATES:
+        return
+    found = fixed_points(Flow.of(model.field), box).points
+    for is_stable, kind, inside in ((True, "stable fixed point", "k"), (False, "other fixed point", "w")):
+        places = [point.point[:2].tolist() for point in found if point.is_stable is is_stable]
+        if places:
+            at.plot(*zip(*places, strict=True), "o", color="k", markerfacecolor=inside, label=kind, zorder=3)
+    if found:
+        at.legend(loc="best")
 
 
 def plot_front(model: "Model", axes: object = None) -> Axes:

@@ -17,6 +17,7 @@ from atoll.experiments.designs import (
     Design,
     Foreteller,
     Gain,
+    certainties,
     distance_after,
     distances_of,
     needed,
@@ -28,6 +29,7 @@ from atoll.experiments.rivals import Rival, rivals_of
 from atoll.experiments.space import DesignSpace, Request, space_of
 from atoll.experiments.suggestion import Candidate, Purpose, Suggestion, Suggestions
 from atoll.experiments.systems import Fitted, constants_of, fit_shown
+from atoll.model.ranges import outside_sentence
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.table import Table
@@ -70,6 +72,7 @@ class _Tried:
     design: Design
     cost: float
     gain: Gain
+    certainties: tuple[float, ...] = ()
 
     @property
     def worth(self) -> tuple[float, float, float]:
@@ -172,7 +175,8 @@ class _Report:
                 if i != j and foretold[i].reached == len(tried.design.times):
                     pair = self._rivals[i].fitted, self._rivals[j].fitted
                     distances[i, j] = distance_after(*pair, tried.design, foretold[i], self._sigmas)
-        return replace(tried, gain=told(distances, self._weights, self._useful))
+        sure = certainties(distances, self._weights)
+        return replace(tried, gain=told(distances, self._weights, self._useful), certainties=sure)
 
     def _precision(self, design: Design) -> Gain:
         return precision(self._of_shown.at(design), len(self._shown.values))[0]
@@ -210,15 +214,20 @@ class _Report:
 
     def _suggestion(self, tried: _Tried, *, is_precise: bool) -> Suggestion:
         space, design = self._space, tried.design
+        initial = dict(zip(space.states, design.initial.tolist(), strict=True))
+        inputs = {space.inputs[index]: float(design.inputs[index]) for index in space.free}
+        ends = zip(space.measured.lower.tolist(), space.measured.upper.tolist(), strict=True)
         return Suggestion(
-            dict(zip(space.states, design.initial.tolist(), strict=True)),
-            {space.inputs[index]: float(design.inputs[index]) for index in space.free},
+            initial,
+            inputs,
             tuple(design.times.tolist()),
             tried.cost,
             tried.gain.worth,
             tried.gain.information,
             tried.gain.evidence,
             self._worst(design) if is_precise else None,
+            () if is_precise else tried.certainties,
+            outside_sentence(initial | inputs, dict(zip(space.names, ends, strict=True))),
         )
 
     def _worst(self, design: Design) -> tuple[str, float, float]:

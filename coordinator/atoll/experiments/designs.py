@@ -20,6 +20,7 @@ What an experiment tells of the constants of one candidate is 1/2 ln det(1 + C F
 information F (Lindley 1956; D-optimality). Letters: D states, U inputs, P constants, O measured states, n rows.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -138,7 +139,7 @@ class Gain:
     """What is expected of an experiment, in nats.
 
     `information` is that about which candidate is right, or about the constants of one; `evidence` what the right
-    candidate gains on the others. `worth` is what experiments are ranked by.
+    candidate gains on the others, at most four times `FARTHEST`. `worth` is what experiments are ranked by.
     """
 
     information: float
@@ -148,7 +149,8 @@ class Gain:
 
 NONE: Final = Gain(0.0, 0.0, 0.0)
 FARTHEST: Final = 500.0
-"""Bhattacharyya distance of a candidate that cannot be simulated along an experiment: exp(-500) is nothing."""
+"""Bhattacharyya distance of a candidate that cannot be simulated along an experiment, and the largest: exp(-500) is
+nothing, and larger ones are those of a model far outside of what it was fitted to."""
 
 
 def needed(lengths: Sequence[float]) -> FloatArray:
@@ -188,8 +190,24 @@ def distances_of(foretold: Sequence[Foretold], weights: Sequence[float]) -> Floa
         return distances
     for i in range(count):
         for j in range(i):
-            distances[i, j] = distances[j, i] = 0.25 * discrepancy(foretold[i], foretold[j])
+            distances[i, j] = distances[j, i] = min(0.25 * discrepancy(foretold[i], foretold[j]), FARTHEST)
     return distances
+
+
+def certainties(distances: FloatArray, weights: Sequence[float]) -> tuple[float, ...]:
+    """Return how probable it is, at least, that an experiment tells the first candidate from each other one rightly.
+
+    If one of the two is right. By the bound of Bhattacharyya (1943): who then takes the likelier one errs with at most
+    sqrt(v_i v_j) exp(-B_ij), where v are the weights of the two alone; without an experiment with the smaller of these.
+    """
+    sure = []
+    for other in range(1, len(weights)):
+        both = weights[0] + weights[other]
+        shares = (weights[0] / both, weights[other] / both) if both > 0.0 else (0.5, 0.5)
+        distance = float(min(distances[0, other], distances[other, 0]))
+        error = math.sqrt(shares[0] * shares[1]) * math.exp(-distance)
+        sure.append(max(1.0 - error, *shares))
+    return tuple(sure)
 
 
 def distance_after(ahead: Fitted, fitted: Fitted, design: Design, foretold: Foretold, sigmas: FloatArray) -> float:

@@ -1,11 +1,16 @@
 """What the data determine of each constant of a model, as it is said. Letters: P constants, n points of a profile."""
 
 import math
-from dataclasses import dataclass
-from typing import Final, Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from atoll.analysis.plain_data import plain
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.quoting import first_lines
+
+if TYPE_CHECKING:
+    import polars
 
 SCHEMA: Final = 1
 
@@ -48,8 +53,8 @@ class ProfiledConstant:
     quadratic: tuple[float, float]
     verdict: Determination
     is_cut: tuple[bool, bool]
-    values: FloatArray
-    deviances: FloatArray
+    values: FloatArray = field(repr=False)
+    deviances: FloatArray = field(repr=False)
 
     @property
     def _digits(self) -> int:
@@ -101,6 +106,22 @@ class Identifiability:
         lines += [f"  {constant.name} = {constant.sentence}" for constant in self.constants]
         lines += [f"  {direction.words}" for direction in self.sloppy]
         return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return first_lines(str(self), "print it")
+
+    def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
+        """Return the constants, a row each, with the ends `lower` and `upper` of their intervals (infinite: open).
+
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas.
+        """
+        constants = self.constants
+        named = ("name", "variable", "estimate", "std_error", "verdict")
+        columns: dict[str, list[object]] = {name: [getattr(each, name) for each in constants] for name in named}
+        ends: dict[str, list[object]] = {
+            name: [each.interval[place] for each in constants] for place, name in enumerate(("lower", "upper"))
+        }
+        return frame_of(columns | ends, library)
 
     def as_dict(self) -> dict[str, object]:
         """Return all of it as plain data; null is infinite."""

@@ -97,11 +97,24 @@ def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
     return tuple(rivals)
 
 
+def weighed_pair(first: Fitted, second: Fitted) -> tuple[float, float]:
+    """Return ln of the odds for the first of two systems, fitted to the same data, and how much longer the second is.
+
+    Both in nats: by how well they describe the data, and by the length of the description with the equations included.
+    """
+    rivals = {id(rival.fitted): rival for rival in _weighed([(first, "shown"), (second, "given")])}
+    one, other = rivals[id(first)], rivals[id(second)]
+    return other.nats - one.nats, other.length - one.length
+
+
+def half_akaike(misfit: float, count: int, numbers: float) -> float:
+    """Return half of Akaike's criterion of `count` numbers fitted to so many, as corrected for few rows, in nats."""
+    return misfit + count + count * (count + 1.0) / max(numbers - count - 1.0, 1.0)
+
+
 def _half_akaike(fitted: Fitted) -> float:
-    """Return half of Akaike's criterion as corrected for few rows, in nats."""
-    numbers = float(fitted.measured.independent.sum())
     count = len(fitted.values) + fitted.fit.starts.size
-    return fitted.misfit + count + count * (count + 1.0) / max(numbers - count - 1.0, 1.0)
+    return half_akaike(fitted.misfit, count, float(fitted.measured.independent.sum()))
 
 
 def _given(shown: Equations, texts: Mapping[str, str]) -> Equations:

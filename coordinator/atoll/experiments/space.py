@@ -68,7 +68,7 @@ class DesignSpace:
     """Experiments from initial states of `states`, with constant `inputs`, both within `box`.
 
     `clock` are the inputs (by index) that are the time, which cannot be chosen; `begin` is the first time, `duration`
-    and `samples` those of the longest experiment.
+    and `samples` those of the longest experiment. `measured` is the box of what was measured, smoothed.
     """
 
     states: tuple[str, ...]
@@ -79,6 +79,7 @@ class DesignSpace:
     duration: float
     samples: int
     cost: Cost
+    measured: Box
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -169,7 +170,8 @@ def space_of(result: Result, measured: Measured, request: Request) -> DesignSpac
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are no interval; give LOWER:UPPER")
     values = np.concatenate([measurements.smoothed, measurements.inputs[free]])
-    ranges = zip(names, values.min(axis=1).tolist(), values.max(axis=1).tolist(), strict=True)
+    measured_box = Box(values.min(axis=1), values.max(axis=1))
+    ranges = zip(names, measured_box.lower.tolist(), measured_box.upper.tolist(), strict=True)
     lower, upper = np.array([given.get(name, (low, high)) for name, low, high in ranges]).T.copy()
     box = Box(lower, upper)
     begin = float(np.median(measurements.inputs[clock[0]][measurements.bounds[:, 0]])) if clock else 0.0
@@ -177,4 +179,5 @@ def space_of(result: Result, measured: Measured, request: Request) -> DesignSpac
     lasted = float(np.median([times[-1] - times[0] for times in whole]))
     rows = float(np.median([len(times) for times in whole])) * measured.rows / measurements.rows
     samples = request.samples or min(max(round(rows), 2), MOST_SAMPLES)
-    return DesignSpace(states, inputs, clock, box, begin, request.duration or lasted, samples, request.cost)
+    lasts = request.duration or lasted
+    return DesignSpace(states, inputs, clock, box, begin, lasts, samples, request.cost, measured_box)

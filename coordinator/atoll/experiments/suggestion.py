@@ -2,9 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from atoll.analysis.plain_data import attributes, plain
+from atoll.experiments.odds import certainty_text, which_of_two
+from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.quoting import first_lines
+
+if TYPE_CHECKING:
+    import polars
 
 SCHEMA: Final = 1
 
@@ -15,9 +21,17 @@ Purpose = Literal["discrimination", "precision"]
 """To tell candidates apart, or to determine the constants of the only one."""
 
 
+_SURE: Final = 0.95
+"""From which probability on an experiment counts as telling two candidates apart."""
 _WEIGHTS: Final = (
     "weights are by how well the data are described alone (Akaike); the result also counts how long equations are"
 )
+
+
+def _listed(numbers: list[int]) -> str:
+    """Return ``2, 3 and 5``."""
+    *most, last = map(str, numbers)
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def equations_text(equations: Mapping[str, str]) -> str:
@@ -55,20 +69,43 @@ class Suggestion:
     """An experiment: a trajectory from the `initial` state with constant `inputs`, measured at `times`.
 
     `information` in nats is what its outcome is expected to tell, about which candidate is right or of the constants;
-    `evidence` how many nats the right candidate is expected to gain on the others. `worth` is what experiments are
-    ranked by, over their cost: the evidence, of each pair of candidates as much as decides, or the information about
-    constants. `worst` is the constant of largest relative error, with that error before and after the experiment (None
-    where candidates are told apart).
+    `evidence` how many nats the right candidate is expected to gain on the others, 2,000 at most. `worth` is what
+    experiments are ranked by, over their cost: the evidence, of each pair of candidates as much as decides, or the
+    information about constants. `worst` is the constant of largest relative error, with that error before and after
+    the experiment (None where candidates are told apart). `certainties` are the probabilities, at least, of telling the
+    first candidate from each other one rightly after the experiment, if one of the two is right; empty where constants
+    are determined. `remark` says where the start lies outside of what was measured, "" where it does not.
     """
 
     initial: Mapping[str, float]
     inputs: Mapping[str, float]
-    times: tuple[float, ...]
+    times: tuple[float, ...] = field(repr=False)
     cost: float
     worth: float
     information: float
     evidence: float
     worst: tuple[str, float, float] | None = None
+    certainties: tuple[float, ...] = ()
+    remark: str = ""
+
+    @property
+    def certainty_text(self) -> str:
+        """Which candidates are told apart, and how surely; "" where constants are determined."""
+        if not self.certainties:
+            return ""
+        if len(self.certainties) == 1:
+            return f"which of the two is right is known then with {certainty_text(self.certainties[0])} certainty"
+        apart = [place for place, sure in enumerate(self.certainties, start=2) if sure >= _SURE]
+        rest = [place for place, sure in enumerate(self.certainties, start=2) if sure < _SURE]
+        parts = []
+        if apart:
+            least = min(self.certainties[place - 2] for place in apart)
+            parts.append(
+                f"tells 1 from {_listed(apart)} with {certainty_text(least)} certainty{' each' * (len(apart) > 1)}"
+            )
+        if rest:
+            parts.append(f"does not surely tell 1 from {_listed(rest)}")
+        return ", ".join(parts)
 
     @property
     def worth_per_cost(self) -> float:
@@ -91,7 +128,8 @@ class Suggestion:
         gain = attributes(self, "worth", "worth_per_cost", "information", "evidence")
         heads = ("name", "relative_error", "expected_relative_error")
         worst = None if self.worst is None else dict(zip(heads, self.worst, strict=True))
-        return plain(of_trajectory | gain | {"worst_constant": worst})
+        told_apart = attributes(self, "certainties", "remark")
+        return plain(of_trajectory | gain | {"worst_constant": worst} | told_apart)
 
 
 @dataclass(frozen=True)
@@ -123,7 +161,36 @@ class Suggestions:
         for number, experiment in enumerate(self.experiments, start=1):
             where, samples = experiment.start_text, experiment.samples_text
             lines.append(f"experiment {number}: {where}; {samples}; {self._worth(experiment)}")
+            lines += [f"  warning: {experiment.remark}"] if experiment.remark else []
         return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return first_lines(str(self), "print it")
+
+    @property
+    def verdict(self) -> str:
+        """Which of the two likeliest candidates the data favour so far, and how strongly; "" of one alone."""
+        if len(self.candidates) < 2:
+            return ""
+        first, second = self.candidates[:2]
+        return which_of_two("candidate 1", "candidate 2", second.nats - first.nats)
+
+    def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
+        """Return the experiments, a row each: initial state and inputs by name, `since`, `until`, `samples`, `cost`, …
+
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas.
+        """
+        experiments = self.experiments
+        names = [*experiments[0].initial, *experiments[0].inputs] if experiments else []
+        columns: dict[str, list[object]] = {
+            name: [{**each.initial, **each.inputs}[name] for each in experiments] for name in names
+        }
+        columns["since"] = [each.times[0] for each in experiments]
+        columns["until"] = [each.times[-1] for each in experiments]
+        columns["samples"] = [len(each.times) for each in experiments]
+        for name in ("cost", "information", "remark"):
+            columns[name] = [getattr(each, name) for each in experiments]
+        return frame_of(columns, library)
 
     @property
     def purpose_text(self) -> str:
@@ -140,14 +207,13 @@ class Suggestions:
                 lines.append(f"     with the constants of the result  {equations_text(candidate.written)}")
         if self.candidates and self.candidates[0].origin != "shown":
             lines.append(_WEIGHTS)
-        return lines
+        return [*lines, *filter(None, [self.verdict])]
 
     def _worth(self, experiment: Suggestion) -> str:
         per = "" if self.cost == "trajectory" else f" ({experiment.worth_per_cost:.3g} per unit of {self.cost})"
         if experiment.worst is None:
-            worth = f"{experiment.evidence:.3g} nats, {experiment.worth:.3g} of use{per}"
-            told = f"the right one is expected to gain {worth}"
-            return f"{told}; {experiment.information:.3g} of {self.entropy:.3g} nats of doubt resolved"
+            doubt = min(experiment.information / self.entropy, 1.0) if self.entropy > 0.0 else 0.0
+            return f"{experiment.certainty_text}; resolves {100.0 * doubt:.0f} % of the doubt{per}"
         name, before, after = experiment.worst
         shrinks = f"the error of {name} from {100 * before:.2g} to {100 * after:.2g} %"
         return f"{experiment.information:.3g} nats about the constants expected{per}, {shrinks}"

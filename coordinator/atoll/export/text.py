@@ -5,17 +5,23 @@ Equations that were not found are left out.
 
 import csv
 import io
+import re
 from typing import Final
 
+from atoll.model.constants import ConstantWords, told
+from atoll.model.equations import equation_of
 from atoll.model.groups import remark_on_groups
 from atoll_coordinator.result.result import Result
-from atoll_core.expression.text.export import left_side_to_latex, to_latex
+from atoll_core.expression.text.export import left_side_to_latex, to_latex, unit_to_latex
 from atoll_core.expression.text.parsing import from_infix
 
 _COLUMNS: Final[tuple[str, ...]] = (
     "variable", "lhs", "pick", "selected", "shown", "origin", "complexity", "error", "normalized_error", "r2",
     "holdout_error", "expression",
 )  # fmt: skip
+
+_POWER: Final = re.compile(r"e([+-]?\d+)\b")
+_OF_NUMBERS: Final = "-0123456789"
 
 
 def as_csv(result: Result) -> str:
@@ -56,11 +62,28 @@ def as_latex(result: Result) -> str:
 
 
 def latex_lines(result: Result) -> list[str]:
-    """Return each equation as a line of an aligned environment."""
-    names = result.names
-    return [
-        f"{left_side_to_latex(equation.lhs, is_name=equation.lhs == equation.variable)} &= "
-        f"{to_latex(from_infix(equation.expression, names), names)}"
-        for equation in result.equations
-        if equation.expression is not None
-    ]
+    """Return each equation as a line of an aligned environment, with its unit and, in the next line, its constants."""
+    names, lines = result.names, []
+    for equation in result.equations:
+        if equation.expression is None:
+            continue
+        left = left_side_to_latex(equation.lhs, is_name=equation.lhs == equation.variable)
+        unit = equation_of(result, equation).unit
+        unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
+        lines.append(f"{left} &= {to_latex(from_infix(equation.expression, names), names)}{unit}")
+        constants = ",\\; ".join(map(_constant_latex, told(equation.constants)))
+        lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
+    return lines
+
+
+def _constant_latex(words: ConstantWords) -> str:
+    """Return ``19.92\\; (19.9 \\pm 1.7)\\,\\mathrm{m}``."""
+    notes = ", ".join(_numbers_latex(note) if note[0] in _OF_NUMBERS else rf"\text{{{note}}}" for note in words.notes)
+    unit = rf"\,{unit_to_latex(words.unit)}" if words.unit not in (None, "1") else ""
+    return _numbers_latex(words.number) + (rf"\; ({notes})" if notes else "") + unit
+
+
+def _numbers_latex(text: str) -> str:
+    """Return numbers with ``±`` or ``to`` between them as mathematics."""
+    text = _POWER.sub(lambda power: rf" \cdot 10^{{{int(power[1])}}}", text)
+    return text.replace("±", r"\pm").replace(" to ", r"\text{ to }")

@@ -23,9 +23,10 @@ from atoll.model.files import write_text
 from atoll.model.groups import differing_groups, of_group, remark_on_groups
 from atoll.model.joint_errors import JointErrors
 from atoll.model.parameters import LEVEL, Parameter, parameters_of, quantile
+from atoll.model.ranges import measured_ranges, outside_sentence
 from atoll.model.scoring import score
 from atoll.model.shortcuts import Shortcuts
-from atoll.model.simulation import EarlyEndWarning, Simulation, simulate
+from atoll.model.simulation import EarlyEndWarning, ExtrapolationWarning, Inputs, Simulation, simulate
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.findings import InputKind
 from atoll_coordinator.result.result import Result
@@ -179,6 +180,13 @@ class Model(Shortcuts):
         """What is to be said beside the equations: that constants are means over groups; "" where they are not."""
         return remark_on_groups(self._result)
 
+    def __eq__(self, other: object) -> bool:
+        """Models are equal whose results are, such as one that was saved and the one that is loaded."""
+        return self._result == other._result if isinstance(other, Model) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash((self._result.digest, str(self)))
+
     def __repr__(self) -> str:
         return "\n".join([*map(str, self.equations), *filter(None, [self.remark])])
 
@@ -223,7 +231,8 @@ class Model(Shortcuts):
     ) -> Simulation | Ensemble:
         """Integrate from an initial state. How it ends is its `status`: a blow-up is a result, not an error.
 
-        One that ends early has the times that were reached alone; an `EarlyEndWarning` says so.
+        One that ends early has the times that were reached alone; an `EarlyEndWarning` says so, and an
+        `ExtrapolationWarning` that `x0` is outside of the measured range.
 
         Args:
             x0: the initial state, by name or in order, angles in radians; None: that of the first measured trajectory,
@@ -247,11 +256,14 @@ class Model(Shortcuts):
             process_of(model)
         field, times, start = model.field, times_of(model, t), start_of(model, x0)
         inputs = inputs_along(model, u, times, recorded_inputs(model) if x0 is None else {})
+        remark = "" if x0 is None else _extrapolated(model, start, None if u is None else inputs, float(times[0]))
+        if remark:
+            warnings.warn(remark, ExtrapolationWarning, stacklevel=2)
         if paths is not None:
             return ensemble_of(model, start, times, inputs, (paths, seed))
         errors = model._errors if has_bands else None
         bands = None if errors is None else (errors, quantile(LEVEL, model._degrees_of_freedom))
-        simulation = replace(simulate(field, start, times, inputs, bands), time=model.time)
+        simulation = replace(simulate(field, start, times, inputs, bands), time=model.time, remark=remark)
         if len(simulation.t) < len(times):
             warnings.warn(simulation.message, EarlyEndWarning, stacklevel=2)
         return simulation
@@ -343,3 +355,13 @@ class Model(Shortcuts):
     def _degrees_of_freedom(self) -> float | None:
         known = self._result.covariance or next((group.covariance for group in self._result.groups), None)
         return None if known is None else known.freedom
+
+
+def _extrapolated(model: Model, start: FloatArray, inputs: Inputs | None, time: float) -> str:
+    """Return which states of `start` (D,), and which inputs then, are outside of what was measured; "" where none."""
+    values = dict(zip(model.states, start.tolist(), strict=True))
+    if inputs is not None:
+        clock = model.result.symbols.get(model.time)
+        driven = zip(model.inputs, np.asarray(inputs(time), dtype=np.float64).tolist(), strict=True)
+        values |= {name: value for name, value in driven if name != clock}
+    return outside_sentence(values, measured_ranges(model.result))

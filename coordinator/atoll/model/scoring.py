@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from atoll.model.arguments import Columns, column, has, has_columns, read_columns, rows_of, stacked
-from atoll.model.simulation import EarlyEndWarning
+from atoll.model.simulation import SimulationWarning
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.quoting import shown
@@ -42,7 +42,7 @@ def _of_dynamics(model: "Model", parts: Sequence[Columns]) -> float:
         times, _, start = rows_of(model, part)
         inputs = {name: column(part, columns[name]) for name in model.inputs}
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", EarlyEndWarning)
+            warnings.simplefilter("ignore", SimulationWarning)
             simulation = model.simulate(start, times, inputs or None, has_bands=False)
         if simulation.status != "finished":
             return -np.inf

@@ -2,17 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from atoll.model.files import write_text
 from atoll.model.parameters import LEVEL
+from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.quoting import path_of
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
+    import polars
     import sympy
 
     from atoll.analysis.analysis import Analysis
+    from atoll.experiments.comparison import Comparison
     from atoll.experiments.determination import Identifiability, ProfiledConstant
     from atoll.experiments.suggestion import Cost, Suggestions
     from atoll.export.description import HeldInputs, Times
@@ -122,6 +126,23 @@ class Shortcuts:
         )
         return suggestions(self.itself, data, request)
 
+    def compare(self, other: "Model", data: object = None) -> "Comparison":
+        """Return this model, A, beside another one, B, such as one of its `candidates`.
+
+        Which of the two describes the same data better, and how sure that is; which equations have the same form.
+
+        Args:
+            other: of the same states or target.
+            data: as of `identifiability`, in the place of the data of both.
+
+        Raises:
+            UsageError: the models are of other quantities, or a result does not have its measurements.
+            AtollError: one of them cannot be simulated along the data.
+        """
+        from atoll.api.experiments import comparison
+
+        return comparison(self.itself, other, data)
+
     # ------------------------------------------------------------------------------------------- what it looks like
 
     def summary(self) -> str:
@@ -154,20 +175,43 @@ class Shortcuts:
 
         return mathml(self.itself)
 
-    def report(self, path: str | Path | None = None) -> str:
-        """Return the result as one HTML page that needs neither network nor script, and write it to `path` if given.
+    def report(self, path: str | Path = "report.html") -> Path:
+        """Write the result as one HTML page that needs neither network nor script; return its path.
 
-        The model is analysed for it, which takes a second or two for two states.
+        A file that is there is replaced. The model is analysed, which takes a second or two for two states.
 
         Raises:
             UsageError: the file cannot be written.
         """
+        file = path_of(path)
+        write_text(file, self.to_html())
+        return file
+
+    def to_html(self) -> str:
+        """Return the page that `report` writes."""
         from atoll.report.page import as_html
 
-        text = as_html(self.itself.result)
-        if path is not None:
-            write_text(path, text)
-        return text
+        return as_html(self.itself.result)
+
+    def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
+        """Return the constants, a row each: `name`, `equation`, `value`, `stderr`, ends of the 95 % interval, `unit`.
+
+        As a frame of ``"polars"`` or ``"pandas"``; null where it is not known. Raises UsageError without pandas.
+        """
+        constants = self.itself.params.values()
+        intervals = [constant.interval or (None, None) for constant in constants]
+        return frame_of(
+            {
+                "name": [constant.name for constant in constants],
+                "equation": [constant.variable for constant in constants],
+                "value": [constant.value for constant in constants],
+                "stderr": [constant.stderr for constant in constants],
+                "lower": [low for low, _ in intervals],
+                "upper": [high for _, high in intervals],
+                "unit": [constant.unit for constant in constants],
+            },
+            library,
+        )
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"

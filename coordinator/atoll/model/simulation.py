@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,12 @@ import numpy.typing as npt
 from atoll.model.joint_errors import JointErrors
 from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.errors import UsageError
+from atoll_core.quoting import shown
+
+if TYPE_CHECKING:
+    import polars
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
 """How a simulation ended: at the last time; where a state grows beyond all bounds in finite time; where all evaluations
@@ -45,8 +50,16 @@ _LARGEST: Final = 1e150
 _ROUGH: Final = "; a state falls below what was resolved: where it comes back, later values may be wrong"
 
 
-class EarlyEndWarning(UserWarning):
+class SimulationWarning(UserWarning):
+    """What is to be known of a simulation before it is relied on."""
+
+
+class EarlyEndWarning(SimulationWarning):
     """A simulation has ended before the last time that was asked for; its times and states are those reached."""
+
+
+class ExtrapolationWarning(SimulationWarning):
+    """A simulation begins outside of the measured range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +69,7 @@ class Simulation:
     `t` (N,) are the times that were reached, fewer than were asked for where it ended early, and `x` (N, D) the
     `states` there; `stderr` (N, D) are the standard errors that those of the constants give them (first order), and
     `lower`, `upper` their 95 % band; None where the errors of the constants are not known. `status` says how it ended,
-    `message` in a sentence.
+    `message` in a sentence. `remark` says where the start is outside of what was measured, "" where it is not.
     """
 
     states: tuple[str, ...]
@@ -68,12 +81,39 @@ class Simulation:
     lower: FloatArray | None = None
     upper: FloatArray | None = None
     time: str = "t"
+    remark: str = ""
 
     def __getitem__(self, state: str) -> FloatArray:
         """Return the values (N,) of a state by name; raises KeyError."""
         if state not in self.states:
             raise KeyError(state)
         return np.asarray(self.x[:, self.states.index(state)])
+
+    def __repr__(self) -> str:
+        names, count = ", ".join(self.states), len(self.t)
+        times = f"{count} times from {self.t[0]:.6g} to {self.t[-1]:.6g}" if count > 1 else f"time {self.t[0]:.6g}"
+        bands = ", with 95 % bands" if self.lower is not None else ""
+        remark = f"; {self.remark}" if self.remark else ""
+        return f"<Simulation of {names}: {times}{bands}; {self.status}: {self.message}{remark}>"
+
+    def band(self, state: str) -> tuple[FloatArray, FloatArray]:
+        """Return the lower and the upper bound (N,) of the 95 % band of a state, by name.
+
+        Raises KeyError for another name, UsageError where the errors of the constants are not known.
+        """
+        if state not in self.states:
+            raise KeyError(state)
+        if self.lower is None or self.upper is None:
+            raise UsageError(
+                f"there is no band of {shown(state)}: the errors of the constants are not known, or were not carried "
+                "on; params has the constants with their errors"
+            )
+        place = self.states.index(state)
+        return np.asarray(self.lower[:, place]), np.asarray(self.upper[:, place])
+
+    def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
+        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas."""
+        return frame_of(self.columns(), library)
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the time, the states and, where they are known, the bounds of their bands, by column name."""
@@ -98,7 +138,7 @@ class Simulation:
             name: [value if math.isfinite(value) else None for value in values.tolist()]
             for name, values in self.columns().items()
         }
-        return {"status": self.status, "message": self.message, "columns": columns}
+        return {"status": self.status, "message": self.message, "remark": self.remark, "columns": columns}
 
 
 def simulate(

@@ -55,15 +55,17 @@ def _next_experiment(suggestions: "Suggestions") -> list[Element]:
         [
             element("span", experiment.start_text),
             experiment.samples_text,
-            number(experiment.information, 3),
-            number(experiment.evidence, 3) if told_apart else "",
+            experiment.certainty_text if told_apart else f"{number(experiment.information, 3)} nats",
+            experiment.remark,
         ]
         for experiment in suggestions.experiments
     ]
-    heads = ["begin at", "samples", "information, nats", "evidence for the right one, nats"]
+    heads = ["begin at", "samples", "what it tells" if told_apart else "about the constants", "warning"]
+    if not any(experiment.remark for experiment in suggestions.experiments):
+        heads, rows = heads[:-1], [row[:-1] for row in rows]
     return [
         element("h3", "The next experiment"),
-        paragraph(f"Purpose: {suggestions.purpose_text}."),
+        paragraph(" ".join(filter(None, [f"Purpose: {suggestions.purpose_text}.", suggestions.verdict]))),
         table("Systems, their constants fitted again", ["weight", "origin", "equations"], systems),
         table("Experiments", heads, rows),
     ]

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from typing import Final
 
-from atoll.text.tables import number_text, percent, plus_minus
+from atoll.model.constants import number_text, plus_minus
+from atoll.text.tables import percent
 from atoll_coordinator.result.findings import Density, PathEnsemble
 from atoll_coordinator.result.result import Result
 

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from atoll.export.text import as_csv, as_latex, as_sympy
+from atoll.model.constants import number_text
 from atoll.model.equations import DIGITS, rounded
 from atoll.model.parameters import constant_names
 from atoll.text import tables
 from atoll.text.process import process_lines
-from atoll.text.tables import number_text
 from atoll_coordinator.result.equations import Equation, Member
 from atoll_coordinator.result.notes import is_note
 from atoll_coordinator.result.result import Result

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from atoll.model.constants import ConstantWords, fitted_text, number_text, told, with_errors, words_of
 from atoll.model.parameters import constant_names, interval_text, r2_text, unit_text
 from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, SimpleTogether, Units
 from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place
@@ -30,8 +31,6 @@ _ROUNDINGS: Final = {
     "single precision": "values in single precision, in steps of {:.3g} where they are largest",
     "steps": "values in steps of {:.3g}, as of an encoder",
 }
-_EXACT_SHARE: Final = 1e-6
-"""Standard errors below this share of their constants are those of rounding, and not worth a line."""
 
 
 def columns(heads: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
@@ -47,11 +46,6 @@ def columns(heads: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "
 def percent(share: float | None) -> str:
     """Return a share such as 0.0512 as ``5.1 %``; ``?`` for None."""
     return "?" if share is None else f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
-
-
-def number_text(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits; ``?`` for None."""
-    return "?" if value is None else f"{value:.{digits}g}"
 
 
 # ---------------------------------------------------------------------------------------------------- checks
@@ -78,59 +72,25 @@ def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
 # ------------------------------------------------------------------------------------------------- constants
 
 
-def plus_minus(value: float, error: float) -> str:
-    """Return ``2.981 ± 0.018``, or ``1.21e-07 ± 3.0e-09``: an error in two digits, the value with as many decimals."""
-    if not error > 0.0:
-        return f"{value:.6g}"
-    size = math.floor(math.log10(max(abs(value), error)))
-    decimals = 1 - math.floor(math.log10(error))
-    if -4 <= size < 6:
-        return f"{value:.{max(decimals, 0)}f} ± {error:.{max(decimals, 0)}f}"
-    return f"{value:.{max(decimals + size, 0)}e} ± {error:.1e}"
-
-
-def _with_errors(constants: Sequence[Constant]) -> list[Constant]:
-    """Return those whose errors are known; where one is infinite, it is null, and nothing is determined."""
-    return [each for each in constants if each.std_error is not None or not each.identifiable or each.at_bound]
-
-
 def constants_line(constants: Sequence[Constant]) -> str | None:
     """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
-    known = _with_errors(constants)
-    if all(map(_is_exact, known)):
-        return None
-    return "constants: " + ", ".join(map(_constant_text, known))
+    known = told(constants)
+    return "constants: " + ", ".join(map(_words_text, known)) if known else None
 
 
-def _is_exact(constant: Constant) -> bool:
-    is_small = (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
-    return is_small and constant.identifiable and not constant.at_bound
-
-
-def _constant_text(constant: Constant) -> str:
-    shown, fitted = number_text(constant.value, 6), _fitted(constant)
-    notes = [] if constant.identifiable else ["not determined"]
-    if constant.at_bound:
-        notes = ["at its bound", interval_text(constant.interval)]
-    elif constant.std_error is not None:
-        begins_alike = fitted.startswith(f"{shown} ")
-        shown, notes = (fitted, notes) if begins_alike else (shown, [fitted, *notes])
-    return shown + (f" ({', '.join(notes)})" if notes else "") + unit_text(constant.unit)
-
-
-def _fitted(constant: Constant) -> str:
-    return plus_minus(constant.estimate, constant.std_error or 0.0)
+def _words_text(words: ConstantWords) -> str:
+    return words.number + (f" ({', '.join(words.notes)})" if words.notes else "") + unit_text(words.unit)
 
 
 def constants_table(constants: Sequence[Constant]) -> list[str]:
     """Return a line for each constant whose standard error is known, or infinite, with a head; nothing for none."""
-    known = _with_errors(constants)
+    known = with_errors(constants)
     has_intervals = any(constant.interval is not None for constant in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
     rows = [
         (
             number_text(constant.value, 6) + unit_text(constant.unit),
-            _fitted(constant),
+            fitted_text(constant),
             *((interval_text(constant.interval),) if has_intervals else ()),
             _remark(constant),
         )
@@ -180,7 +140,7 @@ def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str])
         return []
     heads = ("group", *(f"{names[place]} = {number_text(equation.constants[place].value, 6)}" for place in own), "")
     rows = [
-        (group.group, *(_constant_text(group.constants[place]) for place in own), text)
+        (group.group, *(_words_text(words_of(group.constants[place])) for place in own), text)
         for group, text in zip(equation.groups, texts, strict=True)
     ]
     return columns(heads, rows, "    ")

@@ -1,10 +1,13 @@
 """What the parts of a result share: kinds of values, and that nothing changes after it was read."""
 
 import math
-from typing import Annotated, ClassVar
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
 from pydantic_core import PydanticCustomError
+
+from atoll_core.quoting import shown
 
 Text = Annotated[str, Strict()]
 Flag = Annotated[bool, Strict()]
@@ -34,6 +37,21 @@ class Part(BaseModel):
     """A part of a result; a key that this version does not know is kept, and written again."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="allow", populate_by_name=True, defer_build=True)
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Yield what ``repr`` shows: what there is, each on a short line, since curves have thousands of numbers."""
+        for name, value in super().__repr_args__():
+            if value is not None and value != () and value != {}:
+                yield name, _Short(shown(value))
+
+
+class _Short(str):
+    """A text that stands for a value."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return str(self)
 
 
 def misfit(sentence: str) -> PydanticCustomError:

@@ -30,6 +30,11 @@ class StationaryDensity:
     mean: FloatArray
     sd: FloatArray
 
+    def __repr__(self) -> str:
+        each = zip(self.states, self.mean.tolist(), self.sd.tolist(), strict=True)
+        moments = ", ".join(f"{name} {mean:.4g} (standard deviation {sd:.4g})" for name, mean, sd in each)
+        return f"<StationaryDensity: mean of {moments}>"
+
     def __getitem__(self, state: str) -> tuple[FloatArray, FloatArray]:
         """Return the edges (B + 1,) and the density (B,) of a state by name; raises KeyError."""
         if state not in self.states:

@@ -9,13 +9,17 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.stochastic.moments import StepMoments
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.frames import FrameLibrary, frame_of
+
+if TYPE_CHECKING:
+    import polars
 
 PATHS: Final = 256
 """Of an ensemble: means are known to a sixteenth of the spread of the paths."""
@@ -87,6 +91,21 @@ class Ensemble:
         if state not in self.states:
             raise KeyError(state)
         return np.asarray(self.x[:, :, self.states.index(state)])
+
+    def __repr__(self) -> str:
+        times = f"{len(self.t)} times from {self.t[0]:.6g} to {self.t[-1]:.6g}"
+        return f"<Ensemble of {', '.join(self.states)}: {times}; {self.message}>"
+
+    def band(self, state: str) -> tuple[FloatArray, FloatArray]:
+        """Return the bounds (N,) that 5 % of the paths lie below and above, of a state by name; raises KeyError."""
+        if state not in self.states:
+            raise KeyError(state)
+        place = self.states.index(state)
+        return self.lower[:, place], self.upper[:, place]
+
+    def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
+        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas."""
+        return frame_of(self.columns(), library)
 
     @cached_property
     def finite(self) -> FloatArray:

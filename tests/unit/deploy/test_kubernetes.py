@@ -48,7 +48,7 @@ def container(manifest: dict[str, Any]) -> dict[str, Any]:
 
 
 def environment(manifest: dict[str, Any]) -> dict[str, str]:
-    return {variable["name"]: variable["value"] for variable in container(manifest)["env"]}
+    return {variable["name"]: variable["value"] for variable in container(manifest)["env"] if "value" in variable}
 
 
 def parsed(words: list[str]) -> argparse.Namespace:
@@ -104,8 +104,21 @@ def test_workers_dial_the_service_and_have_time_to_hand_over(base: dict[tuple[st
     assert "replicas" not in spec["spec"], "the autoscaler decides"
 
 
+def test_the_page_listens_within_its_pod_and_is_let_to_the_coordinator(
+    base: dict[tuple[str, str], dict[str, Any]],
+) -> None:
+    page, allowed = base["Deployment", "page"], base["NetworkPolicy", "coordinator"]["spec"]["ingress"][0]["from"]
+    options = parsed(container(page)["args"])
+    assert (options.verb, options.listen) == ("web", ("127.0.0.1", 7480))
+    address = parse_address(environment(page)["ATOLL_CONNECT"])
+    assert (address.host, address.port) == ("coordinator", base["Service", "coordinator"]["spec"]["ports"][0]["port"])
+    labels = page["spec"]["template"]["metadata"]["labels"]
+    assert page["spec"]["selector"]["matchLabels"].items() <= labels.items()
+    assert any(peer["podSelector"]["matchLabels"].items() <= labels.items() for peer in allowed)
+
+
 def test_nobody_is_root_or_may_become_more_than_it_is(base: dict[tuple[str, str], dict[str, Any]]) -> None:
-    for key in (("StatefulSet", "coordinator"), ("Deployment", "worker")):
+    for key in (("StatefulSet", "coordinator"), ("Deployment", "worker"), ("Deployment", "page")):
         spec = base[key]
         assert pod(spec)["securityContext"]["runAsNonRoot"]
         assert pod(spec)["securityContext"]["runAsUser"] == 10001

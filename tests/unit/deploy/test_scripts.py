@@ -11,11 +11,13 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.options import parser as arguments
+from atoll_coordinator.result.result import Result
 from atoll_island_worker import cli as worker_cli
 from tests.unit.documents import ROOT
 
 DEPLOY = ROOT / "deploy"
-SCRIPTS = (DEPLOY / "entrypoint.sh", DEPLOY / "ssh" / "workers", DEPLOY / "slurm" / "atoll.sbatch")
+TOGETHER = DEPLOY / "slurm" / "together"
+SCRIPTS = (DEPLOY / "entrypoint.sh", DEPLOY / "ssh" / "workers", DEPLOY / "slurm" / "atoll.sbatch", TOGETHER)
 LIMIT_S = 30
 
 pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="scripts need bash")
@@ -224,3 +226,58 @@ def test_slurm_without_data_says_how_it_is_used() -> None:
     done = run("bash", SCRIPTS[2])
     assert done.returncode == 2
     assert done.stderr.startswith("usage: ")
+
+
+# ---------------------------------------------------------------------------------------------- one srun
+
+
+def test_tasks_of_one_srun_have_options_that_the_programs_have() -> None:
+    text = TOGETHER.read_text("utf-8").replace("\\\n", " ")
+    plain = re.sub(r'"\$\((?:[^()"]|"[^"]*")*\)"|"\$[^"]*"', "tcp/a:1", text)
+    serve = re.search(r"coordinator serve ([^>]*)>>", plain)
+    submit = re.search(r"coordinator (submit .*) &", plain)
+    worker = re.search(r"island-worker (--connect-file [^>]*)>>", plain)
+    assert serve
+    assert submit
+    assert worker
+    options = arguments.parse(["serve", *serve[1].split()])
+    assert options.listen == "tls/0.0.0.0:0"
+    assert options.connect_file
+    assert options.roster
+    assert arguments.parse(submit[1].split()).id
+    assert worker_cli._parse(worker[1].split()).connect_file
+
+
+def test_a_task_that_does_not_know_its_number_says_how_it_is_run(tmp_path: Path) -> None:
+    assert run("bash", TOGETHER).stderr.startswith("usage: srun together DATA")
+    data = tmp_path / "data.csv"
+    data.write_text("t,x\n")
+    done = run("bash", TOGETHER, data, **dict.fromkeys(NUMBERS, ""))
+    assert done.returncode == 2
+    assert "the number of this task is not known; run it by srun, or by mpirun with ATOLL_DIR=folder" in done.stderr
+
+
+NUMBERS = ("SLURM_PROCID", "OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_JOB_ID")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_the_first_task_of_one_srun_serves_and_all_end_with_the_job(tmp_path: Path) -> None:
+    data = tmp_path / "data.csv"
+    head, *rows = (ROOT / "examples" / "lotka_volterra.csv").read_text("utf-8").splitlines(keepends=True)
+    data.write_text(head + "".join(rows[::10]), "utf-8")
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    given = {**os.environ, "PATH": path, "SLURM_JOB_ID": "5", "SLURM_STEP_ID": "0", "ATOLL_DIR": str(tmp_path / "job")}
+    tasks = [
+        subprocess.Popen(["bash", str(TOGETHER), str(data)], env=given | {"SLURM_PROCID": task}, cwd=tmp_path)
+        for task in ("1", "0")
+    ]
+    try:
+        assert [task.wait(250) for task in tasks] == [0, 0]
+    finally:
+        for task in tasks:
+            task.kill()
+    assert Result.load(tmp_path / "job" / "result").equations
+    logs = [(tmp_path / "job" / f"worker-{task}.log").read_text("utf-8") for task in (0, 1)]
+    assert all("this worker ends" in log for log in logs)
+    assert (tmp_path / "job").stat().st_mode & 0o077 == 0

@@ -30,13 +30,19 @@ def words(unit: str) -> list[str]:
 
 def test_units_start_the_programs_with_options_that_they_have() -> None:
     assert arguments.parse(words("atoll-coordinator.service")[1:]).verb == "serve"
+    page = arguments.parse(shlex.split(shlex.join(words("atoll-web.service")[1:]).replace("tcp/0.0.0.0", "127.0.0.1")))
+    assert (page.verb, page.listen) == ("web", ("127.0.0.1", 7447))
     assert worker_cli._parse(words("atoll-island-worker@.service")[1:]).wait > 3600
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
 @pytest.mark.parametrize(
     ("unit", "instance"),
-    [("atoll-coordinator.service",) * 2, ("atoll-island-worker@.service", "atoll-island-worker@lab.service")],
+    [
+        ("atoll-coordinator.service",) * 2,
+        ("atoll-web.service",) * 2,
+        ("atoll-island-worker@.service", "atoll-island-worker@lab.service"),
+    ],
 )
 def test_units_are_what_systemd_understands(unit: str, instance: str, tmp_path: Path) -> None:
     text = (UNITS / unit).read_text("utf-8")

@@ -23,6 +23,17 @@ _LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", 
     letter: f"\\{letter}" for letter in "{}$%#&_"
 }
 
+_WORD: Final = re.compile(r"(?<![^\W\d_])(?<!\\)[^\W\d_]{2,}")
+"""Letters side by side that are no command."""
+
+_LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\mu ", "Ω": r"\Omega "}
+_RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
+_LOWERED: Final = str.maketrans(_RAISED, "0123456789-+")
+_UNIT_PART: Final = re.compile(
+    rf"(?:\^|\*\*)(?P<power>[-+]?\d[\d.]*)|(?P<raised>[{_RAISED}]+)|(?P<times>[*·⋅×])|(?P<words>[^*·⋅×^{_RAISED}]+|\^)"
+)
+"""A power, a product, or what stands as it is."""
+
 
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     """Return `program` as a sympy expression over ``Symbol(name)`` for each of `names`; constants keep every bit.
@@ -33,8 +44,12 @@ def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
 
 
 def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
-    """Return `program` as LaTeX mathematics, written as `to_infix` shows it with so many `digits` of constants."""
-    return _Typeset(_LATEX, names, digits, " ").render(displayed_form(program, digits))
+    """Return `program` as LaTeX mathematics, written as `to_infix` shows it with so many `digits` of constants.
+
+    Factors are set apart where a name is a word.
+    """
+    has_words = any(r"\mathrm" in name or r"\text" in name for name in map(_latex_name, names))
+    return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ").render(displayed_form(program, digits))
 
 
 def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
@@ -176,12 +191,35 @@ def _begins_with_number(operand: Signed) -> bool:
 
 
 def _latex_name(name: str) -> str:
-    """Return a name as mathematics; one that is no identifier as text, with what LaTeX would understand escaped."""
+    """Return a name as mathematics, words upright, since letters side by side are a product.
+
+    One that is no identifier is text, with what LaTeX would understand escaped.
+    """
     import sympy
 
     if re.fullmatch(r"\w*", name):
-        return str(sympy.latex(sympy.Symbol(name))) if name else ""
-    return rf"\text{{{''.join(_LATEX_ESCAPES.get(letter, letter) for letter in name)}}}"
+        text = str(sympy.latex(sympy.Symbol(name))) if name else ""
+        return _WORD.sub(lambda word: rf"\mathrm{{{word[0]}}}", text)
+    return rf"\text{{{_latex_escaped(name)}}}"
+
+
+def _latex_escaped(text: str) -> str:
+    return "".join(_LATEX_ESCAPES.get(letter, letter) for letter in text)
+
+
+def unit_to_latex(unit: str) -> str:
+    """Return a unit, such as ``m/s^2`` or ``kg·m⁻¹``, as LaTeX mathematics, its letters upright."""
+    return _UNIT_PART.sub(_unit_part, unit)
+
+
+def _unit_part(part: re.Match[str]) -> str:
+    power = part["power"] or part["raised"]
+    if power:
+        return f"^{{{power.translate(_LOWERED)}}}"
+    if part["times"]:
+        return r"\,"
+    words = "".join(_LATEX_UNITS.get(letter, _latex_escaped(letter)) for letter in part["words"])
+    return rf"\mathrm{{{words}}}"
 
 
 def _mathml_name(name: str) -> str:

@@ -1,36 +1,33 @@
-"""The verb that keeps as many jobs of Slurm with workers as the coordinator's queue has work for."""
+"""The verb that keeps as many jobs of a batch system with workers as the coordinator's queue has work for."""
 
 import argparse
 import logging
-import re
 import shlex
 import sys
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 from atoll.cli.adapt.adapt_policy import AdaptPolicy, Decision, Limits, Need
-from atoll.cli.adapt.slurm import Slurm, SlurmError
+from atoll.cli.adapt.batch import Batch
+from atoll.cli.adapt.batch_systems import SYSTEMS, BatchError
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import CONNECT_LIMIT_S, bus_address_of
 from atoll.client.client import Client, connected
 from atoll.terminal.output import note, say
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.logs import configure, fields
+from atoll_core.machine.batch_jobs import job_of
 from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import WorkerView
 
 _LOG = logging.getLogger(__name__)
 
-_JOB_IN_NAME: Final = re.compile("-slurm([0-9]+)-")
-"""Workers' default names say of which job of Slurm they are."""
-
 
 def adapt(options: argparse.Namespace) -> int:
-    """Keep jobs of Slurm until SIGTERM or Ctrl-C; return 0. The jobs stay."""
+    """Keep jobs of a batch system until SIGTERM or Ctrl-C; return 0. The jobs stay."""
     if options.minimum > options.maximum:
         raise UsageError(f"--minimum {options.minimum} is more than --maximum {options.maximum}")
     configure(options.log_format, options.log_level)
@@ -38,15 +35,16 @@ def adapt(options: argparse.Namespace) -> int:
     with stopping(stop):
         with connected(address, CONNECT_LIMIT_S) as client:
             name = f"atoll-{client.welcome.realm}"
-        slurm = Slurm(name, worker_command(options, address), options.cores, _words(options.sbatch, "--sbatch"))
+        given = [*_words(options.sbatch, "--sbatch"), *_words(options.batch_options, "--batch-options")]
+        batch = Batch(SYSTEMS[options.batch], name, worker_command(options, address), options.cores, given)
         limits = Limits(options.minimum, options.maximum, options.cores, options.idle)
-        slurm.jobs()
+        batch.jobs()
         say(
-            f"adapt keeps {limits.minimum} to {limits.maximum} jobs of Slurm called {name}, {limits.workers} workers "
-            f"each, for the coordinator at {address}"
+            f"adapt keeps {limits.minimum} to {limits.maximum} jobs of {batch.title} called {name}, {limits.workers} "
+            f"workers each, for the coordinator at {address}"
         )
-        Adapting(address, slurm, AdaptPolicy(limits), options.wait).run(stop, options.interval)
-    note(f"coordinator adapt: stopped; its jobs of Slurm stay, and end by: {slurm.how_to_end}")
+        Adapting(address, batch, AdaptPolicy(limits), options.wait).run(stop, options.interval)
+    note(f"coordinator adapt: stopped; its jobs of {batch.title} stay, and end by: {batch.how_to_end}")
     return DONE
 
 
@@ -64,14 +62,14 @@ def _words(text: str | None, option: str) -> list[str]:
 
 
 class Adapting:
-    """Looks at the coordinator and at Slurm, and does what the policy says.
+    """Looks at the coordinator and at the batch system, and does what the policy says.
 
     Either may be away for `patience_s` seconds; meanwhile nothing is changed.
     """
 
-    def __init__(self, address: Destination, slurm: Slurm, policy: AdaptPolicy, patience_s: float) -> None:
+    def __init__(self, address: Destination, batch: Batch, policy: AdaptPolicy, patience_s: float) -> None:
         self._address = address
-        self._slurm = slurm
+        self._batch = batch
         self._policy = policy
         self._patience_s = patience_s
         self._has_submitted = False
@@ -81,38 +79,38 @@ class Adapting:
         """Look every so many seconds until `stop` is set.
 
         Raises:
-            UnreachableError, SlurmError: the coordinator or Slurm has been away for too long.
+            UnreachableError, BatchError: the coordinator or the batch system has been away for too long.
             AtollError: job after job ends without that a worker has joined.
         """
         while not stop.is_set():
             try:
                 self._look(time.monotonic())
                 self._failed_since = None
-            except (UnreachableError, SlurmError) as error:
+            except (UnreachableError, BatchError) as error:
                 self._tolerate(error, time.monotonic())
             stop.wait(interval_s)
 
     def _look(self, now: float) -> None:
         with connected(self._address, CONNECT_LIMIT_S) as client:
-            jobs = self._slurm.jobs()
+            jobs = self._batch.jobs()
             need = need_of(client, {job.id for job in jobs})
         self._do(self._policy.decide(now, need, jobs), need)
 
     def _do(self, decision: Decision, need: Need) -> None:
         for _ in range(decision.submit):
-            job = self._slurm.submit()
+            job = self._batch.submit()
             self._has_submitted = True
-            _LOG.info("submitted to Slurm", extra=fields(batch_job=job, workers_wanted=need.workers))
+            _LOG.info("submitted", extra=fields(batch_job=job, workers_wanted=need.workers))
         for job in decision.take_back:
-            self._slurm.take_back(job)
-            _LOG.info("taken back from Slurm", extra=fields(batch_job=job, workers_wanted=need.workers))
+            self._batch.take_back(job)
+            _LOG.info("taken back", extra=fields(batch_job=job, workers_wanted=need.workers))
         for job in decision.drain:
-            self._slurm.drain(job)
+            self._batch.drain(job)
             _LOG.info("told to drain", extra=fields(batch_job=job, workers_wanted=need.workers))
 
-    def _tolerate(self, error: UnreachableError | SlurmError, now: float) -> None:
-        """Take in a failure; raise it when it lasts, or when Slurm has never accepted a job with these options."""
-        if isinstance(error, SlurmError) and not self._has_submitted:
+    def _tolerate(self, error: UnreachableError | BatchError, now: float) -> None:
+        """Take in a failure; raise it when it lasts, or when the system has never accepted a job with these options."""
+        if isinstance(error, BatchError) and not self._has_submitted:
             raise error
         if self._failed_since is None:
             self._failed_since = now
@@ -127,12 +125,6 @@ def need_of(client: Client, jobs: set[str]) -> Need:
     ours = {job: _islands(workers, job) for job in {job_of(view.worker) for view in workers} & jobs if job is not None}
     others = sum(job_of(view.worker) not in jobs for view in workers)
     return Need(depth.workers_wanted, others, ours)
-
-
-def job_of(worker: str) -> str | None:
-    """Return the id of the job of Slurm that a worker is of, by its name; None: of none that is known."""
-    found = _JOB_IN_NAME.search(worker)
-    return found[1] if found else None
 
 
 def _islands(workers: Sequence[WorkerView], job: str) -> int:

@@ -99,7 +99,7 @@ def check_kernels(options: argparse.Namespace) -> Iterator[Finding]:
         return
     existing = _existing(directory)
     if os.access(existing, os.W_OK | os.X_OK):
-        yield fine("kernels", f"not compiled yet; the first worker takes half a minute to do so, into {directory}")
+        yield fine("kernels", f"not compiled yet; that takes about a minute of one processor, once, into {directory}")
     else:
         fact = f"not compiled yet, and {existing} cannot be written"
         yield Finding("kernels", "problem", fact, "set ATOLL_KERNEL_CACHE to a folder that can be")

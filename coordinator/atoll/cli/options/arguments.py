@@ -12,6 +12,7 @@ from atoll_core.completion import SHELLS
 EXPORT_FORMATS: Final = (
     "python", "c", "julia", "matlab", "modelica", "xppaut", "sbml", "latex", "sympy", "csv", "json", "petab"
 )  # fmt: skip
+BATCH_SYSTEMS: Final = ("slurm", "pbs", "lsf", "sge")
 _RESULT_FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 _AGES: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 _SIZES: Final = {"M": 10**6, "G": 10**9, "T": 10**12}
@@ -213,17 +214,22 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         ),
         *_SERVICE,
     )),
-    "adapt": ("keep as many Slurm jobs with workers as the coordinator's queue has work for", (
+    "adapt": ("keep as many jobs of a batch system with workers as the coordinator's queue has work for", (
         *_CONNECT,
         _value(
-            "--minimum", "N", "Slurm jobs at least (default: %(default)s)", type=whole_number(0, 10**6 - 1), default=0
+            "--minimum", "N", "jobs at least (default: %(default)s)", type=whole_number(0, 10**6 - 1), default=0
         ),
-        _value("--maximum", "N", "Slurm jobs at most", type=whole_number(0, 10**6 - 1), required=True),
+        _value("--maximum", "N", "jobs at most", type=whole_number(0, 10**6 - 1), required=True),
         _value(
             "--cores", "N", "cores, and so workers, of each (default: %(default)s)",
             type=whole_number(1, MOST_WORKERS), default=1,
         ),
+        _value("--batch", None, "the batch system (default: slurm)", choices=BATCH_SYSTEMS, default="slurm"),
         _value("--sbatch", "OPTIONS", 'further options of sbatch, as --sbatch="--partition=idle --time=2:00:00"'),
+        _value(
+            "--batch-options", "OPTIONS",
+            'the same of any system\'s program that submits, as --batch pbs --batch-options="-q idle"',
+        ),
         _value(
             "--worker", "COMMAND",
             "how a job starts its workers, such as 'apptainer exec atoll.sif island-worker' (default: the "
@@ -237,7 +243,7 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
             "--interval", "TIME", "from one look to the next (default: 15s)", type=duration, default=15.0
         ),
         _value(
-            "--wait", "SECONDS", "how long coordinator or Slurm may be away (default: %(default)g)",
+            "--wait", "SECONDS", "how long coordinator or batch system may be away (default: %(default)g)",
             type=seconds, default=600.0,
         ),
         add_log_options,
@@ -387,6 +393,15 @@ VERBS: Final[Mapping[str, tuple[str, Sequence[Add]]]] = {
         _DATA,
         _OUTPUT,
         _switch("--json", "write JSON, with all times"),
+    )),
+    "compare": ("two results, or two candidates of one: which describes the data better, and how sure that is", (
+        _value("first", "A", "PATH/result.json, its folder or the id of a job; with :N candidate N of it, 1 the best"),
+        _value("second", "B", "the other one, or :N for a candidate of the same result"),
+        *_CONNECT,
+        _GROUP,
+        _DATA,
+        _OUTPUT,
+        _switch("--json", "write JSON"),
     )),
     "export": ("write the model of a result for other programs", (
         _RESULT,

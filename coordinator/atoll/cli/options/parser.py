@@ -39,6 +39,7 @@ HANDLERS: Final = {
     "analyse": "atoll.cli.verbs.models",
     "report": "atoll.cli.verbs.report",
     "suggest": "atoll.cli.verbs.models",
+    "compare": "atoll.cli.verbs.compare",
     "export": "atoll.cli.verbs.models",
     "doctor": "atoll.cli.doctor.doctor",
     "schema": "atoll.cli.verbs.schema",

@@ -12,7 +12,7 @@ from atoll.cli.request import result_of
 from atoll.model.arguments import ReadColumns
 from atoll.model.files import write_text
 from atoll.model.model import Model
-from atoll.model.simulation import EarlyEndWarning
+from atoll.model.simulation import SimulationWarning
 from atoll.model.start import Start, start_of_file, times_of
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.data.differentiation.inputs import InputCurve
@@ -31,19 +31,24 @@ def simulate(options: argparse.Namespace) -> int:
     inputs: dict[str, InputCurve | float] = {**start.inputs, **_held_inputs(model, options)}
     paths, seed = _paths(options)
     if paths is not None:
-        ensemble = model.simulate(start.state, times, inputs, paths=paths, seed=seed)
+        with warnings.catch_warnings(record=True) as told:
+            ensemble = model.simulate(start.state, times, inputs, paths=paths, seed=seed)
+        for each in told:
+            note(f"coordinator: warning: {each.message}")
         is_each = options.each_path
         text = as_json(ensemble.as_dict(has_paths=is_each)) if options.json else ensemble.to_csv(has_paths=is_each)
-        _deliver(text, options.output)
+        deliver(text, options.output)
         if len(ensemble.finite) < paths:
             note(f"coordinator: {ensemble.message}")
         return DONE
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", EarlyEndWarning)  # said in a line of its own
+        warnings.simplefilter("ignore", SimulationWarning)  # each is said in a line of its own
         simulation = model.simulate(start.state, times, inputs)
-    _deliver(as_json(simulation.as_dict()) if options.json else simulation.to_csv(), options.output)
+    deliver(as_json(simulation.as_dict()) if options.json else simulation.to_csv(), options.output)
     if model.result.process is not None:
         note("coordinator: the drift was simulated, without the noise of the process; --paths draws paths with it")
+    if simulation.remark:
+        note(f"coordinator: warning: {simulation.remark}")
     if simulation.status != "finished":
         note(f"coordinator: the simulation ended early: {simulation.message}")
     return DONE
@@ -78,7 +83,7 @@ def analyse(options: argparse.Namespace) -> int:
         text = as_json(analysis | {"identifiability": known[0] if known else None})
     else:
         text = "\n".join(texts)
-    _deliver(text, options.output)
+    deliver(text, options.output)
     return DONE
 
 
@@ -107,7 +112,7 @@ def suggest(options: argparse.Namespace) -> int:
         seed=whole_number(options.seed, "--seed"),
     )
     (suggested,) = ask(options, Suggest(request=request, form="json" if options.json else "text"))
-    _deliver(suggested.text, options.output)
+    deliver(suggested.text, options.output)
     return DONE
 
 
@@ -138,12 +143,12 @@ def export(options: argparse.Namespace) -> int:
     if options.data is not None:
         raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
     if options.format in OF_RESULTS:
-        _deliver(OF_RESULTS[options.format](_result(options)), options.output)
+        deliver(OF_RESULTS[options.format](_result(options)), options.output)
         return DONE
     model = _chosen(_load(options), options)
     language = LANGUAGES[options.format]
     description = describe(model, *_beginning(model, options), language.without_tables)
-    _deliver(write(description, language), options.output)
+    deliver(write(description, language), options.output)
     for sentence in description.zeros:
         note(f"coordinator: {sentence}; give --hold{' or --initial FILE' if language.has_tables else ''}")
     return DONE
@@ -236,7 +241,7 @@ def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
     return {symbols.get(name, name): value for name, value in held.items()}
 
 
-def _deliver(text: str, output: str | None) -> None:
+def deliver(text: str, output: str | None) -> None:
     """Write a text with a newline at its end to the file `output`, or on stdout; raises UsageError."""
     if output is None:
         say(text)

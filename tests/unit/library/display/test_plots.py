@@ -41,6 +41,10 @@ def test_a_phase_plane_and_a_front_are_drawn_into_given_axes(model: Model) -> No
     axes = Figure().subplots(1, 2)
     model.plot_phase(axes[0])
     assert (axes[0].get_xlabel(), axes[0].get_ylabel()) == ("x", "y")
+    marks = {line.get_label(): line.get_xydata().tolist() for line in axes[0].lines}
+    assert marks["other fixed point"] == [pytest.approx([0.0, 0.0], abs=1e-9)]  # the centre
+    measured = [[1.0, 0.0], [0.7, 0.5]]
+    assert any(line.get_marker() == "." and line.get_xydata()[:2].tolist() == measured for line in axes[0].lines)
     model.plot_front(axes)
     assert axes[0].lines[-1].get_xdata().tolist() == [3]
     with pytest.raises(UsageError, match="1 axes are needed, but 2 were given"):

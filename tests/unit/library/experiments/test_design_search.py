@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.special import lambertw
+from scipy.special import lambertw, ndtr
 
 from atoll.experiments.design_search import suggest
-from atoll.experiments.designs import Foretold, discrepancy, needed, precision, told
+from atoll.experiments.designs import Foretold, certainties, discrepancy, distances_of, needed, precision, told
 from atoll.experiments.measured import measured_of
 from atoll.experiments.rivals import without_poles
 from atoll.experiments.space import Request
@@ -56,6 +56,38 @@ def test_candidates_are_told_apart_where_they_differ() -> None:
     apart = np.abs(np.subtract.outer(starts, starts))[~np.eye(len(starts), dtype=bool)]
     assert apart.min(initial=np.inf) >= 0.25 * 19.9
     assert "experiment 1: x = " in str(suggestions)
+    assert suggestions.verdict.startswith("The data ")
+    assert "; which of the two is right is known then with " in str(suggestions)
+    assert "nats of" not in str(suggestions)
+
+
+def test_an_experiment_that_begins_outside_of_the_data_is_warned_of() -> None:
+    suggestions = suggest(Result.of(FOUND), Request(WIDE))
+    first = suggestions.experiments[0]
+    assert first.remark.startswith(
+        f"the start is outside of the measured range: x = {first.initial['x']:.4g} (measured"
+    )
+    assert f"  warning: {first.remark}" in str(suggestions).splitlines()
+    within = suggest(Result.of(FOUND), Request({}))
+    assert [experiment.remark for experiment in within.experiments] == [""] * len(within.experiments)
+
+
+def test_numbers_of_models_far_from_their_data_are_bounded() -> None:
+    along = np.zeros((1, 1, 1))
+    here, far = Foretold(np.array([[0.0]]), along, 1), Foretold(np.array([[1e41]]), along, 1)
+    distances = distances_of([here, far], [0.6, 0.4])
+    assert distances.max() == 500.0
+    assert told(distances, [0.6, 0.4], needed([0.0, 0.0])).evidence <= 2000.0
+
+
+def test_certainties_are_those_of_two_gaussians_at_least() -> None:
+    """Of equal spread and d apart, with B = d**2/8, the error with equal weights is that of the normal tail at d/2."""
+    assert certainties(np.zeros((2, 2)), [0.7, 0.3]) == (pytest.approx(0.7),)
+    for apart in (1.0, 3.0, 6.0):
+        distances = np.full((2, 2), apart**2 / 8.0)
+        (sure,) = certainties(distances, [0.5, 0.5])
+        assert 0.5 <= sure <= ndtr(apart / 2.0)
+    assert certainties(np.full((3, 3), 500.0), [0.5, 0.3, 0.2]) == (pytest.approx(1.0), pytest.approx(1.0))
 
 
 def test_the_same_seed_suggests_the_same_and_the_model_as_well() -> None:

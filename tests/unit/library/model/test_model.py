@@ -11,7 +11,7 @@ import pytest
 
 import atoll
 from atoll.model.model import Model
-from atoll.model.simulation import EarlyEndWarning
+from atoll.model.simulation import EarlyEndWarning, ExtrapolationWarning
 from atoll.model.start import start_of_file
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -19,6 +19,8 @@ from atoll_core.expression.text.parsing import from_infix
 from tests.unit.library.model.results import constant, result
 
 TIMES = np.linspace(0.0, 1.0, 11)
+OUTSIDE = pytest.mark.filterwarnings("ignore::atoll.model.simulation.ExtrapolationWarning")
+"""For starts and inputs that are chosen for the sake of round numbers."""
 
 
 def decay() -> dict:
@@ -27,6 +29,7 @@ def decay() -> dict:
     contents["equations"][0]["constants"] = [constant(-2.0, 0.1)]
     contents["covariance"] = {"constants": [{"variable": "x", "constant": 0}], "matrix": [[0.01]], "freedom": 1e9}
     contents["simulation"] = {"trajectories": [{"name": "1", "start": {"x": 3.0}, "times": [0.0, 0.5, 1.0]}]}
+    contents["system"]["ranges"] = {"x": [0.4, 3.0]}
     return contents
 
 
@@ -116,6 +119,7 @@ def test_initial_states_are_as_measured_by_name_or_in_order() -> None:
         model.simulate({})
 
 
+@OUTSIDE
 @pytest.mark.parametrize(
     "given", [{"u": 2.0}, {"u": 2.0 * np.ones(11)}, {"u": lambda t: 2.0}, lambda t: 2.0, 2.0 * np.ones((11, 1))]
 )
@@ -143,6 +147,7 @@ def test_recorded_inputs_go_between_rows_as_the_fit_has_taken_them() -> None:
     assert simulation["x"] == pytest.approx(np.cumsum([0.0, *steps]), abs=1e-9)
 
 
+@OUTSIDE
 def test_held_inputs_jump_at_rows() -> None:
     simulation = Model(driven("held")).simulate()
     assert simulation["x"] == pytest.approx([0.0, 0.0, 1.0, 1.0, 0.0], abs=1e-9)
@@ -188,6 +193,7 @@ def test_a_simulation_starts_at_the_angle_of_its_file(tmp_path: Path) -> None:
     assert start.state == pytest.approx({"angle": 6.0, "x": 0.0})
 
 
+@OUTSIDE
 def test_an_input_of_a_file_goes_between_rows_as_in_the_fit(tmp_path: Path) -> None:
     path = tmp_path / "held.csv"
     path.write_text("t,x,u\n0,0,2\n1,2,0\n2,2,0\n3,2,1\n4,3,7\n", "utf-8")
@@ -231,6 +237,23 @@ def test_scores_are_r2_of_simulations_of_all_trajectories() -> None:
     assert model.score([exact, exact]) == pytest.approx(1.0)
     assert model.score({"t": TIMES, "x": exact["x"] + 0.1 * np.sin(40.0 * TIMES)}) < 0.99
     assert Model(result({"x": "x**2"})).score({"t": 3.0 * TIMES, "x": 1.0 + TIMES}) == -np.inf
+
+
+def test_a_start_outside_of_what_was_measured_is_warned_of() -> None:
+    model = Model(decay())
+    with pytest.warns(ExtrapolationWarning, match=r"x = 50 \(measured: 0.4 to 3\); the model is extrapolated there"):
+        simulation = model.simulate({"x": 50.0}, TIMES)
+    assert simulation.as_dict()["remark"] == simulation.remark
+    assert simulation.remark in repr(simulation)
+    assert model.simulate({"x": 3.0}, TIMES).remark == ""
+    with pytest.warns(ExtrapolationWarning, match=r"u = 9 \(measured: -1 to 1\)"):
+        Model(driven("held")).simulate([0.0], TIMES, {"u": 9.0})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Model(driven("held")).simulate([0.0], TIMES, {"u": -1.0})  # recorded, though not in the rows that were searched
+        contents, _ = rotor()
+        Model(contents).simulate({"angle": 100.0, "x": 0.0}, TIMES)  # an angle comes round
+        assert model.score({"t": TIMES, "x": 50.0 * np.exp(-2.0 * TIMES)}) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -299,7 +322,7 @@ def test_a_model_is_written_as_text_latex_mathml_and_html() -> None:
     model = Model(decay())
     assert "good: It fits & more." in model.summary()
     assert "± 0.2" in model.summary()
-    assert model.latex() == r"\begin{aligned}\frac{d x}{d t} &= - 2 x\end{aligned}"
+    assert model.latex().startswith(r"\begin{aligned}\frac{d x}{d t} &= - 2 x \\ &")
     assert model.latex() in model._repr_latex_()
     assert model.mathml().startswith("<math")
     assert "It fits &amp; more." in model._repr_html_()
@@ -439,6 +462,7 @@ def test_a_score_says_what_it_lacks(data: Any) -> None:
         Model(result({"x": "-x"})).score(data)
 
 
+@OUTSIDE
 def test_errors_are_those_of_an_equation_that_names_another_state() -> None:
     """With dx/dt = c v and dv/dt = 0, x = c v t has the error v t of that of c."""
     contents = result({"x": "v", "v": "v - v"})

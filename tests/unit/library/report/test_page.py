@@ -169,12 +169,15 @@ def test_constants_are_called_as_those_of_the_model() -> None:
     assert f"{names[0]} and {names[1]} are hardly told apart: correlation -0.99." in page.texts
 
 
+SURE = "which of the two is right is known then with more than 99.9 % certainty"
+
+
 def test_the_next_experiment_stands_with_the_candidates() -> None:
     rivals = tuple(Candidate({"dx/dt": text}, "candidate", 0.5, 0.0) for text in ("x", "2*x"))
-    one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5)
+    one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5, None, (0.9996,))
     suggestions = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
     page = read(choice(Findings(Result.of(dynamics()), None, suggestions=suggestions)))
-    said = {"x = 1.5, u = 2.5", "2 samples from 0 to 4", "0.625", "7.5", "dx/dt = 2*x", "candidate, 0 nats longer"}
+    said = {"x = 1.5, u = 2.5", "2 samples from 0 to 4", SURE, "dx/dt = 2*x", "candidate, 0 nats longer"}
     assert said <= set(page.texts)
 
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from atoll.model.constants import plus_minus
 from atoll.model.parameters import r2_text
 from atoll.text.tables import (
     MOST_LINES,
@@ -14,7 +15,6 @@ from atoll.text.tables import (
     correlation_lines,
     noise_lines,
     percent,
-    plus_minus,
     simulation_table,
     summary,
     together_line,

@@ -1,6 +1,9 @@
 """Slurm's programs are called as they want to be, and a failure of either side is borne for a while."""
 
 import argparse
+import os
+import signal
+import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,12 +12,14 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.adapt import adapt as verb
-from atoll.cli.adapt.adapt import Adapting, job_of, need_of, worker_command
+from atoll.cli.adapt.adapt import Adapting, need_of, worker_command
 from atoll.cli.adapt.adapt_policy import AdaptPolicy, BatchJob, Limits, Need
-from atoll.cli.adapt.slurm import Slurm, SlurmError
+from atoll.cli.adapt.batch import Batch
+from atoll.cli.adapt.batch_systems import SYSTEMS, BatchError
 from atoll.cli.main import main
 from atoll.cli.options.parser import parse
 from atoll_core.errors import UnreachableError, UsageError
+from atoll_core.machine.batch_jobs import job_of
 from atoll_core.wire.addresses import destination
 from atoll_core.wire.messages.clients import QueueDepth
 from atoll_core.wire.messages.views import WorkerState, WorkerView
@@ -22,18 +27,18 @@ from atoll_island_worker import cli as worker_cli
 
 PROGRAM = """#!/bin/sh
 for word in "$(basename "$0")" "$@"; do printf '%s\\n' "$word"; done >>"{folder}/called"
-if [ "$(basename "$0")" = sbatch ]; then cat >"{folder}/script"; fi
+case "$(basename "$0")" in *sub|sbatch) cat >"{folder}/script";; esac
 cat "{folder}/answer-$(basename "$0")"
 exit "$(cat "{folder}/code")"
 """
 
 
-class FakeSlurm:
-    """Programs of Slurm's names that note how they are called, and answer what they are told to."""
+class FakeBatch:
+    """Programs of the systems' names that note how they are called, and answer what they are told to."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        for name in ("sbatch", "squeue", "scancel"):
+        for name in sorted({program for system in SYSTEMS.values() for program in system.programs}):
             (folder / name).write_text(PROGRAM.format(folder=folder))
             (folder / name).chmod(0o755)
             self.answer(name, "")
@@ -52,14 +57,14 @@ class FakeSlurm:
 
 
 @pytest.fixture
-def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSlurm:
+def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeBatch:
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    return FakeSlurm(tmp_path)
+    return FakeBatch(tmp_path)
 
 
 @pytest.fixture
-def slurm(programs: FakeSlurm) -> Slurm:
-    return Slurm("atoll-abc", ["island-worker", "--name", "a b"], 8, ["--partition=idle"])
+def slurm(programs: FakeBatch) -> Batch:
+    return Batch(SYSTEMS["slurm"], "atoll-abc", ["island-worker", "--name", "a b"], 8, ["--partition=idle"])
 
 
 def view(worker: str, islands: int = 0, state: WorkerState = "computing") -> WorkerView:
@@ -84,7 +89,7 @@ class FakeClient:
         return self._workers
 
 
-def test_a_submission_is_one_node_whose_shell_becomes_the_workers(slurm: Slurm, programs: FakeSlurm) -> None:
+def test_a_submission_is_one_node_whose_shell_becomes_the_workers(slurm: Batch, programs: FakeBatch) -> None:
     programs.answer("sbatch", "42;cluster\n")
     assert slurm.submit() == "42"
     assert (programs.folder / "script").read_text() == "#!/bin/sh\nexec island-worker --name 'a b'\n"
@@ -93,25 +98,120 @@ def test_a_submission_is_one_node_whose_shell_becomes_the_workers(slurm: Slurm, 
     assert {"--job-name=atoll-abc", "--nodes=1", "--ntasks=1", "--cpus-per-task=8", "--signal=B:TERM@60"} < set(called)
 
 
-def test_jobs_are_listed_with_what_they_come_to(slurm: Slurm, programs: FakeSlurm) -> None:
+def test_jobs_are_listed_with_what_they_come_to(slurm: Batch, programs: FakeBatch) -> None:
     programs.answer("squeue", "7 RUNNING\n8 PENDING\n9 COMPLETING\n10 CONFIGURING\n")
     states = {job.id: job.state for job in slurm.jobs()}
     assert states == {"7": "running", "8": "pending", "9": "ending", "10": "pending"}
     assert {"--me", "--name=atoll-abc"} < set(programs.called())
 
 
-def test_what_waits_is_cancelled_and_what_runs_is_told_once(slurm: Slurm, programs: FakeSlurm) -> None:
+def test_what_waits_is_cancelled_and_what_runs_is_told_once(slurm: Batch, programs: FakeBatch) -> None:
     slurm.take_back("7")
     assert programs.called() == ["scancel", "--state=PENDING", "7"]
     slurm.drain("8")
     assert programs.called() == ["scancel", "--batch", "--signal=TERM", "8"]
 
 
-def test_a_program_that_fails_is_quoted(slurm: Slurm, programs: FakeSlurm) -> None:
+SUBMISSIONS = {
+    "pbs": ("qsub", "123.server\n", ["-N", "atoll-abc", "-j", "oe", "-l", "select=1:ncpus=8", "-q", "idle"]),
+    "lsf": (
+        "bsub", "Job <123> is submitted to queue <normal>.\n",
+        ["-J", "atoll-abc", "-n", "8", "-R", "span[hosts=1]", "-wa", "USR1", "-wt", "2", "-q", "idle"],
+    ),
+    "sge": (
+        "qsub", "123\n",
+        ["-terse", "-notify", "-N", "atoll-abc", "-S", "/bin/sh", "-j", "y", "-pe", "smp", "8", "-q", "idle"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("system", SUBMISSIONS)
+def test_other_systems_are_submitted_to_by_their_own_words(system: str, programs: FakeBatch) -> None:
+    program, answer, words = SUBMISSIONS[system]
+    programs.answer(program, answer)
+    batch = Batch(SYSTEMS[system], "atoll-abc", ["island-worker", "--name", "a b"], 8, ["-q", "idle"])
+    assert batch.submit() == "123"
+    assert programs.called() == [program, *words]
+    assert "exec island-worker --name 'a b') &\n" in (programs.folder / "script").read_text()
+
+
+def test_the_users_parallel_environment_takes_the_place_of_ours(programs: FakeBatch) -> None:
+    programs.answer("qsub", "7\n")
+    Batch(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 8, ["-pe", "openmp", "8"]).submit()
+    assert programs.called()[-3:] == ["-pe", "openmp", "8"]
+    Batch(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 1, []).submit()
+    assert "-pe" not in programs.called()
+
+
+GRID = """<?xml version='1.0'?>
+<job_info><queue_info>
+  <job_list state="running"><JB_job_number>7</JB_job_number><JB_name>atoll-abc</JB_name><state>r</state></job_list>
+  <job_list state="running"><JB_job_number>8</JB_job_number><JB_name>atoll-abc</JB_name><state>dr</state></job_list>
+  <job_list state="running"><JB_job_number>5</JB_job_number><JB_name>other</JB_name><state>r</state></job_list>
+</queue_info><job_info>
+  <job_list state="pending"><JB_job_number>9</JB_job_number><JB_name>atoll-abc</JB_name><state>qw</state></job_list>
+</job_info></job_info>
+"""
+
+
+def test_other_systems_list_their_jobs(programs: FakeBatch) -> None:
+    programs.answer("bjobs", "7 RUN\n8 EXIT\n9 PEND\n")
+    programs.answer("qstat", GRID)
+    expected = {"7": "running", "8": "ending", "9": "pending"}
+    for system in ("lsf", "sge"):
+        batch = Batch(SYSTEMS[system], "atoll-abc", ["island-worker"], 1, [])
+        assert {job.id: job.state for job in batch.jobs()} == expected
+    programs.called()
+    programs.answer("qselect", "7.server\n")
+    jobs = Batch(SYSTEMS["pbs"], "atoll-abc", ["island-worker"], 1, []).jobs()
+    assert [(job.id, job.state) for job in jobs] == [("7", "ending")]
+    asked = programs.called()
+    assert [asked[place + 1] for place, word in enumerate(asked) if word == "-s"] == ["HQTW", "RSU", "E"]
+    programs.answer("qstat", "error: commlib")
+    with pytest.raises(BatchError, match="qstat -xml did not answer with XML"):
+        Batch(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 1, []).jobs()
+
+
+def test_a_system_that_has_no_jobs_may_say_so_as_a_failure(programs: FakeBatch) -> None:
+    (programs.folder / "bjobs").write_text("#!/bin/sh\necho 'Job <atoll-abc> is not found' >&2; exit 255\n")
+    assert Batch(SYSTEMS["lsf"], "atoll-abc", ["island-worker"], 1, []).jobs() == []
+
+
+@pytest.mark.parametrize(
+    ("system", "drained", "ends"),
+    [
+        ("pbs", ["qsig", "-s", "SIGUSR1", "8"], "| xargs qsig -s SIGUSR1"),
+        ("lsf", ["bkill", "-s", "USR1", "8"], "bkill -s USR1 -J atoll-abc 0"),
+        ("sge", ["qdel", "8"], "qdel atoll-abc"),
+    ],
+)
+def test_jobs_of_other_systems_are_drained(system: str, drained: list[str], ends: str, programs: FakeBatch) -> None:
+    batch = Batch(SYSTEMS[system], "atoll-abc", ["island-worker"], 1, [])
+    batch.drain("8")
+    assert programs.called() == drained
+    assert batch.how_to_end.endswith(ends)
+
+
+@pytest.mark.parametrize("signal_number", [signal.SIGUSR1, signal.SIGUSR2])
+def test_a_signal_to_every_process_of_a_job_tells_the_workers_once(signal_number: int, tmp_path: Path) -> None:
+    """The worker is a stand-in: it notes SIGTERM, and a signal that was meant for the shell would end it."""
+    worker = tmp_path / "worker"
+    worker.write_text("#!/bin/sh\ntrap 'echo told; exit 0' TERM\necho ready\nwhile :; do sleep 0.05; done\n")
+    worker.chmod(0o755)
+    script = SYSTEMS["pbs"].script.replace("{worker}", str(worker))
+    job = subprocess.Popen(["sh", "-c", script], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert job.stdout is not None
+    assert job.stdout.readline() == "ready\n"
+    os.killpg(job.pid, signal_number)
+    assert job.communicate(timeout=20)[0] == "told\n"
+    assert job.returncode == 0
+
+
+def test_a_program_that_fails_is_quoted(slurm: Batch, programs: FakeBatch) -> None:
     programs.answer("sbatch", "sbatch: error: invalid partition\n")
     programs.code(1)
     with pytest.raises(
-        SlurmError, match=r"sbatch failed \(sbatch: error: invalid partition\); the command was: sbatch"
+        BatchError, match=r"sbatch failed \(sbatch: error: invalid partition\); the command was: sbatch"
     ):
         slurm.submit()
 
@@ -119,7 +219,7 @@ def test_a_program_that_fails_is_quoted(slurm: Slurm, programs: FakeSlurm) -> No
 def test_without_slurm_the_missing_program_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(UsageError, match="sbatch was not found; run adapt on a machine from which"):
-        Slurm("atoll-abc", ["island-worker"], 1, [])
+        Batch(SYSTEMS["slurm"], "atoll-abc", ["island-worker"], 1, [])
 
 
 @pytest.mark.parametrize(
@@ -156,6 +256,13 @@ def test_workers_say_by_their_names_of_which_job_they_are(monkeypatch: pytest.Mo
     assert len(certified) <= 58
     assert [job_of(name) for name in (plain, certified, f"{plain[:58]}-1023")] == 3 * ["4294967295"]
     monkeypatch.delenv("SLURM_JOB_ID")
+    for variables in ({"PBS_JOBID": "77.server"}, {"LSB_JOBID": "77"}, {"JOB_ID": "77", "SGE_ROOT": "/opt/sge"}):
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        assert job_of(worker_cli._name_for(None, None)) == "77"
+        for name in variables:
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("JOB_ID", "of something else")
     assert job_of(worker_cli._name_for(None, None)) is None
 
 
@@ -179,7 +286,7 @@ class Breaking:
 
     def submit(self) -> str:
         if self.fails:
-            raise SlurmError("sbatch failed")
+            raise BatchError("sbatch failed")
         self.submitted += 1
         return str(self.submitted)
 
@@ -218,7 +325,7 @@ class Looks:
 def test_a_slurm_that_never_accepted_a_job_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     slurm = Breaking()
     slurm.fails = True
-    with pytest.raises(SlurmError):
+    with pytest.raises(BatchError):
         Looks(monkeypatch, slurm, 100.0).look(1)
 
 

@@ -1,0 +1,117 @@
+"""Two models beside each other: which describes the data better, and how sure that is, in a sentence."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from atoll.experiments.comparison import compare
+from atoll.experiments.odds import certainty_text, which_of_two
+from atoll.model.model import Model
+from atoll_coordinator.result.result import Result
+from atoll_core.errors import UsageError
+from tests.unit.library.experiments.made import measured
+from tests.unit.library.model.results import constant, process_result, result
+
+TIMES = np.linspace(0.0, 4.0, 40)
+X = 2.0 * np.exp(-0.5 * TIMES) + 0.01 * np.random.default_rng(2).standard_normal(40)
+
+
+def decay(text: str = "-0.5*x", value: float = -0.5, **changes: Any) -> dict[str, Any]:
+    contents = measured({"x": text}, [(TIMES, {"x": X})], 0.01, **changes)
+    contents["equations"][0]["constants"] = [constant(value, 0.01)]
+    return contents
+
+
+@pytest.mark.parametrize(
+    ("nats", "sentence"),
+    [
+        (0.0, "A and B describe the data equally well."),
+        (0.5, "The data do not decide between A and B: A is 1.6 times as probable as B (62 to 38 %), if one of"),
+        (-2.0, "The data favour, without deciding for it, B: B is 7.4 times as probable as A (88 to 12 %), if"),
+        (5.0, "The data decide for A: A is 100 times as probable as B, if one of them is right."),
+        (1e82, "The data decide for A: A is more than a million times as probable as B, if one of them is right."),
+        (-np.inf, "The data decide for B: B is more than a million times as probable as A, if one of them is right."),
+    ],
+)
+def test_it_is_said_which_of_two_is_right_and_how_sure_that_is(nats: float, sentence: str) -> None:
+    assert which_of_two("A", "B", nats).startswith(sentence)
+    assert len(which_of_two("A", "B", nats)) < 150
+
+
+def test_a_certainty_is_never_rounded_up() -> None:
+    assert [certainty_text(sure) for sure in (0.5, 0.9896, 0.9989, 1.0)] == [
+        "at least 50 %", "at least 98 %", "at least 99 %", "more than 99.9 %",
+    ]  # fmt: skip
+
+
+def test_the_law_is_told_from_what_it_is_not() -> None:
+    compared = compare(Result.of(decay()), Result.of(decay("-0.3")), ("law", "other"))
+    (on,) = compared.data
+    assert on.nats > 10.0
+    assert on.longer is not None
+    assert on.longer > 0.0
+    assert compared.forms == {"dx/dt": "another form"}
+    assert "The data decide for A: A is more than a million times as probable as B" in str(compared)
+    assert str(compared).startswith("A = law: dx/dt = -0.5*x\nB = other: dx/dt = -0.3\n")
+    turned = compare(Result.of(decay("-0.3")), Result.of(decay()))
+    assert turned.data[0].nats == pytest.approx(-on.nats, rel=1e-6)
+
+
+def test_constants_of_one_form_are_compared_by_their_errors() -> None:
+    near = compare(Result.of(decay()), Result.of(decay("-0.51*x", -0.51)))
+    assert near.forms == {"dx/dt": "the same form; its constants agree within their errors, c1 by 0.71 standard errors"}
+    far = compare(Result.of(decay()), Result.of(decay("-0.7*x", -0.7)))
+    assert far.forms == {"dx/dt": "the same form; its constants differ, c1 by 14 standard errors"}
+    assert far.data[0].sentence == "A and B describe the data equally well."  # once fitted
+    assert compare(Result.of(decay()), Result.of(decay())).forms == {"dx/dt": "the same equation"}
+
+
+def test_results_of_different_data_are_compared_on_both() -> None:
+    slower = measured({"x": "-0.3"}, [(TIMES, {"x": 2.0 - 0.3 * TIMES + X - 2.0 * np.exp(-0.5 * TIMES)})], 0.01)
+    slower["data"]["digest"] = "other"
+    compared = compare(Result.of(decay()), Result.of(slower))
+    assert [on.source for on in compared.data] == ["1 trajectory of A, 40 rows", "1 trajectory of B, 40 rows"]
+    assert compared.data[0].nats > 3.0
+    assert compared.data[1].nats < -3.0
+
+
+def test_candidates_are_models_to_compare_and_python_has_it() -> None:
+    contents = decay()
+    other = {"expression": "-0.4", "complexity": 1, "nats": 9.0, "origin": "library", "selected": False}
+    contents["equations"][0]["candidates"] = [other]
+    model = Model(contents)
+    compared = model.compare(model.candidates[0])
+    assert compared.data[0].nats > 3.0
+    assert repr(compared) == str(compared)
+    assert compared.as_dict()["A"] == {"name": "the first", "equations": {"dx/dt": "-0.5*x"}}
+
+
+def test_regressions_are_compared_on_the_rows_that_they_list() -> None:
+    def regression(text: str) -> dict[str, Any]:
+        contents = result({"y": text}, ("x",))
+        contents["symbols"] = {"x": "x"}
+        contents["equations"][0] |= {"lhs": "y", "expression": text, "constants": [constant(2.0, 0.1)]}
+        del contents["equations"][0]["program"]
+        contents["system"] |= {"kind": "regression", "target": "y"}
+        x = np.linspace(0.0, 1.0, 30)
+        rows = {"variables": {"x": x.tolist()}, "measured": (2.0 * x + 0.01 * np.sin(40.0 * x)).tolist()}
+        return contents | {"regression": {"rows": 30, "listed": 30, "fitted": [0.0] * 30, **rows}}
+
+    compared = compare(Result.of(regression("2.0*x")), Result.of(regression("2.0*x*x")))
+    assert compared.data[0].nats > 10.0
+    assert "decide for A" in compared.data[0].sentence
+    assert "residuals y 1.2 % of the standard deviation" in str(compared)
+
+
+@pytest.mark.parametrize(
+    ("other", "sentence"),
+    [
+        (result({"y": "-y"}), "A has equations of dx/dt and B of dy/dt; compare models of the same quantities"),
+        (result({"x": "-x*u"}, ("u",)), "the equation of dx/dt has u, which the data of the other model lack"),
+        (process_result(), "compare models of the same quantities"),
+    ],
+)
+def test_what_cannot_be_compared_is_a_sentence(other: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(UsageError, match=sentence):
+        compare(Result.of(decay()), Result.of(other))
