@@ -229,6 +229,6 @@ def is_same_model(one: EquationOutcome, other: EquationOutcome, drawn: Drawn) ->
     if one.expression == other.expression or (one.is_right and other.is_right):
         return True
     try:
-        return judge_form(one.expression, other.expression, drawn.clean, with_extra=False).is_right
+        return judge_form(one.expression, other.expression, drawn.clean or drawn.columns, with_extra=False).is_right
     except UsageError:
         return False
