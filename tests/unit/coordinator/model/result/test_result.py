@@ -162,8 +162,9 @@ def test_a_result_says_how_far_its_model_can_be_trusted():
     built = result()
     assert (built["noise"], built["correlations"], built["simulation"]) == ({}, [], None)
     contents, empty = built["equations"]
-    assert (contents["verdict"], empty["verdict"]) == ("exact", "no model")
-    assert {check["outcome"] for check in contents["checks"]} == {"passed", "not applicable"}
+    assert (contents["verdict"], empty["verdict"]) == ("doubtful", "no model")  # its constants were not fitted again
+    outcomes = {check["name"]: check["outcome"] for check in contents["checks"]}
+    assert {name for name, outcome in outcomes.items() if outcome not in ("passed", "not applicable")} == {"constants"}
     assert {"time", "degrees of freedom", "no equation", "precision"} <= {check["name"] for check in contents["checks"]}
     assert contents["candidates"] == []
     assert result(state="running")["equations"][0]["verdict"] is None
@@ -238,10 +239,10 @@ def test_text_shows_rounded_equations_and_the_front_on_request():
 def test_text_of_clean_data_says_the_verdict_and_is_short():
     first = render_text(result()).split("dv/dt")[0].splitlines()
     assert len(first) == 4
-    assert first[1].strip().startswith("exact: ")
+    assert first[1].strip().startswith("doubtful: How well its 2 constants are determined")
     assert first[2].strip().startswith("checks: ")
     assert " passed" in first[2]
-    assert "exact" not in render_text(result(state="running"))
+    assert "doubtful" not in render_text(result(state="running"))
 
 
 def refined_result() -> dict:
