@@ -94,7 +94,7 @@ VERBS: Final = {
     "CLI": {
         "submit", "ping", "jobs", "status", "workers", "cancel", "delete", "pause", "resume", "priority", "share",
         "retry", "logs", "cordon", "uncordon", "drain", "queue", "result", "simulate", "analyse", "report", "suggest",
-        "export", "doctor", "adapt",
+        "export", "doctor", "adapt", "compare",
     },
     "run --web": {"run"}, "serve --http": {"serve"}, "web": {"web"}, "restart": {"router"},
     "restore": {"restore", "backup"}, "nothing is asked": {"schema", "completion"},

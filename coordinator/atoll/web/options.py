@@ -12,6 +12,7 @@ from atoll_core.errors import UsageError
 
 LABELS: Final[Mapping[str, str]] = {
     "time": "Time column",
+    "step": "Time between rows, where no column has it",
     "states": "State columns",
     "inputs": "Inputs: columns without an equation",
     "hold": "Inputs that keep their value until the next row",

@@ -179,7 +179,7 @@ def _estimate(
     if not options.paper and not is_weighted and not (options.robust and is_tailed):
         errors, gains = predict_left_out([signal.measured for signal in searched])
         moving = are_moving([signal.measured.values for signal in searched])
-        moving = moving if moving.sum() >= SETTINGS.checks.min_rows else np.ones_like(moving)
+        moving = moving if np.count_nonzero(moving) >= SETTINGS.checks.min_rows else np.ones_like(moving)
         noise = max(estimate_value_noise(errors[moving], gains[moving]), least)
         deviation = _standard_deviation(searched)
         largest, shares = SETTINGS.interpolation.largest_noise * deviation, SETTINGS.interpolation.judged_shares

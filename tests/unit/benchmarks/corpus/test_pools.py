@@ -10,6 +10,7 @@ from atoll_coordinator.model.result.result import VariableOutcome
 from atoll_coordinator.service.tasks.outcomes import RefiningFailed
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_coordinator.tasks.refining import Searched
+from atoll_core.wire.values import encode_value
 from atoll_core.errors import UsageError
 from benchmarks.corpus import pools
 from benchmarks.corpus.campaign import configuration
@@ -27,7 +28,7 @@ def test_what_is_kept_is_refined_and_judged(tmp_path, monkeypatch):
     found = made.pools(prepared.preparation, x=("x", "x*(2.0 - x)"))
     outcomes = tuple(VariableOutcome(name, pool.front, 1, runners_up=pool.runners_up) for name, pool in found.items())
     posted: list[object] = []
-    controller = SimpleNamespace(prepared=lambda job: prepared, post=posted.append)
+    controller = SimpleNamespace(encoded=lambda job: encode_value(prepared), post=posted.append)
     pools.keep(controller, Searched("j", outcomes), prepared.config, None, 0.0)
     assert [type(item) for item in posted] == [RefiningFailed]
     kept = replace(pickle.loads((tmp_path / "last").read_bytes()), key=KEY)

@@ -370,7 +370,7 @@ def test_lines_of_a_fit_bend_and_say_where_they_start() -> None:
     contents = dynamics()
     (part,) = contents["simulation"]["trajectories"]
     times = [0.0, 1.0, 2.0]
-    simulation = Model(contents).simulate(x0={"x": 1.0, "y": 3.0}, t=times)
+    simulation = Model(contents).simulate(x0={"x": 1.0, "y": 1.0}, t=times)
     part |= {"times": times, "values": {name: simulation[name].tolist() for name in ("x", "y")}}
     part |= {"lower": None, "upper": None, "measured": part["measured"]}
     findings = Findings(Result.of(contents), Model(contents))
