@@ -10,8 +10,8 @@ from atoll_coordinator.model.result.result import VariableOutcome
 from atoll_coordinator.service.tasks.outcomes import RefiningFailed
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_coordinator.tasks.refining import Searched
-from atoll_core.wire.values import encode_value
 from atoll_core.errors import UsageError
+from atoll_core.wire.values import encode_value
 from benchmarks.corpus import pools
 from benchmarks.corpus.campaign import configuration
 from benchmarks.corpus.cases import Key, make_case

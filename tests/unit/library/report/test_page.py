@@ -10,6 +10,7 @@ from atoll.analysis.sentences import Listing, describe
 from atoll.experiments.determination import Direction, Identifiability, ProfiledConstant
 from atoll.experiments.suggestion import Candidate, Suggestion, Suggestions
 from atoll.model.model import Model
+from atoll.model.simulation import ExtrapolationWarning
 from atoll.report.choice import choice
 from atoll.report.constants import constants
 from atoll.report.dynamics import dynamics as section_of_dynamics
@@ -370,7 +371,8 @@ def test_lines_of_a_fit_bend_and_say_where_they_start() -> None:
     contents = dynamics()
     (part,) = contents["simulation"]["trajectories"]
     times = [0.0, 1.0, 2.0]
-    simulation = Model(contents).simulate(x0={"x": 1.0, "y": 1.0}, t=times)
+    with pytest.warns(ExtrapolationWarning):
+        simulation = Model(contents).simulate(x0={"x": 1.0, "y": 3.0}, t=times)
     part |= {"times": times, "values": {name: simulation[name].tolist() for name in ("x", "y")}}
     part |= {"lower": None, "upper": None, "measured": part["measured"]}
     findings = Findings(Result.of(contents), Model(contents))
