@@ -9,6 +9,7 @@ import numpy as np
 from atoll_coordinator.data.roles.column_options import check_options, named_columns, strip_units
 from atoll_coordinator.data.roles.time_column import TIME_NAMES, find_time_column
 from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
+from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.units import parse_unit
 from atoll_core.config import Angle, DataConfig
 from atoll_core.data.table import Table
@@ -211,14 +212,24 @@ def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> Da
     """Return the error of a table without a time; it names a state that may be the time."""
     looked = config.time or " or ".join(TIME_NAMES[:2])
     has_others = len(states) > 1
-    ascending = next((name for name in states if has_others and _ascends(table, name)), None)
+    breaks = {name: _breaks(table, name) for name in states} if has_others else {}
+    ascending = next((name for name, count in breaks.items() if count == 0), None)
+    restarting = next((name for name, count in breaks.items() if count is not None and count > 0), None)
     advice = [] if ascending is None else [f"name it with --time (perhaps {ascending})"]
+    if ascending is None and restarting is not None:
+        advice = [f"name it with --time (perhaps {restarting}, which begins anew: add --trajectory COLUMN)"]
     advice.append("give the time between rows, as --step 0.1, if it is always the same")
     advice += ["use --target COLUMN, for one column as a function of the others"] if has_others else []
     return DataError(f"no time column was found (looked for {looked}); {', or '.join(advice)}")
 
 
-def _ascends(table: Table, name: str) -> bool:
-    """Tell whether the numbers of a column only grow within each trajectory, as times do."""
+def _breaks(table: Table, name: str) -> int | None:
+    """Return how often the numbers of a column do not grow within a trajectory, as times that begin anew do not.
+
+    None where that is no time: stretches between two such rows are too short for a trajectory.
+    """
     steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
-    return bool(len(steps)) and bool((steps > 0.0).all())
+    ends = np.flatnonzero(~(steps > 0.0))
+    stretches = np.diff(np.concatenate([[-1], ends, [len(steps)]]))
+    is_long = not len(ends) or int(stretches.min()) >= SETTINGS.checks.min_rows
+    return len(ends) if len(steps) and is_long else None

@@ -108,3 +108,12 @@ def test_a_time_column_of_text_is_named():
     table = table_of({"x": [0.0, 1.0]}, skipped=("t",))
     with pytest.raises(DataError, match=r"column 't' of a\.csv holds text"):
         assign_roles(table, DataConfig())
+
+
+@pytest.mark.parametrize(("rows", "is_named"), [(8, True), (3, False)])
+def test_a_time_that_begins_anew_is_named_with_what_it_needs(rows, is_named):
+    """Two sites one after the other; three rows are no trajectory."""
+    table = table_of({"week": [*range(rows), *range(rows)], "x": [1.0, 0.0] * rows})
+    with pytest.raises(DataError) as raised:
+        assign_roles(table, DataConfig())
+    assert ("(perhaps week, which begins anew: add --trajectory COLUMN)" in str(raised.value)) == is_named
