@@ -139,12 +139,16 @@ class Final:
 
     @cached_property
     def by_rows(self) -> list[tuple[Sequence[Program], FloatArray]]:
-        """The equations as they are shown, and the rows (V, R) that they hold for: of each group, or all."""
+        """The equations as they are shown, and the rows (V, R) that they hold for: all, or those of each group."""
         measurements = self.seen.estimator.measurements
         if not self.by_group or measurements.groups is None:
             return [(self.shown, self.visited)]
         groups = measurements.groups[measurements.owners_of_rows]
-        return [(programs, self.visited[:, groups == group]) for group, programs in enumerate(self.by_group)]
+        return [
+            (programs, self.visited[:, groups == group])
+            for group, programs in enumerate(self.by_group)
+            if np.any(groups == group)
+        ]
 
     @cached_property
     def unknown_inputs(self) -> list[tuple[str, str, float | None]]:
@@ -777,9 +781,10 @@ def _unknown_inputs(final: Final, equations: Sequence[int]) -> dict[str, float]:
 
 
 def _share_of_rate(program: Program, points: FloatArray, column: int, by: float) -> float:
-    """Return the variance of what a change of one variable `by` so much makes of a rate at some points, over its own.
+    """Return the share of the variance of a rate that errors of one variable, of this size (`by`), make of it.
 
-    That is over the sum of both. 0 where it changes nothing, NaN for a change that is not known.
+    The errors have either sign, and the larger change of the rate counts at each of the points (V, R). The share is of
+    the sum of both variances: 1 where a change leads to where the rate has no value, NaN for a size that is not known.
     """
     if not by > 0.0:
         return by
@@ -792,7 +797,7 @@ def _share_of_rate(program: Program, points: FloatArray, column: int, by: float)
         variance = float(np.var(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else 0.0
     is_finite = np.isfinite(squares)
     if not is_finite.all() or not len(squares):
-        return 1.0  # leads to where the rate has no value
+        return 1.0
     change = float(np.mean(squares))
     return change / (change + variance) if change > 0.0 else 0.0
 

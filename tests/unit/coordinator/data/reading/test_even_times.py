@@ -9,17 +9,7 @@ from atoll.cli.options.parser import parse
 from atoll.cli.request import config_of
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.table_summary import describe
-from atoll_core.config import DataConfig
 from atoll_core.errors import DataError, UsageError
-
-
-@pytest.fixture
-def read(tmp_path):
-    def write_and_read(text, **options):
-        (tmp_path / "a.csv").write_text(text)
-        return read_table([tmp_path / "a.csv"], DataConfig(**options))
-
-    return write_and_read
 
 
 def test_rows_may_be_a_step_apart(read):

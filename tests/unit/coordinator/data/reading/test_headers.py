@@ -9,15 +9,6 @@ from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
 
 
-@pytest.fixture
-def read(tmp_path):
-    def write_and_read(text, name="a.csv", **options):
-        (tmp_path / name).write_text(text)
-        return read_table([tmp_path / name], DataConfig(**options))
-
-    return write_and_read
-
-
 def test_a_header_may_stand_below_names_of_groups(read):
     table = read(",ball,,\nt,step,x,\n0,0,1.5,\n0.1,1,1.25,\n")
     assert table.names == ("t", "step", "x")

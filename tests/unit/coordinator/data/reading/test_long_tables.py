@@ -2,20 +2,10 @@
 
 import pytest
 
-from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.roles.roles import assign_roles
 from atoll_coordinator.data.trajectories.measurements import take_measurements
 from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
-
-
-@pytest.fixture
-def read(tmp_path):
-    def write_and_read(text, name="a.csv", **options):
-        (tmp_path / name).write_text(text)
-        return read_table([tmp_path / name], DataConfig(**options))
-
-    return write_and_read
 
 
 def long(header="variable,t,value", names=("prey", "big cat"), times=range(6), form="{name},{time},{value}"):

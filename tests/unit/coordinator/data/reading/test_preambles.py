@@ -15,15 +15,6 @@ def body(form: str = "{},{},{}\n") -> str:
     return "".join(form.format(*row) for row in ROWS)
 
 
-@pytest.fixture
-def read(tmp_path):
-    def write_and_read(text, name="a.csv", **options):
-        (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
-        return read_table([tmp_path / name], DataConfig(**options))
-
-    return write_and_read
-
-
 PREAMBLES = {
     "lines of text": (
         "Instrument: FooMeter\nSerial: 123\n\nt,x,y\n" + body(),

@@ -5,20 +5,10 @@ import polars
 import pytest
 
 from atoll.api.tables import table_of
-from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
 
 YEARS = "name,code,1990,1991,1992,1993,1994\n"
-
-
-@pytest.fixture
-def read(tmp_path):
-    def write_and_read(text, **options):
-        (tmp_path / "a.csv").write_text(text)
-        return read_table([tmp_path / "a.csv"], DataConfig(**options))
-
-    return write_and_read
 
 
 def test_a_table_with_years_as_columns_is_turned(read):

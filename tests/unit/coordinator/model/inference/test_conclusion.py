@@ -418,7 +418,7 @@ def test_what_an_input_makes_between_rows_is_a_share_of_the_rate():
     assert math.isnan(_share_of_rate(program, points, 1, math.nan))
     near_one = np.array([points[0], np.full(50, 0.95)])
     assert _share_of_rate(from_infix("log(1.0 - u) - x", ("x", "u")), near_one, 1, 0.1) == 1.0
-    assert _share_of_rate(from_infix("x*u*u", ("x", "u")), 0.0 * points + 0.05, 1, -2.0 * -0.05) > 0.9
+    assert _share_of_rate(from_infix("x*u*u", ("x", "u")), np.full((2, 50), 0.05), 1, 0.1) > 0.9
 
 
 @pytest.mark.parametrize("gains", [(2.0, -2.0), (2.0, 2.5)])
