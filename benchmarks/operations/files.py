@@ -87,7 +87,7 @@ def _shaped(
         first = columns[names[0]]
         cells = ["", *first, *[""] * (24 - 1 - len(first))]
         months = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
-        return [["year", *months]], [["2001", *cells[:12]], ["2002", *cells[12:]]], names[1:] and []
+        return [["year", *months]], [["2001", *cells[:12]], ["2002", *cells[12:]]], others
     if shape == "long":
         long = [[name, str(row), columns[name][row]] for name in names for row in range(rows)]
         return [["variable", "time", "value"]], long, others
@@ -246,6 +246,7 @@ def play(seed: int) -> Outcome:
 def _lost(case: Case, table: Table) -> list[str]:
     """Return names of what is neither in the table nor named."""
     said = f"{table.read_as}; {', '.join(table.skipped)}"
+    left_out = "; ".join((*table.left_out, *table.skipped))
     others = [name for name in case.others if name not in table.names and name not in said]
     if case.is_damaged:  # without its header a column has another name
         is_headed = "no header" not in said
@@ -257,7 +258,7 @@ def _lost(case: Case, table: Table) -> list[str]:
         for name, column in values
         if not any(len(kept) == len(column) and np.allclose(kept, column, rtol=0, atol=1e-9) for kept in held)
     ]
-    return [*others, *(name for name in lost if name not in said)]
+    return [*others, *(name for name in lost if name not in left_out)]
 
 
 @program(

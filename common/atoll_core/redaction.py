@@ -4,7 +4,7 @@ import re
 from typing import Final
 
 _QUERY: Final = re.compile(r"""(https?://[^\s'"?#\\]*)\?[^\s'"#\\]*""", re.IGNORECASE)
-_TOKEN: Final = re.compile(r"""([?&]token=|\bATOLL_WEB_TOKEN=)[^\s'"&#\\]+""", re.IGNORECASE)
+_TOKEN: Final = re.compile(r"""([?&]token=|\bATOLL_WEB_TOKEN=)(?:\\*'[^']*'|\\*"[^"]*"|[^\s'"&#\\]+)""", re.IGNORECASE)
 _PASSWORD: Final = re.compile(r"""(\b[a-z][a-z0-9+.-]*://)[^\s'"/@]+@""", re.IGNORECASE)
 _BEARER: Final = re.compile(r"""(\bbearer\s+)[^\s'",\\]+""", re.IGNORECASE)
 

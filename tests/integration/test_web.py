@@ -178,7 +178,7 @@ def test_what_cannot_be_listened_at_is_refused_in_a_sentence(tmp_path: Path) -> 
         port = taken.getsockname()[1]
         taken.listen()
         refused = done(tmp_path, "coordinator", "web", "--connect", "tcp/127.0.0.1:9", "--listen", f"127.0.0.1:{port}")
-    assert refused.returncode == 2
+    assert refused.returncode == 1, "the address may be free later"
     assert "is not possible" in refused.stderr
 
 

@@ -79,7 +79,7 @@ class Access:
         if host not in self.hosts:
             return Problem(421, f"this process is not called {host!r}; start it with --allow-host {host or 'NAME'}")
         if (method not in SAFE or path.startswith("/api")) and _is_foreign(headers):
-            return Problem(403, "a page of another origin may ask and change nothing here")
+            return Problem(403, "requests from a page of another origin are refused; open the page at its own address")
         authorization = headers.get("authorization")
         if authorization is not None and self.gateway_of(authorization) is None:
             return _unauthorized("the token is not known; take the address that coordinator web has printed")

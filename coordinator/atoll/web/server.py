@@ -16,7 +16,7 @@ from atoll.web.access import LOCAL_HOSTS, Access, digest_of
 from atoll.web.application import build_application
 from atoll.web.connections import WAIT_S, Connection, allow_open_files
 from atoll.web.gateway import Gateway
-from atoll_core.errors import UsageError
+from atoll_core.errors import NotNowError, UsageError, may_pass
 from atoll_core.wire.addresses import Destination, destination
 from atoll_core.wire.security.credentials import credentials_of
 
@@ -137,6 +137,7 @@ def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> N
     """Answer until SIGTERM or Ctrl-C.
 
     Raises:
+        NotNowError: nobody can listen there for a reason that may pass, as where the address is in use.
         UsageError: nobody can listen there, or the certificate cannot be used.
     """
     allow_open_files()
@@ -155,7 +156,8 @@ def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> N
         opened.bind((listener.host, listener.port))
     except OSError as error:
         opened.close()
-        raise UsageError(f"--listen {listener.host}:{listener.port} is not possible: {error.strerror}") from error
+        refused = NotNowError if may_pass(error) else UsageError
+        raise refused(f"--listen {listener.host}:{listener.port} is not possible: {error.strerror}") from error
     say(listener.url(opened.getsockname()[1]))
     uvicorn.Server(config).run(sockets=[opened])
 

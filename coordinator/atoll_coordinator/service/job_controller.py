@@ -132,8 +132,9 @@ class JobController:
         self.workers.crash_loops.recover(record.id)
         if record.prepared_digest is None or record.dataset_digest is None:
             return
+        if not self._store.is_sound(record.dataset_digest):  # workers would ask for one that is damaged for ever
+            return
         try:
-            self._store.get_blob(record.dataset_digest)  # workers would ask for ever for one that is damaged
             prepared = self.tasks.take_prepared(record.id, self._store.get_blob(record.prepared_digest))
         except (KeyError, RemoteProtocolError):  # damaged, or of another version: its data are prepared again
             return

@@ -18,6 +18,8 @@ PLACES = (
     f"http://ann:{SECRET}@lab.example:7480/",
     f"Authorization: Bearer {SECRET}",
     f"ATOLL_WEB_TOKEN={SECRET}",
+    f"ATOLL_WEB_TOKEN='{SECRET}'",
+    f'ATOLL_WEB_TOKEN="{SECRET} and more"',
 )
 
 

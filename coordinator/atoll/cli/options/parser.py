@@ -48,8 +48,9 @@ HANDLERS: Final = {
 """The module of each verb. Its function of the verb's name takes the parsed options and returns the exit code."""
 
 EXIT_CODES: Final = (
-    "exit codes: 0 done, 1 job failed, 2 bad usage or bad data, 3 coordinator not reachable,\n"
-    "4 an explicit --target-error was not met within the budget, 130 detached or interrupted"
+    "exit codes: 0 done, 1 job failed or a reason that may pass (full disk, address in use), 2 bad usage or bad data,\n"
+    "3 coordinator not reachable, 4 an explicit --target-error was not met within the budget,\n"
+    "130 detached or interrupted"
 )
 
 

@@ -38,7 +38,9 @@ def restore(options: argparse.Namespace) -> int:
         f"it is cluster {store.cluster} from now on; if {store.copy.cluster} is still served elsewhere, both go on "
         "with the same jobs, and neither knows of the other",
     ]
-    lines += [f"the store that was there is {former}; remove it when it is of no use"] if former is not None else []
+    lines += (
+        [f"the store that was there is {former}; remove it when you no longer need it"] if former is not None else []
+    )
     if store.aside and former is None:
         lines.append(
             "of a store that was moved away these were left, and are put aside with what it had written last: "

@@ -25,7 +25,7 @@ function button(label, act) { return h("button", { type: "button", onclick: act 
 /** A word behind an option is a value of it where it is one of its choices, or a number where it takes numbers. */
 function isValue({ metavar, name }, word) {
   if (word === undefined || metavar === null) return false;
-  return metavar.split("|").includes(word) || (["missing_value", "step"].includes(name) && word !== "" && Number.isFinite(Number(word)));
+  return metavar.split("|").includes(word) || (name === "missing_value" && word !== "" && Number.isFinite(Number(word)));
 }
 
 /** A column that the sentence itself proposes is a button; any other can be chosen. */

@@ -89,6 +89,7 @@ def table_of_arrays(
     headers: list[str] = []
     columns: list[list[str]] = []
     column_units: list[str] = []
+    numeric: set[str] = set()
     left_out = [name for name in arrays if name not in vectors]
     for name, array in vectors.items():
         if array.ndim > 2 or count not in array.shape:
@@ -98,13 +99,13 @@ def table_of_arrays(
         for number, part in enumerate(parts):
             cells, unit = _cells(file, name, part)
             headers.append(name if len(parts) == 1 else f"{name}{number + first}")
+            if array.dtype.kind in "biufm":
+                numeric.add(split_unit(headers[-1])[0])
             columns.append(cells)
             column_units.append((units or {}).get(name, unit))
     _check_left_out(file, {name: given[name] for name in left_out}, headers, count, config)
     others = (f"left out: {', '.join(left_out)}",) if left_out else ()
-    numeric = [name for name, array in vectors.items() if array.dtype.kind in "biufm"]
-    names = {split_unit(header)[0] for header in headers if header.rstrip("0123456789") in numeric or header in numeric}
-    return replace(with_breaks(headers, columns, remarks, column_units), left_out=others, numeric=frozenset(names))
+    return replace(with_breaks(headers, columns, remarks, column_units), left_out=others, numeric=frozenset(numeric))
 
 
 def _squeezed(array: AnyArray) -> AnyArray:

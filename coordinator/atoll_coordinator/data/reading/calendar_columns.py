@@ -42,6 +42,8 @@ _KINDS: Final = (
     ("year", "month"),
 )
 """Parts that are a time together; the first that are all there are taken."""
+_FINER: Final = ("day", "hour", "minute", "second")
+"""Parts without which a time that has them is another."""
 _NAMES: Final = "january february march april may june july august september october november december"
 MONTHS: Final = {
     name: number for number, month in enumerate(_NAMES.split(), start=1) for name in (month, month[:3], month[:4])
@@ -83,9 +85,10 @@ def with_calendar(raw: RawTable, config: DataConfig) -> RawTable:
         if config.time not in (None, names[places["year"]]):
             return raw
         cells = _times({part: raw.columns[places[part]] for part in parts})
-        if cells is not None:
-            unit = "[year]" if parts[-1] in ("quarter", "month") else ""
-            return _replaced(raw, used, cells, unit, config, ", ".join(names[place] for place in used))
+        if cells is None or any(part in places and part not in parts for part in _FINER):
+            return raw  # without a part of it the time would be another
+        unit = "[year]" if parts[-1] in ("quarter", "month") else ""
+        return _replaced(raw, used, cells, unit, config, f"the columns {', '.join(names[place] for place in used)}")
     return raw
 
 
@@ -100,7 +103,7 @@ def _replaced(
         headers=(name, *(raw.headers[place] for place in kept)),
         columns=[cells, *(raw.columns[place] for place in kept)],
         units=("", *(raw.units[place] for place in kept)) if raw.units else (),
-        remarks=(*raw.remarks, f"the time told by {told}"),
+        remarks=(*raw.remarks, f"time from {told}"),
         numeric=raw.numeric | {config.time or TIME},
     )
 

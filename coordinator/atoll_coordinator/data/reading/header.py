@@ -82,6 +82,9 @@ def _is_data(top: Sequence[str], following: Sequence[Sequence[str]]) -> bool:
     Text may stand in the same cells of both, beside two numbers or dates at least.
     """
     below = next((cells for cells in following if any(map(str.strip, cells))), top)
+    filled = [cell.strip() for cell in top if cell.strip()]
+    if any(filled == [str(place + first) for place in range(len(filled))] for first in (0, 1)) and len(filled) > 1:
+        return all(cell.strip() == "" or cell.strip().isdigit() for cell in below)  # 0, 1, 2 are names of columns
     if len(below) != len(top) or not any(map(is_numeral, top)):
         return False
     if all(is_missing(cell) or is_datum(cell) for cell in (*top, *below)):

@@ -17,7 +17,7 @@ from atoll_coordinator.data.reading.cells import is_missing, is_numeral, on_one_
 from atoll_coordinator.data.reading.dates import is_datum
 from atoll_coordinator.data.reading.encodings import decode
 from atoll_coordinator.data.reading.header import take_header
-from atoll_coordinator.data.reading.preamble import SAMPLED, Preamble, find_preamble
+from atoll_coordinator.data.reading.preamble import SAMPLED, Preamble, begins_within, find_preamble
 from atoll_coordinator.data.reading.raw_table import RawTable, is_units_row, plain_unit, table_of_records
 from atoll_core.errors import DataError
 
@@ -96,6 +96,8 @@ def _without_preamble(text: str, beginning: _Beginning) -> _Beginning:
         if preamble is not None:
             first = next(pair for pair in lines if pair[0] == preamble.header)
             return beginning._replace(separator=separator, first=first, preamble=preamble)
+        if begins_within(rows):
+            return beginning
     return beginning
 
 

@@ -72,6 +72,12 @@ def find_preamble(rows: Sequence[Record]) -> Preamble | None:
     return Preamble(rows[start][0], tuple(line for line, _ in rows[:start]), tuple(line for line, _ in between))
 
 
+def begins_within(rows: Sequence[Record]) -> bool:
+    """Tell whether a table begins among rows at all, as they were split."""
+    filled = [(line, cells) for line, cells in rows[:SAMPLED] if any(map(str.strip, cells))]
+    return any(_begins(filled[place:]) for place in range(len(filled)))
+
+
 def _begins(rows: Sequence[Record]) -> bool:
     """Tell whether rows of numbers begin here: all of one width, with columns of numbers or dates alone.
 

@@ -99,7 +99,11 @@ def _of_times(file: str, raw: RawTable, first: int, config: DataConfig) -> RawTa
     for label in labels:
         rows = [place_of.get((each, label)) for each in named]
         columns[label] = ["" if row is None else raw.columns[place][row] for row in rows for place in times]
-    others = [header for place, header in enumerate(headers[:first]) if header and place not in (run, *chosen)]
+    others = [
+        header or f"column {place + 1}"
+        for place, header in enumerate(headers)
+        if place not in (run, *chosen, *times) and (header or any(map(str.strip, raw.columns[place])))
+    ]
     return replace(
         raw,
         headers=tuple(columns),
@@ -147,7 +151,9 @@ def _of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
     rows = [(row, month) for row in range(len(raw.lines)) for month in range(len(months))]
     known = [place for place, (row, month) in enumerate(rows) if not is_missing(raw.columns[months[month]][row])]
     rows = rows[known[0] : known[-1] + 1] if known else rows
-    others = [place for place in range(len(raw.headers)) if place not in (years, *months)]
+    beside = [place for place in range(len(raw.headers)) if place not in (years, *months)]
+    others = [place for place in beside if _are_names(raw.columns[place])]  # means of years are no states of months
+    left_out = [raw.headers[place] or f"column {place + 1}" for place in beside if place not in others]
     columns = [
         [repr(float(raw.columns[years][row]) + month / 12.0) for row, month in rows],
         [raw.columns[months[month]][row] for row, month in rows],
@@ -162,5 +168,6 @@ def _of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
         starts=sorted(set(starts)),
         units=(),
         remarks=(*raw.remarks, f"a row for each month, whose values are called '{VALUE}'"),
+        left_out=(*raw.left_out, *([f"left out: {', '.join(left_out)}"] if left_out else [])),
         numeric=raw.numeric | {TIME},
     )

@@ -217,7 +217,7 @@ def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> Da
     restarting = next((name for name, count in breaks.items() if count is not None and count > 0), None)
     advice = [] if ascending is None else [f"name it with --time (perhaps {ascending})"]
     if ascending is None and restarting is not None:
-        advice = [f"name it with --time (perhaps {restarting}, which begins anew: add --trajectory COLUMN)"]
+        advice = [f"name it with --time (perhaps {restarting}; it begins anew: add --trajectory COLUMN, or blank rows)"]
     advice.append("give the time between rows, as --step 0.1, if it is always the same")
     advice += ["use --target COLUMN, for one column as a function of the others"] if has_others else []
     return DataError(f"no time column was found (looked for {looked}); {', or '.join(advice)}")

@@ -212,10 +212,12 @@ def _cure(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str
     known = dict(zip(roles.used, (~bad).sum(axis=1).tolist(), strict=True))
     poor = min(known, key=lambda name: known[name])
     count = f"'{poor}' has {known[poor]} {'value' if known[poor] == 1 else 'values'} in {table.rows} rows"
-    others = [name for name in roles.states if name != poor]
+    others = [name for name in roles.states if name != poor and name not in few]
     if poor in roles.states and others and not roles.derivatives:
         return f"{count}: leave it out with --states {','.join(others)}, or correct it"
-    return f"{count}, and without these rows at least {MIN_ROWS} are needed: correct it, or leave it out of the file"
+    needed = f"{count}, and without these rows at least {MIN_ROWS} are needed: correct it"
+    is_needed = poor == roles.time or tuple(roles.equations) == (poor,)
+    return needed if is_needed else f"{needed}, or leave it out of the file"
 
 
 def _not_finite(table: Table, used: Sequence[int], bad: BoolArray, advice: str) -> str:

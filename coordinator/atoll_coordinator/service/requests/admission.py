@@ -74,9 +74,9 @@ class Admission:
         share = most // max(1, self._store.count_holders() + (not own))
         if live + size > most and own + size > share:
             raise RefusedError(
-                f"tables of jobs that have not ended take {live} bytes ({own} of them those of {_name(user)}), and "
-                f"{size} more are over the {most} that the coordinator's --keep leaves for them; submit again when "
-                "some have ended, or cancel some"
+                f"tables of jobs that have not ended take {live} bytes ({own} of them belong to {_name(user)}); {size} "
+                f"more exceed the {most} that the coordinator's --keep allows; cancel a job, or submit again when one "
+                "has ended"
             )
 
     def _admit_bytes(self, user: str | None, size: int, pending: tuple[int, int]) -> None:

@@ -282,7 +282,8 @@ class ClientRequests:
             size += len(view.model_dump_json())
             if views and (size > MAX_PAGE_BYTES or shown.bytes_read - read > MAX_RESULT_BYTES):
                 return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
-            if question.state in (None, view.state):  # one that was taken over may stand otherwise than it is stored
+            # One that was taken over, and waits again, is listed in the state that is stored.
+            if question.state in (None, view.state) or view.state == "queued":
                 views.append(view)
         is_last = len(numbers) < question.limit
         return JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))

@@ -110,11 +110,9 @@ def _finish(sql: sqlite3.Connection, upload: str, digest: str) -> None:
     _delete(sql, upload)
 
 
-def total_bytes(sql: sqlite3.Connection, but: str = "") -> int:
-    """Return how many bytes are stored of all blobs but one, unfinished uploads included."""
-    (total,) = sql.execute(
-        "SELECT blob_bytes - coalesce((SELECT size FROM blobs WHERE digest = ?), 0) FROM realm", (but,)
-    ).fetchone()
+def total_bytes(sql: sqlite3.Connection) -> int:
+    """Return how many bytes are stored of all blobs, unfinished uploads included."""
+    (total,) = sql.execute("SELECT blob_bytes FROM realm").fetchone()
     return cast(int, total)
 
 

@@ -438,10 +438,10 @@ class Store(OpenFile):
         with self._transaction() as sql:
             return blob_table.put_chunk(sql, upload, index, data, digest)
 
-    def blob_bytes(self, but: str = "") -> int:
-        """Return how many bytes are stored of all blobs, of unfinished uploads as well, but for the blob `but`."""
+    def blob_bytes(self) -> int:
+        """Return how many bytes are stored of all blobs, of unfinished uploads as well."""
         with self._reading() as sql:
-            return blob_table.total_bytes(sql, but)
+            return blob_table.total_bytes(sql)
 
     def unused_blobs(self) -> tuple[str, ...]:
         """Return the digests of all blobs, finished or not, that no job uses."""

@@ -80,7 +80,7 @@ TREES = st.builds(
     st.dictionaries(st.tuples(INTEGERS, st.binary(max_size=3)), LEAVES, max_size=3),
     st.frozensets(INTEGERS, max_size=3),
     SHAPES,
-    st.fractions(max_denominator=99),
+    st.fractions(-(2**40), 2**40, max_denominator=99),  # whose parts are integers of 64 bits, as all that travel
     st.booleans(),
     st.none() | arrays(),
 )

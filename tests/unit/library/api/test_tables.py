@@ -282,3 +282,10 @@ def test_numbers_that_are_no_text_do_not_tell_how_texts_are_written() -> None:
         table_of({"t": [0.5, 1.5], "x": ["6,773", "7,125"]}, DataConfig())
     quarters = {"year": [2020, 2020], "quarter": [1, 2], "x": ["6,773", "0,6"]}
     assert table_of(quarters, DataConfig()).column("x").tolist() == [6.773, 0.6]
+
+
+def test_a_column_of_text_is_none_of_numbers_that_has_nearly_its_name() -> None:
+    """A matrix v has the columns v0, v1, …; v1 beside a vector v is another column, and its commas are seen."""
+    columns = {"t": np.arange(5.0), "v": np.arange(5.0), "v1": [f"{n},600" for n in range(1, 6)]}
+    with pytest.raises(DataError, match=r"may be 1600 or 1\.6"):
+        table_of(columns, DataConfig())

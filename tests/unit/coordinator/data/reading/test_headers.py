@@ -188,3 +188,11 @@ def test_columns_beyond_the_header_are_left_out_and_named(text, names, skipped, 
 def test_columns_beyond_the_header_that_may_be_something_else_are_refused(text, read):
     with pytest.raises(DataError, match="where the header has 2"):
         read(text)
+
+
+@pytest.mark.parametrize("header", ["0,1", "1,2"])
+def test_numbers_in_place_of_names_are_no_row(read, header):
+    """As frames without names of columns are written."""
+    with pytest.raises(DataError, match="holds numbers only"):
+        read(header + "\n" + "".join(f"{10 + n / 10},{n}.5\n" for n in range(8)))
+    assert read("," + header + "\n" + "".join(f"{n},{10 + n / 10},{n}.5\n" for n in range(8))).rows == 8

@@ -90,3 +90,12 @@ def test_a_workbook_may_have_settings_above_its_table(tmp_path):
     assert table.names == ("t", "x", "y")
     assert np.allclose(table.columns.T, ROWS)
     assert "lines 1 to 2 above the header left out" in table.read_as
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_dates_with_spaces_below_a_row_of_units_split_nothing(read, separator):
+    rows = [["Date Time", "Temp C"], ["yyyy-mm-dd hh:mm", "degC"]]
+    rows += [[f"2021-03-01 0{hour}:00", f"{hour}.5"] for hour in range(8)]
+    table = read("".join(separator.join(row) + "\n" for row in rows), time="Date Time")
+    assert table.names == ("Date Time", "Temp C")
+    assert table.column("Temp C").tolist() == [hour + 0.5 for hour in range(8)]

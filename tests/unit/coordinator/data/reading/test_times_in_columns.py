@@ -63,7 +63,8 @@ MONTHS = "Jan,Feb,Mar,Apr,May,Jun,Jul,Aug,Sep,Oct,Nov,Dec"
 def test_a_table_with_a_column_for_each_month_has_a_row_for_each(read):
     first, second = (",".join(str(base + month) for month in range(12)) for base in (1, 13))
     table = read(f"Year,{MONTHS},J-D\n2001,,{first[2:]},6.5\n2002,{second[:-6]},,,\n")
-    assert (table.names, table.units) == (("time", "value", "J-D"), ("year", "", ""))
+    assert (table.names, table.units) == (("time", "value"), ("year", ""))
+    assert table.left_out == ("left out: J-D",), "the mean of a year is no state of its months"
     assert table.column("value").tolist() == [float(value) for value in range(2, 23)]
     assert np.allclose(np.diff(table.column("time")), 1.0 / 12.0)
     assert table.column("time")[0] == pytest.approx(2001.0 + 1.0 / 12.0)
@@ -86,7 +87,7 @@ def test_times_that_several_columns_tell_are_one(text, unit, times, read):
     table = read(text)
     assert (set(table.names), table.units[table.names.index("time")]) == ({"time", "x"}, unit)
     assert np.allclose(table.column("time"), times)
-    assert "the time told by" in table.read_as
+    assert "time from" in table.read_as
 
 
 def test_parts_of_a_time_that_have_another_part_stay_columns(read):
@@ -96,3 +97,18 @@ def test_parts_of_a_time_that_have_another_part_stay_columns(read):
     assert read(text, time="year").names == ("year", "x")
     assert read("t,year,month\n0,2020,11\n1,2020,12\n").names == ("t", "year", "month")
     assert read("year,month,x\n2020,11,1\n2020,13,2\n").names == ("year", "month", "x")
+
+
+def test_a_part_of_the_time_that_cannot_be_read_is_no_state(read):
+    """With whole minutes alone the times would repeat, and the seconds would be sought an equation for."""
+    rows = "".join(f"2020,1,1,0,{n},{12.5 + n},{n}\n" for n in range(6))
+    table = read("year,month,day,hour,minute,second,x\n" + rows)
+    assert "time" not in table.names
+    table = read("year,month,hour,x\n" + "".join(f"2020,1,{n},{n}\n" for n in range(6)))
+    assert "time" not in table.names
+
+
+def test_a_column_without_a_name_beside_years_is_named_where_it_is_left_out(read):
+    table = read("name,1990,1991,1992,1993,1994,\nhare,30,47,70,77,36,many\nlynx,4,6,8,35,59,few\n")
+    assert table.names == ("time", "hare", "lynx")
+    assert table.left_out == ("left out: column 7",)

@@ -468,8 +468,8 @@ def test_tables_that_no_deletion_makes_room_for_are_refused_from_who_holds_most(
     for number in range(3):
         full.submit("ann", f"a{number}", str(number).encode() * 30)
     sentence = said(full.submit("ann", "more", b"m" * 30))
-    assert "take 90 bytes (90 of them those of ann), and 30 more are over the 100 that" in sentence
-    assert "submit again when some have ended" in sentence
+    assert "take 90 bytes (90 of them belong to ann); 30 more exceed the 100 that" in sentence
+    assert "submit again when one has ended" in sentence
     assert isinstance(full.submit("ann", "again", b"0" * 30), JobStatus), "a table that is there takes no more room"
     assert isinstance(full.submit("bob", "b", b"b" * 30), JobStatus), "his share is free, whatever others hold"
     assert isinstance(full.submit("eve", "c", b"c" * 60), Failure)

@@ -83,7 +83,7 @@ QUESTIONS: dict[str, Callable[[Store], object]] = {
     "own lines of logs": lambda store: store.events(None, 0, 20, ANN, of_workers=True),
     "bytes of a user": lambda store: store.stored_bytes("bob"),
     "bytes of all": lambda store: store.all_stored_bytes(),
-    "bytes of blobs": lambda store: store.blob_bytes("x"),
+    "bytes of blobs": lambda store: store.blob_bytes(),
     "users": lambda store: store.count_holders(),
     "the oldest": lambda store: store.oldest_ended_job(),
     "the oldest of a user": lambda store: store.oldest_ended_job(ANN),
