@@ -115,7 +115,7 @@ def test_every_entrance_has_its_row() -> None:
 
 @pytest.mark.parametrize("entrance", TABLE)
 def test_each_rule_has_a_test_at_each_entrance(entrance: str) -> None:
-    """Cells that an entrance has from another one, as restart and restore have some from the bus, are looked at there."""
+    """Cells that an entrance takes from another one (restart and restore from the bus) are looked at there."""
     row = TABLE[entrance]
     assert tuple(row) == RULES
     assert [place for place in row.values() if place.partition("::")[2] not in names_in(place.partition("::")[0])] == []
