@@ -8,6 +8,7 @@ import pytest
 
 from atoll_coordinator.service.jobs.job import Job, JobAction
 from atoll_coordinator.service.service_loop import Service
+from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
@@ -32,9 +33,9 @@ def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
         disk = Disk()
         store = disk.open(lambda seconds: None)
         network = SimulatedNetwork(0, None)
-        service = Service(
-            network.bus("coordinator", is_router=True), store, role_bindings=RoleBindings({"ann": "submitter"})
-        )
+        bus = network.bus("coordinator", is_router=True)
+        dependencies = Dependencies(writer=lambda work: work())  # no other thread is in the store when it dies
+        service = Service(bus, store, dependencies=dependencies, role_bindings=RoleBindings({"ann": "submitter"}))
         service._requests.answer(Query(topics.client(store.cluster, "ann-1"), UPLOAD, None))
         disk.die_at(commits, before)
         try:
