@@ -42,8 +42,8 @@ from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.analyses import Analysis
+from atoll_coordinator.service.tasks.background import Background
 from atoll_coordinator.service.tasks.task_controller import TaskController
-from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.worker_controller import WorkerController
 from atoll_coordinator.tasks.preparing import Prepared
@@ -69,12 +69,12 @@ class JobController:
     """All live jobs, and the workers that compute them; `shown` are the views of these jobs and of those that ended."""
 
     def __init__(
-        self, store: Store, channel: WorkerChannel, writer: CheckpointWriter, post: Callable[[object], None],
+        self, store: Store, channel: WorkerChannel, background: Background, post: Callable[[object], None],
         clock: Callable[[], str], expected_workers: int = 1,
     ) -> None:  # fmt: skip
         """Set up the jobs of a store; no island is placed before the expected workers are ready.
 
-        `writer` makes checkpoints durable, `post` hands outcomes to the loop, `clock` gives the time of day as text.
+        `background` works on large values, `post` hands outcomes to the loop, `clock` gives the time of day as text.
         """
         self.jobs: dict[str, Job] = {}
         self.begun: Final[dict[str, Job]] = {}
@@ -99,7 +99,7 @@ class JobController:
             channel, self.workers.membership, post, self._order, self._may_follow, self._charge, self._turns.forget
         )
         self._channel = channel
-        self._writer = writer
+        self._background = background
         self._clock = clock
 
     # ------------------------------------------------------------------------------------------- jobs
@@ -627,7 +627,7 @@ class JobController:
             checkpoint = self.checkpoints.take_complete_checkpoint(archipelago)
             if checkpoint is not None:
                 search_state = encode(checkpoint.stored_search_state(job.search_seconds(now)))
-                self._writer.write(checkpoint, search_state, now - job.submitted_at)
+                self._background.write_checkpoint(checkpoint, search_state, now - job.submitted_at)
 
     # --------------------------------------------------------------------------------------- what breaks
 
@@ -790,7 +790,7 @@ class JobController:
         self.begun[job_id] = waiting
         self.queue.begin(job_id)
         self.changed(waiting.id)
-        self._writer.check_table(waiting.id, waiting.table)
+        self._background.check_table(waiting.id, waiting.table)
 
     def prepare_checked(self, job_id: str, is_sound: bool, error: Exception | None, now: float) -> None:
         """Have a job prepared whose table was checked; raises the `error` of a store that cannot be read."""

@@ -24,6 +24,7 @@ from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.requests.question_queue import QuestionQueue
 from atoll_coordinator.service.scheduling.limits import Limits
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.background import Background
 from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_coordinator.service.tasks.outcomes import (
     CheckpointWritten,
@@ -34,7 +35,6 @@ from atoll_coordinator.service.tasks.outcomes import (
     RefiningFailed,
     TableChecked,
 )
-from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
 from atoll_coordinator.service.workers.worker_logs import WorkerLogs
@@ -124,9 +124,9 @@ class Service:
         self._questions: QuestionQueue[Query] = QuestionQueue()
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
-        writer = CheckpointWriter(dependencies.writer, store, self._bus.post)
+        background = Background(dependencies.background, store, self._bus.post)
         self.controller: Final = JobController(
-            store, self._workers, writer, self._bus.post, dependencies.clock, expected_workers
+            store, self._workers, background, self._bus.post, dependencies.clock, expected_workers
         )
         self._authorization = authorization = Authorization(role_bindings, store)
         self._worker_logs = WorkerLogs(self.controller.events)

@@ -54,7 +54,7 @@ BLOB = hashlib.sha256(TABLE).hexdigest()
 
 
 class Tasks:
-    """Takes the place of channel, writer and tasks, and records what is started, cancelled and sent."""
+    """Takes the place of channel, background and tasks, and records what is started, cancelled and sent."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[object, ...]] = []

@@ -1,4 +1,7 @@
-"""What is done with the store away from the service's loop, in turn: checkpoints are written, tables checked."""
+"""Work on large values, done in turn on a thread of its own: checkpoints are written, tables checked.
+
+The service's loop answers everybody, so that it handles no more bytes at a time than one message has.
+"""
 
 from collections.abc import Callable
 
@@ -7,8 +10,8 @@ from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.outcomes import CheckpointWritten, TableChecked
 
 
-class CheckpointWriter:
-    """Writes checkpoints and checks tables where `act` does what it is given, in its order; posts the outcomes."""
+class Background:
+    """Has work done where `act` does what it is given, in the order in which it came; posts what comes of it."""
 
     def __init__(
         self, act: Callable[[Callable[[], None]], object], store: Store, post: Callable[[object], None]
@@ -17,9 +20,9 @@ class CheckpointWriter:
         self._store = store
         self._post = post
 
-    def write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
+    def write_checkpoint(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
         """Make a checkpoint durable after those that came before it; `CheckpointWritten` is posted."""
-        self._act(lambda: self._post(self._write(checkpoint, progress, elapsed)))
+        self._act(lambda: self._post(self._write_checkpoint(checkpoint, progress, elapsed)))
 
     def check_table(self, job: str, digest: str) -> None:
         """Read the table of a job, which takes a second for 100 MB; `TableChecked` is posted."""
@@ -31,8 +34,7 @@ class CheckpointWriter:
         except Exception as error:  # ends the service's loop
             return TableChecked(job, False, error)
 
-    def _write(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> CheckpointWritten:
-        """Make a checkpoint durable; runs in the writer's thread."""
+    def _write_checkpoint(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> CheckpointWritten:
         key = checkpoint.job, checkpoint.variable, checkpoint.epoch
         try:
             self._store.commit_checkpoint(*key, progress, checkpoint.states, elapsed)
