@@ -447,7 +447,7 @@ def test_half_uploads_end_no_coordinator_on_a_small_disk(tmp_path: Path, monkeyp
                 blob=f"{number:064}", size=2 * CHUNK_SIZE, index=0, sha256=hashlib.sha256(data).hexdigest(), data=data
             )
             try:
-                uploads.take(half)
+                uploads.take(half, None, None, "")
             except RefusedError:
                 refused += 1
             store.put_blob(bytes([number]) * (MB // 2))
