@@ -121,7 +121,7 @@ class Service:
         self._store = store
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
-        self._questions: QuestionQueue[Query] = QuestionQueue()
+        self._questions: QuestionQueue[tuple[Query, str]] = QuestionQueue()
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
         background = Background(dependencies.background, store, self._bus.post)
@@ -452,11 +452,15 @@ class Service:
             self._bus.reply(event, None)
             raise
         if not isinstance(key, topics.ClientKey):
-            self._answer(event)
-        elif not self._questions.add(self._party(key.client, event), key.client, event, len(event.payload)):
+            self._answer(event, event.session)
+        elif not self._add_question(key.client, event):
             self._bus.reply(event, None)
         elif len(self._questions) == 1:
             self._bus.post(_Turn())
+
+    def _add_question(self, client: str, event: Query) -> bool:
+        party = self._party(client, event)
+        return self._questions.add(party, client, (event, party), len(event.payload))
 
     def _party(self, client: str, event: Query) -> str:
         """Return who takes turns with others: a user, without certificates a session."""
@@ -469,16 +473,16 @@ class Service:
             self._bus.post(_Turn())
         if question is not None:
             try:
-                self._answer(question)
+                self._answer(*question)
             except RemoteProtocolError as error:
-                self.rejects.count(question.key, error)
+                self.rejects.count(question[0].key, error)
 
-    def _answer(self, event: Query) -> None:
+    def _answer(self, event: Query, party: str) -> None:
         try:
             answer = self._requests.answer(event)
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
-        self._bus.reply(event, answer)
+        self._bus.reply(event, answer, party)
         if self._requests.store_error is not None:  # the client has its answer; the coordinator ends
             raise self._requests.store_error
