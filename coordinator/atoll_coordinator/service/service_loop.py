@@ -35,6 +35,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     RefiningFailed,
     TableChecked,
 )
+from atoll_coordinator.service.tasks.results import ResultRead
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
 from atoll_coordinator.service.workers.worker_logs import WorkerLogs
@@ -335,11 +336,13 @@ class Service:
             case TableChecked():
                 with self.controller.guarded(item.job, "having a job prepared", now):
                     self.controller.prepare_checked(item.job, item.is_sound, item.error, now)
+            case ResultRead():
+                self._take_result(item, now)
             case PreparationBegun():
                 self.controller.begin_preparing(item.job, now)
             case JobPrepared():
                 with self.controller.guarded(item.job, "beginning the search", now):
-                    self.controller.start_search(item.job, item.prepared, item.data, now)
+                    self.controller.start_search(item, now)
             case PreparationFailed():
                 with self.controller.guarded(item.job, "ending", now):
                     self.controller.fail_job(item.job, item.fault, item.sentence, now)
@@ -352,6 +355,12 @@ class Service:
             case CheckpointWritten():
                 with self.controller.guarded(item.checkpoint.job, "committing a checkpoint", now):
                     self.controller.commit_checkpoint(item.checkpoint, now, item.error)
+
+    def _take_result(self, item: ResultRead, now: float) -> None:
+        try:
+            self.controller.take_result(item, now)
+        except RemoteProtocolError as error:
+            self.rejects.count("result", error)
 
     def _check_time(self, now: float) -> None:
         """Let time pass, now that everything has been taken in that had come before."""

@@ -132,9 +132,9 @@ class Uploads:
         return own
 
     def _begin(self, who: tuple[str, str | None, str], upload: Upload) -> _Upload:
-        """Begin an upload, under a name of its own where somebody else is uploading the same."""
+        """Begin an upload, under a name of its own where somebody else is uploading the same, or it is there."""
         digest, user, session = who
-        key = f"{digest} {user or session}" if digest in self._keys or self._store.has_blob(digest) else digest
+        key = f"{digest} {user or session}" if digest in self._keys or self._store.is_begun(digest) else digest
         own = self._uploads[who] = _Upload(user, digest, upload.size, key, self._now())
         self._keys.add(key)
         return own

@@ -263,13 +263,16 @@ def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
 
 def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
     version = check_kind(connection, file)
-    for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+    # What is deleted is not overwritten, whatever SQLite was compiled with: that took 0.9 s for 100 MB.
+    for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON", "secure_delete = FAST"):
         connection.execute(f"PRAGMA {pragma}")
     _check(connection, file)
     connection.execute("BEGIN IMMEDIATE")
     _migrate(connection, version)
     if not version:
         _baptize(connection)
+    # What a coordinator was writing when it ended, nobody goes on with: it is deleted like an upload that was given up.
+    connection.execute("INSERT OR IGNORE INTO uploads SELECT digest FROM blobs WHERE NOT complete")
     if connection.execute("UPDATE realm SET incarnation = incarnation + 1").rowcount != 1:
         raise WrongStoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
     connection.execute("COMMIT")

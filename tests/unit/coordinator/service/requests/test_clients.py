@@ -18,6 +18,7 @@ from atoll_coordinator.service.scheduling.limits import Limits, Total
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_coordinator.service.tasks.analyses import Analyses
+from atoll_coordinator.service.tasks.outcomes import JobPrepared
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, StoreError
 from atoll_core.wire.codec import decode, encode
@@ -271,7 +272,8 @@ def test_the_dataset_of_a_job_that_ended_while_it_was_prepared_is_not_kept(
         clients.answer("ann", Request(body=Delete(job="j")))
     controller, store = clients._controller, clients._store
     before = store.blob_bytes()
-    controller.start_search("j", None, b"its dataset", 6.0)  # type: ignore[arg-type]
+    store.keep_prepared("j", b"its dataset", b"the rest")
+    controller.start_search(JobPrepared("j", None, b"", ""), 6.0)  # type: ignore[arg-type]
     assert store.blob_bytes() == before
     assert not store.has_blob(hashlib.sha256(b"its dataset").hexdigest())
     assert controller.jobs == {}

@@ -106,7 +106,7 @@ def test_a_change_takes_no_longer_with_all_that_is_stored(stores: tuple[Store, S
 
     def change(store: Store) -> None:
         store.add_job(JobRecord("new", "n", "{}", store.put_blob(table), "2026", submitter="ann"))
-        store.begin_search("new", b"dataset", b"prepared")
+        store.keep_prepared("new", b"dataset", b"prepared")
         store.share_job("new", True)
         store.commit_result("new", "done", "{}")
         store.delete_job("new")
@@ -180,7 +180,7 @@ def test_sums_hold_whatever_becomes_of_jobs(seed: int) -> None:
                     store.add_job(JobRecord(live[-1], "n", "{}", table, "2026", submitter=owner))
                 case "search" if live:
                     data = (bytes([random.randrange(3)]) * random.randrange(10, 14) for _ in range(2))
-                    store.begin_search(random.choice(live), next(data), b"p" + next(data))
+                    store.keep_prepared(random.choice(live), next(data), b"p" + next(data))
                 case "end" if live:
                     ended.append(live.pop(random.randrange(len(live))))
                     result = random.choice((None, "{}", "{...}"))
