@@ -364,8 +364,11 @@ def test_slurm_or_the_coordinator_may_be_away_for_a_while(monkeypatch: pytest.Mo
         looks.look(20)
 
 
-def test_a_job_that_cannot_be_drained_keeps_no_other_from_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_that_cannot_be_drained_keeps_no_other_from_it_and_does_not_end_adapt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     slurm = Breaking()
+    slurm.submitted = 3  # by an adapt before this one
     looks = Looks(monkeypatch, slurm, 100.0)
     looks.wanted = 3
     looks.look(1)
