@@ -26,10 +26,11 @@ _FORM_OF_DATES: Final = re.compile(
 class RawTable:
     """Cells of one file as text: `columns[i]` are the cells under `headers[i]`; `lines` their line numbers, or 0.
 
+    What the format holds as a number is a `NumberCell`.
+
     `units` are those that a row of their own or the format gives, "" where there is none; `starts` are the rows at
     which trajectories begin; `remarks` say how the file was read; `separator` is what stands between cells, "" where
     the format has none. `left_out` says what of the file is no part of the table, for a warning.
-    `numeric` are columns that were no text, so that they do not tell how others are written.
     """
 
     headers: tuple[str, ...]
@@ -40,7 +41,6 @@ class RawTable:
     units: tuple[str, ...] = ()
     separator: str = ""
     left_out: tuple[str, ...] = ()
-    numeric: frozenset[str] = frozenset()
 
 
 def table_of_records(
