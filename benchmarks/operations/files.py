@@ -1,9 +1,10 @@
 """Files as people have them, drawn: every column, row and sheet is read or named, and nothing breaks the reader.
 
 ``python -m benchmarks.operations.files --cases 5000`` draws a table from each seed and hides it: below a preamble or
-names of groups, without a header, with times as columns or in several columns, in long form, among sheets, in an
-encoding, with separators and decimal commas, in arrays, frames and records. A fifth of the files is damaged as well. A
-case is refused with one sentence, or all values come back; what does not is named in what is said of the reading.
+names of groups, above a footer, without a header, with times as columns or in several columns, in long form, among
+sheets, in an encoding, with separators and decimal commas, in arrays, frames and records. A fifth of the files is
+damaged as well. A case is refused with one sentence, or all values come back; what does not is named in what is said of
+the reading.
 ``--seed 7`` shows one case. Returns 1 where anything was lost silently or broke.
 """
 
@@ -35,6 +36,15 @@ PREAMBLES: Final[Sequence[list[Row]]] = (
     [["[Header]"], ["version=2"], ["[Data]"]],
     [["Experiment", " run 3", " by me"]],
 )
+FOOTERS: Final[Sequence[list[Row]]] = (
+    [["Total", "45.25", "33.5", "12.125"]],
+    [["Mean", "4.5", "3.25", "2.5"], ["SD", "1.5", "0.25", "0.5"], ["n = 20"]],
+    [[], ["Source: Institute of Fisheries", " 2020", " page 3"]],
+    [["n = 20"]],
+    [["-----"], ["end of file"]],
+    [["20 observations"]],
+    [[], ["* p < 5 %"], ["(c) 2020 by me"]],
+)
 SHAPES: Final = ("plain", "no header", "years", "quarters", "months", "long", "groups", "short header", "dates")
 
 
@@ -63,6 +73,8 @@ def drawn(seed: int, folder: Path) -> Case:
     header, body, others = _shaped(draw, shape, rows, values)
     if kind == "arrays":
         return _arrays(draw, folder, rows, values)
+    below = _footer(draw, shape, len(body[0]))
+    body, others = [*body, *below], [*others, *(cells[0] for cells in below if cells)]
     if kind == "python" and shape in ("no header", "groups", "short header"):
         kind = "text"
     if kind == "python":
@@ -115,6 +127,16 @@ def _shaped(
     return [*groups, heads], body, others
 
 
+def _footer(draw: np.random.Generator, shape: str, width: int) -> list[Row]:
+    """Return rows of a footer, none in most cases; where rows begin with names, a row of sums is one of data."""
+    if draw.random() < 0.7:
+        return []
+    drawn_rows = FOOTERS[int(draw.integers(len(FOOTERS)))]
+    if shape in ("years", "long") and len(drawn_rows[0]) > 3:
+        return []
+    return [cells[:width] for cells in drawn_rows]
+
+
 def _text(
     draw: np.random.Generator,
     folder: Path,
@@ -138,6 +160,7 @@ def _text(
             lambda line: line + end + line, lambda line: '"' + line, lambda line: line.replace("1", "x", 1),
         ][int(draw.integers(6))]  # fmt: skip
         written[place] = change(written[place])
+        others = [name for name in others if not lines[place] or name != lines[place][0]]
     path = folder / str(draw.choice(["a.csv", "a.txt", "a.dat", "a.tsv"]))
     path.write_bytes(end.join([*comments, *written, ""]).encode(encoding))
     how = f"text, {shape}, {separator!r}, {'decimal commas, ' if has_commas else ''}{encoding}"
@@ -183,12 +206,18 @@ def _in_python(
     others: Sequence[str],
 ) -> Case:
     has_texts = draw.random() < 0.5
+    width = len(header[-1])
     cells = [[cell.replace(".", ",") if has_texts else _number(cell) for cell in row] for row in body]
+    cells = [[*row, *[None] * (width - len(row))] for row in cells]
     named = {name: [row[place] for row in cells] for place, name in enumerate(header[-1])}
-    kind = str(draw.choice(["arrays by name", "frame", "records"]))
+    kind = str(draw.choice(["arrays by name", "frame", "frame of pandas", "records"]))
     data: object = named
-    if kind == "frame":
+    if kind == "frame" and len(body[-1]) == len(body[0]) and not body[-1][0].isalpha():
         data = polars.DataFrame(named, strict=False)
+    elif kind.startswith("frame"):  # polars makes nothing of texts among numbers
+        import pandas
+
+        data = pandas.DataFrame(named)
     if kind == "records":
         data = [dict(zip(named, row, strict=True)) for row in cells]
     return Case(data, f"{kind}, {shape}{', decimal commas' if has_texts else ''}", values, others)

@@ -102,7 +102,8 @@ def table_of_arrays(
             column_units.append((units or {}).get(name, unit))
     _check_left_out(file, {name: given[name] for name in left_out}, headers, count, config)
     others = (f"left out: {', '.join(left_out)}",) if left_out else ()
-    return replace(with_breaks(headers, columns, remarks, column_units), left_out=others)
+    raw = with_breaks(headers, columns, remarks, column_units)
+    return replace(raw, left_out=(*raw.left_out, *others))
 
 
 def _squeezed(array: AnyArray) -> AnyArray:
