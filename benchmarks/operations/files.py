@@ -64,6 +64,26 @@ class Case:
     options: Mapping[str, object] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Content:
+    """The rows of a drawn table: those `above` the header, the `header`, and the `body` with its footer.
+
+    `shape` is one of `SHAPES`; `values` and `others` are as of `Case`.
+    """
+
+    shape: str
+    above: Sequence[Row]
+    header: Sequence[Row]
+    body: Sequence[Row]
+    values: Mapping[str, FloatArray]
+    others: Sequence[str]
+
+    @property
+    def lines(self) -> list[Row]:
+        """All rows of the file."""
+        return [*self.above, *self.header, *self.body]
+
+
 def drawn(seed: int, folder: Path) -> Case:
     """Draw a case; its file, if it has one, is written into `folder`."""
     draw = np.random.default_rng(seed)
@@ -77,13 +97,11 @@ def drawn(seed: int, folder: Path) -> Case:
     body, others = [*body, *below], [*others, *(cells[0] for cells in below if cells)]
     if kind == "python" and shape in ("no header", "groups", "short header"):
         kind = "text"
-    if kind == "python":
-        return _in_python(draw, shape, header, body, values, others)
     above = [] if draw.random() < 0.5 or shape == "no header" else PREAMBLES[int(draw.integers(len(PREAMBLES)))]
-    lines = [*above, *header, *body]
-    if kind == "workbook":
-        return _workbook(draw, folder, shape, lines, values, others)
-    return _text(draw, folder, shape, lines, values, others)
+    content = Content(shape, above, header, body, values, others)
+    if kind == "python":
+        return _in_python(draw, content)
+    return _workbook(draw, folder, content) if kind == "workbook" else _text(draw, folder, content)
 
 
 def _shaped(
@@ -137,14 +155,8 @@ def _footer(draw: np.random.Generator, shape: str, width: int) -> list[Row]:
     return [cells[:width] for cells in drawn_rows]
 
 
-def _text(
-    draw: np.random.Generator,
-    folder: Path,
-    shape: str,
-    lines: Sequence[Row],
-    values: Mapping[str, FloatArray],
-    others: Sequence[str],
-) -> Case:
+def _text(draw: np.random.Generator, folder: Path, content: Content) -> Case:
+    lines, others = content.lines, content.others
     separator = str(draw.choice([",", ";", "\t"]))
     has_commas = separator != "," and draw.random() < 0.4
     encoding = str(draw.choice(["utf-8", "utf-8-sig", "utf-16", "latin-1"]))
@@ -163,18 +175,11 @@ def _text(
         others = [name for name in others if not lines[place] or name != lines[place][0]]
     path = folder / str(draw.choice(["a.csv", "a.txt", "a.dat", "a.tsv"]))
     path.write_bytes(end.join([*comments, *written, ""]).encode(encoding))
-    how = f"text, {shape}, {separator!r}, {'decimal commas, ' if has_commas else ''}{encoding}"
-    return Case(path, how, values, others, is_damaged)
+    how = f"text, {content.shape}, {separator!r}, {'decimal commas, ' if has_commas else ''}{encoding}"
+    return Case(path, how, content.values, others, is_damaged)
 
 
-def _workbook(
-    draw: np.random.Generator,
-    folder: Path,
-    shape: str,
-    lines: Sequence[Row],
-    values: Mapping[str, FloatArray],
-    others: Sequence[str],
-) -> Case:
+def _workbook(draw: np.random.Generator, folder: Path, content: Content) -> Case:
     import openpyxl
 
     book = openpyxl.Workbook()
@@ -182,12 +187,11 @@ def _workbook(
     for place, title in enumerate(titles):
         sheet = book.active if not place else book.create_sheet()
         sheet.title = title
-        for cells in lines if title == "data" else [["Made", "by me"], ["k", "1.5"]]:
+        for cells in content.lines if title == "data" else [["Made", "by me"], ["k", "1.5"]]:
             sheet.append([_number(cell) for cell in cells])
     book.save(folder / "a.xlsx")
-    return Case(
-        folder / "a.xlsx", f"workbook, {shape}, {len(titles)} sheets", values, [*others, *titles[:-1][:1], *titles[2:]]
-    )
+    how = f"workbook, {content.shape}, {len(titles)} sheets"
+    return Case(folder / "a.xlsx", how, content.values, [*content.others, *titles[:-1][:1], *titles[2:]])
 
 
 def _number(cell: str) -> object:
@@ -197,19 +201,13 @@ def _number(cell: str) -> object:
         return cell or None
 
 
-def _in_python(
-    draw: np.random.Generator,
-    shape: str,
-    header: Sequence[Row],
-    body: Sequence[Row],
-    values: Mapping[str, FloatArray],
-    others: Sequence[str],
-) -> Case:
+def _in_python(draw: np.random.Generator, content: Content) -> Case:
     has_texts = draw.random() < 0.5
-    width = len(header[-1])
+    names, body = content.header[-1], content.body
+    width = len(names)
     cells = [[cell.replace(".", ",") if has_texts else _number(cell) for cell in row] for row in body]
     cells = [[*row, *[None] * (width - len(row))] for row in cells]
-    named = {name: [row[place] for row in cells] for place, name in enumerate(header[-1])}
+    named = {name: [row[place] for row in cells] for place, name in enumerate(names)}
     kind = str(draw.choice(["arrays by name", "frame", "frame of pandas", "records"]))
     data: object = named
     if kind == "frame" and len(body[-1]) == len(body[0]) and not body[-1][0].isalpha():
@@ -220,7 +218,8 @@ def _in_python(
         data = pandas.DataFrame(named)
     if kind == "records":
         data = [dict(zip(named, row, strict=True)) for row in cells]
-    return Case(data, f"{kind}, {shape}{', decimal commas' if has_texts else ''}", values, others)
+    how = f"{kind}, {content.shape}{', decimal commas' if has_texts else ''}"
+    return Case(data, how, content.values, content.others)
 
 
 def _arrays(draw: np.random.Generator, folder: Path, rows: int, values: Mapping[str, FloatArray]) -> Case:

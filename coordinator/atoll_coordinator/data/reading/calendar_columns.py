@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Final
 
 from atoll_coordinator.data.reading.cells import NumberCell, is_missing, on_one_line
+from atoll_coordinator.data.reading.dates import MONTHS
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
@@ -44,11 +45,6 @@ _KINDS: Final = (
 """Parts that are a time together; the first that are all there are taken."""
 _FINER: Final = ("day", "hour", "minute", "second")
 """Parts without which a time that has them is another."""
-_NAMES: Final = "january february march april may june july august september october november december"
-MONTHS: Final = {
-    name: number for number, month in enumerate(_NAMES.split(), start=1) for name in (month, month[:3], month[:4])
-}
-"""The number of a month by its name, in lower case, or the first three or four letters of it."""
 _YEAR: Final = re.compile(r"1\d{3}|2[01]\d\d")
 _QUARTER: Final = re.compile(r"(?P<year>1\d{3}|2[01]\d\d)[ -]?Q(?P<n>[1-4])|Q(?P<m>[1-4])[ -/](?P<at>1\d{3}|2[01]\d\d)")
 

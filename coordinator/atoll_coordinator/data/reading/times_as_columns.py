@@ -9,9 +9,9 @@ from dataclasses import replace
 from itertools import combinations, pairwise, zip_longest
 from typing import Final
 
-from atoll_coordinator.data.reading.calendar_columns import MONTHS, year_of
+from atoll_coordinator.data.reading.calendar_columns import year_of
 from atoll_coordinator.data.reading.cells import NumberCell, is_missing, is_numeral, number, on_one_line
-from atoll_coordinator.data.reading.dates import is_date, is_datum
+from atoll_coordinator.data.reading.dates import MONTHS, is_date, is_datum
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
