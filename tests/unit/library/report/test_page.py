@@ -346,7 +346,7 @@ def test_a_page_begins_with_what_was_found_for_people_who_do_not_know_the_terms(
 
 def test_what_was_found_has_its_errors_its_checks_as_a_list_and_notes_apart_from_warnings() -> None:
     note = "The search sees 8 of 80 rows, spread evenly; models are judged by all."
-    contents = dynamics(warnings=["Some measurements look like outliers.", note])
+    contents = dynamics(warnings=["Some measurements look like outliers.", note], notes=[note])
     contents["equations"][0]["checks"] = [
         {"name": "time", "outcome": "passed", "reason": "nothing was stopped"},
         {"name": "poles", "outcome": "failed", "reason": "it passes 2"},
