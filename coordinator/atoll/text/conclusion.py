@@ -13,6 +13,11 @@ _MEANINGS: Final = {
     "no model": "Do not use {it}: nothing was found that describes the data",
 }
 _MOST_NAMES: Final = 4
+_TIMES: Final = {
+    "ms": "millisecond", "s": "second", "sec": "second", "min": "minute", "h": "hour", "hr": "hour", "d": "day",
+    "wk": "week", "a": "year", "yr": "year",
+}  # fmt: skip
+_CALENDAR: Final = ("second", "minute", "hour", "day", "week", "month", "quarter", "year")
 
 
 def conclusion(result: Result) -> str:
@@ -46,10 +51,19 @@ def _explained(result: Result, equation: Equation) -> str:
     """Return how a left-hand side is read; "" of a formula without time."""
     lhs, variable, time = equation.lhs, equation.variable, result.time
     if lhs == f"d{variable}/d{time}":
-        return f"{lhs} is the change of {variable} per unit of {time}. "
+        return f"{lhs} is the change of {variable} per {_time_unit(result)}. "
     if lhs == f"d2{variable}/d{time}2":
-        return f"{lhs} is the acceleration of {variable}: the change of its rate per unit of {time}. "
+        return f"{lhs} is the acceleration of {variable}: the change of its rate per {_time_unit(result)}. "
     return ""
+
+
+def _time_unit(result: Result) -> str:
+    """Return in what time is counted, in words: the unit of its column, else what the column is called."""
+    unit = result.units.get(result.time)
+    if unit:
+        return _TIMES.get(unit, unit)
+    name = result.time.lower().removesuffix("s")
+    return name if name in _CALENDAR else f"unit of {result.time}"
 
 
 def _trust(equations: Sequence[Equation]) -> str:

@@ -20,6 +20,7 @@ from atoll.report.markup import Element, table, to_text
 from atoll.report.origin import origin
 from atoll.report.overview import overview
 from atoll.report.page import as_html
+from atoll.text.conclusion import conclusion
 from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, process, regression
 
@@ -342,6 +343,24 @@ def test_a_page_begins_with_what_was_found_for_people_who_do_not_know_the_terms(
         "unit of t. Do not rely on predictions of the equation of dy/dt yet: another equation may be the right one. "
         "Within the measured range, predictions of the equation of dx/dt can be trusted.",
     ]
+
+
+@pytest.mark.parametrize(
+    ("time", "unit", "words"),
+    [
+        ("t", "ms", "per millisecond."),
+        ("t", "d", "per day."),
+        ("t", "furlong", "per furlong."),
+        ("Weeks", "", "per week."),
+        ("year", "", "per year."),
+        ("t", "", "per unit of t."),
+    ],
+)
+def test_a_rate_is_said_in_words_of_its_time(time, unit, words) -> None:
+    contents = dynamics()
+    contents["system"] |= {"time": time, "units": {time: unit} if unit else {}}
+    contents["equations"][0]["lhs"] = f"dx/d{time}"
+    assert f"dx/d{time} is the change of x {words}" in conclusion(Result.of(contents))
 
 
 def test_what_was_found_has_its_errors_its_checks_as_a_list_and_notes_apart_from_warnings() -> None:
