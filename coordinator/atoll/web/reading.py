@@ -15,6 +15,7 @@ from starlette.exceptions import HTTPException
 
 from atoll.client.local_workers import start_apart
 from atoll.client.over_http import TOKEN
+from atoll.web.problems import UnreadableError
 from atoll_core.machine.usage import total_memory_bytes
 
 TABLE: Final = "application/vnd.atoll.table"
@@ -27,7 +28,7 @@ READERS: Final = 2
 """Files that are read at the same time; others wait."""
 
 REFUSED: Final = 3
-"""Exit code of a reader whose answer is JSON: with which status and sentence it refuses."""
+"""Exit code of a reader whose answer is JSON: status, sentence and columns of an `UnreadableError`."""
 
 LATE: Final = -int(signal.SIGALRM)
 """What is told in place of the exit code of a reader that took too long in all."""
@@ -127,7 +128,7 @@ class Readers:
         async with self._slots:
             code = await self._asked(asked.to_line())
         if code == REFUSED:
-            raise HTTPException(**json.loads(answer.read_bytes()))
+            raise UnreadableError(**json.loads(answer.read_bytes()))
         if code is None:
             raise HTTPException(503, "files cannot be read at the moment; ask again", {"retry-after": "1"})
         if code:

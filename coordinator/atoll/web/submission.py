@@ -12,7 +12,7 @@ from atoll.client.options import OPTIONS
 from atoll.web.options import configured
 from atoll.web.progress import some
 from atoll.web.reading import TABLE
-from atoll_coordinator.data.outline import outline
+from atoll_coordinator.data.outline import Outline, outline
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.reading.workbooks import check_sheet
@@ -61,30 +61,35 @@ class Submission:
     def outlined(self) -> dict[str, Any]:
         """Return how the file was read and what would be searched, as plain data."""
         planned = outline(self.table, self.config)
-        plan, roles = planned.as_dict(), planned.roles
-        angles = {angle.column: "degrees" if angle.degrees else "radians" for angle in roles.angles}
-        units = plan["units"]
-        assert isinstance(units, dict)
         return {
-            **plan,
+            **planned.as_dict(),
             "read_as": describe(self.table, self.config),
-            "columns": [
-                {
-                    "name": name,
-                    "role": _role(name, roles),
-                    "unit": units.get(name),
-                    "angle": angles.get(name),
-                    "first": [_cell(self.table, name, value) for value in values[:SHOWN].tolist()],
-                }
-                for name, values in zip(self.table.names, self.table.columns, strict=True)
-            ]
-            + [
-                {"name": name, "role": "unused", "unit": None, "angle": None, "first": []}
-                for name in self.table.skipped
-            ],
+            "columns": self.columns(planned),
             "command": self.command(),
             "python": self.python(),
         }
+
+    def columns(self, planned: Outline | None = None) -> list[dict[str, Any]]:
+        """Return the columns of the table with their first values, as plain data; roles are null without an outline."""
+        roles = None if planned is None else planned.roles
+        angles = (
+            {} if roles is None else {angle.column: "degrees" if angle.degrees else "radians" for angle in roles.angles}
+        )
+        units = {} if planned is None else planned.units
+        first = {
+            name: [_cell(self.table, name, value) for value in values[:SHOWN].tolist()]
+            for name, values in zip(self.table.names, self.table.columns, strict=True)
+        }
+        return [
+            {
+                "name": name,
+                "role": None if roles is None else _role(name, roles),
+                "unit": units.get(name),
+                "angle": angles.get(name),
+                "first": first.get(name, []),
+            }
+            for name in (*self.table.names, *self.table.skipped)
+        ]
 
     def command(self) -> str:
         """Return the command line that submits the same."""
