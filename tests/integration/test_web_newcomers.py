@@ -185,6 +185,20 @@ def test_who_has_no_token_gives_it_in_a_field(stage: Stage) -> None:
         expected(stage, 401)
 
 
+def test_a_view_that_could_not_be_loaded_comes_by_itself(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port):
+        until(stage.page.is_up)
+        tab = stage.open()
+        tab.get_by_role("heading", name="No jobs yet").wait_for()
+        tab.route("**/*", lambda route: route.abort())
+        tab.get_by_role("link", name="Coordinator").click()
+        tab.get_by_text("The service does not answer", exact=False).first.wait_for()
+        assert tab.get_by_text("Loading…").count() == 0
+        tab.unroute_all()
+        tab.get_by_text("takes up jobs").wait_for()
+        tab.get_by_text("What you see is as it was", exact=False).wait_for(state="detached")
+
+
 @pytest.mark.slow
 def test_an_ecologist_with_two_sites_decimal_commas_and_a_gap(stage: Stage) -> None:
     with web(stage.place, stage.address, stage.port), started(stage.place, "island_worker", "--connect", stage.address):

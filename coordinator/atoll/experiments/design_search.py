@@ -158,7 +158,7 @@ class _Report:
             return f"the data have excluded all but one of {len(self._rivals)} candidates already"
         best = max((experiment.gain.evidence for experiment in chosen), default=0.0)
         if best * _TOO_MANY < SETTINGS.inference.distinct_nats:
-            return f"all {len(self._rivals)} candidates foretell the same within the bounds"
+            return f"all {len(self._rivals)} candidates predict the same within the bounds"
         return None
 
     def _discrimination(self, design: Design) -> Gain:

@@ -1,4 +1,4 @@
-"""Measured beside smoothed, simulated and fitted values, and what is left between them."""
+"""Measured beside smoothed, simulated and fitted values, and the residuals."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final
@@ -14,9 +14,9 @@ from atoll_coordinator.result.listed_trajectories import Simulated, Smoothed
 
 ROWS: Final = 60
 """Rows of the numbers behind a picture."""
-_LEFT: Final = (
-    "Measured less simulated values. Without a pattern, and as large as the errors of the measurements, they are what "
-    "a right model leaves; lines mark twice the estimated error on either side."
+_RESIDUALS: Final = (
+    "Measured minus simulated values. Those of a right model have no pattern and are as large as the errors of the "
+    "measurements; lines mark twice the estimated error on either side."
 )
 
 
@@ -29,7 +29,7 @@ def trajectories(findings: Findings) -> list[Element]:
         fits = pictures(_fit(state, findings) for state in states)
         left = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
         sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explained(findings)))
-        sections.append(section("residuals", "What the model leaves", paragraph(_LEFT), left))
+        sections.append(section("residuals", "Residuals", paragraph(_RESIDUALS), left))
     elif findings.result.simulated:
         sections.append(section("fit", "Measured and simulated", paragraph("The model could not be simulated.")))
     if findings.result.noise:
@@ -56,14 +56,14 @@ def fitted_values(findings: Findings) -> list[Element]:
         known_values = [value for value in measured if value is not None]
         ends = [min(known_values), max(known_values)] if known_values else []
         fit.add_line(ends, ends, "rule")
-    left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured less fitted"))
+    left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured minus fitted"))
     left.add_points(fitted, residuals(measured, fitted), "c0")
     rows = list(zip(*variables.values(), measured, fitted, strict=True))
     some = [[number(value, 6) for value in row] for row in rows[:: max(1, len(rows) // ROWS)]]
     numbers = table(f"{target}, measured and fitted", [*variables, "measured", "fitted"], some)
     drawn = [
         figure(fit.svg(), f"{target}: dots measured, line fitted", numbers),
-        figure(left.svg(), "what the model leaves", None),
+        figure(left.svg(), "residuals", None),
     ]
     return [section("fit", "Measured and fitted", pictures(drawn))]
 

@@ -65,14 +65,21 @@ def _checks(checks: Sequence[Check]) -> list[Element]:
     listed = [check for check in checks if check.outcome in ("failed", "not made")]
     others = [check for check in checks if check.outcome not in ("failed", "not made")]
     parts = [paragraph(text[:1].upper() + text[1:] + ("." if not listed else ":"))]
-    parts += [element("ul", *map(_check, listed))] if listed else []
+    parts += [element("ul", *_items(listed))] if listed else []
     if others:
-        parts.append(element("details", element("summary", "The other checks"), element("ul", *map(_check, others))))
+        parts.append(element("details", element("summary", "The other checks"), element("ul", *_items(others))))
     return parts
 
 
-def _check(check: Check) -> Element:
-    return element("li", element("b", f"{check.name}: {check.outcome}."), f" {check.reason}")
+def _items(checks: Sequence[Check]) -> list[Element]:
+    """Return an item for each reason: checks that say the same stand together."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for check in checks:
+        names.setdefault((check.outcome, check.reason), []).append(check.name)
+    return [
+        element("li", element("b", f"{', '.join(named)}: {outcome}."), f" {reason}")
+        for (outcome, reason), named in names.items()
+    ]
 
 
 def _facts(findings: Findings) -> list[tuple[str, str]]:

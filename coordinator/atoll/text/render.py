@@ -88,7 +88,7 @@ def parse_picks(texts: Sequence[str]) -> dict[str, int]:
 
 def render_text(result: Result, *, fronts: bool = False) -> str:
     """Return the equations for people, one after another; with `fronts`, all tables: the fronts, with numbers to pick,
-    constants, contenders, noise and simulations.
+    constants, candidates, noise and simulations.
     """
     names = result.names
     called = constant_names(result)
@@ -166,9 +166,9 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
         lines += tables.constants_table(equation.constants)
         lines += tables.together_line(equation.simple_together)
     if with_tables or equation.verdict != "exact":
-        contenders = tables.contenders_table(equation.candidates, lambda text: rounded(text, names), most)
-        lines += contenders
-        lines += ["    constants of contenders are of all groups together"] if contenders and texts else []
+        listed = tables.candidates_table(equation.candidates, lambda text: rounded(text, names), most)
+        lines += listed
+        lines += ["    constants of candidates are of all groups together"] if listed and texts else []
     if with_tables:
         lines += [*_front_lines(equation.front, names), ""]
     return "\n".join(lines)

@@ -65,7 +65,7 @@ def test_an_experiment_that_begins_outside_of_the_data_is_warned_of() -> None:
     suggestions = suggest(Result.of(FOUND), Request(WIDE))
     first = suggestions.experiments[0]
     assert first.remark.startswith(
-        f"the start is outside of the measured range: x = {first.initial['x']:.4g} (measured"
+        f"the initial state is outside of the measured range: x = {first.initial['x']:.4g} (measured"
     )
     assert f"  warning: {first.remark}" in str(suggestions).splitlines()
     within = suggest(Result.of(FOUND), Request({}))
@@ -140,7 +140,7 @@ def test_a_model_without_constants_and_candidates_is_refused() -> None:
 def test_candidates_that_foretell_the_same_are_not_told_apart() -> None:
     suggestions = suggest(Result.of(FOUND), Request({"x": (0.01, 0.02)}))
     assert suggestions.purpose == "precision"
-    assert suggestions.reason == "all 2 candidates foretell the same within the bounds"
+    assert suggestions.reason == "all 2 candidates predict the same within the bounds"
 
 
 def test_rivals_that_are_given_are_candidates() -> None:

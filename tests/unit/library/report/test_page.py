@@ -179,7 +179,7 @@ def test_the_next_experiment_stands_with_the_candidates() -> None:
     one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5, None, (0.9996,))
     suggestions = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
     page = read(choice(Findings(Result.of(dynamics()), None, suggestions=suggestions)))
-    said = {"x = 1.5, u = 2.5", "2 samples from 0 to 4", SURE, "dx/dt = 2*x", "candidate, 0 nats longer"}
+    said = {"x = 1.5, u = 2.5", "2 samples from 0 to 4", SURE, "dx/dt = 2*x", "candidate, Δ description length 0"}
     assert said <= set(page.texts)
 
 
@@ -369,11 +369,15 @@ def test_what_was_found_has_its_errors_its_checks_as_a_list_and_notes_apart_from
     contents["equations"][0]["checks"] = [
         {"name": "time", "outcome": "passed", "reason": "nothing was stopped"},
         {"name": "poles", "outcome": "failed", "reason": "it passes 2"},
+        {"name": "long run", "outcome": "not made", "reason": "not simulated"},
+        {"name": "constants", "outcome": "not made", "reason": "not simulated"},
     ]
     texts = read([overview(Findings(Result.of(contents), None))]).texts
     assert "Constants: 3 (3.00 ± 0.10)" in texts
-    checks = texts.index("Checks: 1 of 2 passed:")
-    assert texts[checks + 1 : checks + 4] == ["poles: failed.", " it passes 2", "The other checks"]
+    checks = texts.index("Checks: 1 of 4 passed:")
+    assert texts[checks + 1 : checks + 6] == [
+        "poles: failed.", " it passes 2", "long run, constants: not made.", " not simulated", "The other checks",
+    ]  # fmt: skip
     assert texts[texts.index("Warnings") + 1] == "Some measurements look like outliers."
     assert texts[texts.index("Notes") + 1] == note
 
