@@ -15,3 +15,8 @@ PHRASES: Final = (
 def is_note(sentence: str) -> bool:
     """Tell whether a sentence among the warnings of a result is a note."""
     return any(phrase in sentence for phrase in PHRASES)
+
+
+def with_kind(sentence: str) -> str:
+    """Return a sentence among the warnings of a result with what it is before it, as terminals show it."""
+    return f"{'note' if is_note(sentence) else 'warning'}: {sentence}"
