@@ -20,9 +20,9 @@ from atoll.experiments.designs import (
     certainties,
     distance_after,
     distances_of,
+    expected_gain,
     needed,
     precision,
-    told,
 )
 from atoll.experiments.measured import measured_of
 from atoll.experiments.rivals import Rival, rivals_of
@@ -163,7 +163,7 @@ class _Report:
 
     def _discrimination(self, design: Design) -> Gain:
         foretold = [candidate.at(design) for candidate in self._candidates]
-        return told(distances_of(foretold, self._weights), self._weights, self._useful)
+        return expected_gain(distances_of(foretold, self._weights), self._weights, self._useful)
 
     def _looked_at(self, tried: _Tried) -> _Tried:
         """Return an experiment with what is expected of it, the heaviest candidates fitted to its outcomes."""
@@ -176,7 +176,7 @@ class _Report:
                     pair = self._rivals[i].fitted, self._rivals[j].fitted
                     distances[i, j] = distance_after(*pair, tried.design, foretold[i], self._sigmas)
         sure = certainties(distances, self._weights)
-        return replace(tried, gain=told(distances, self._weights, self._useful), certainties=sure)
+        return replace(tried, gain=expected_gain(distances, self._weights, self._useful), certainties=sure)
 
     def _precision(self, design: Design) -> Gain:
         return precision(self._of_shown.at(design), len(self._shown.values))[0]

@@ -22,13 +22,13 @@ _RESIDUALS: Final = (
 
 def trajectories(findings: Findings) -> list[Element]:
     """Return the sections of the fit, of its residuals, and of the errors of the measurements."""
-    parts = [part for part, _ in findings.drawn]
+    parts = [part for part, _ in findings.curves]
     sections = []
     if parts:
         states = list(parts[0].values or {})
         fits = pictures(_fit(state, findings) for state in states)
         left = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
-        sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explained(findings)))
+        sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explanation(findings)))
         sections.append(section("residuals", "Residuals", paragraph(_RESIDUALS), left))
     elif findings.result.simulated:
         sections.append(section("fit", "Measured and simulated", paragraph("The model could not be simulated.")))
@@ -69,7 +69,7 @@ def fitted_values(findings: Findings) -> list[Element]:
 
 
 def _which(findings: Findings) -> Element:
-    parts, curves = zip(*findings.drawn, strict=True)
+    parts, curves = zip(*findings.curves, strict=True)
     text = f"Dots are measured. Lines are simulated by the model{_origin([each.pieces for each in curves])}"
     text += "." if not any(part.lower for part in parts) else (
         "; bands hold 95 % of the uncertainty that constants and initial states have."
@@ -91,7 +91,7 @@ def _origin(pieces: Sequence[int | None]) -> str:
 
 
 def _fit(state: str, findings: Findings) -> Element:
-    drawn, parts = findings.over_time(f"{state} over time, measured and simulated", state), findings.drawn
+    drawn, parts = findings.over_time(f"{state} over time, measured and simulated", state), findings.curves
     for index, (_, curves) in enumerate(parts):
         if curves.lower and curves.upper:
             drawn.add_band(curves.times, curves.lower[state], curves.upper[state], f"c{index}")
@@ -104,7 +104,7 @@ def _fit(state: str, findings: Findings) -> Element:
     numbers = table(f"{state}, measured and simulated", heads, _some_rows(listed))
     names = [f"trajectory {part.name}" + (", held out" if part.held_out else "") for part, _ in parts]
     marks = [legend((f"c{index}", name) for index, name in enumerate(names))] if len(parts) > 1 else []
-    return figure(drawn.svg(), findings.labelled(state), numbers, *marks)
+    return figure(drawn.svg(), findings.label(state), numbers, *marks)
 
 
 def _curves(part: Simulated, state: str) -> list[Curve]:
@@ -121,7 +121,7 @@ def _some_rows(curves: Sequence[tuple[str, Sequence[Curve]]]) -> Iterable[list[s
             yield [name, *(number(value, 6) for value in row)]
 
 
-def _explained(findings: Findings) -> Element:
+def _explanation(findings: Findings) -> Element:
     states = list(findings.result.simulated[0].r2)
     rows = [
         [
@@ -150,14 +150,14 @@ def _residuals(state: str, parts: Sequence[Simulated], findings: Findings) -> El
         for time, value in list(zip(part.times, values, strict=True))[:: max(1, len(times) // ROWS)]
     ]
     numbers = table(f"residuals of {state}", ["trajectory", findings.result.time, "residual"], rows)
-    return figure(drawn.svg(), findings.labelled(state), numbers)
+    return figure(drawn.svg(), findings.label(state), numbers)
 
 
 def _errors(findings: Findings) -> Element:
     heads = ["state", "error (sd)", "of the deviation", "smoothing", "rounded to", "rows left out", "outliers", "kind"]
     rows = [
         [
-            findings.labelled(state),
+            findings.label(state),
             number(noise.error, 3),
             f"{100 * noise.relative:.3g} %" if noise.relative is not None else "",
             _method(noise),
@@ -200,4 +200,4 @@ def _smoothing(state: str, parts: Sequence[Smoothed], findings: Findings) -> Ele
         drawn.add_line(part.times, part.smoothed[state], f"c{index}")
     rows = _some_rows([(part.name, (part.times, part.measured[state], part.smoothed[state])) for part in some])
     numbers = table(f"{state} smoothed", ["trajectory", findings.result.time, "measured", "smoothed"], rows)
-    return figure(drawn.svg(), findings.labelled(state), numbers)
+    return figure(drawn.svg(), findings.label(state), numbers)

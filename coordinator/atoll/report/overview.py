@@ -25,8 +25,8 @@ def overview(findings: Findings) -> Element:
     """Return the section: equations with verdicts, then what was asked."""
     result = findings.result
     equations = [_equation(equation, findings) for equation in result.equations]
-    warned = _listed("Warnings", [text for text in result.warnings if not is_note(text)])
-    noted = _listed("Notes", [text for text in result.warnings if is_note(text)])
+    warned = _list("Warnings", [text for text in result.warnings if not is_note(text)])
+    noted = _list("Notes", [text for text in result.warnings if is_note(text)])
     of_noise = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time." if result.process else ""
     remarks = map(paragraph, filter(None, [remark_on_groups(result), of_noise]))
     verdicts = dict.fromkeys(equation.verdict or "" for equation in result.equations)
@@ -36,7 +36,7 @@ def overview(findings: Findings) -> Element:
     return section("found", "Found", opening, *equations, explained, *remarks, *warned, facts(_facts(findings)), *noted)
 
 
-def _listed(title: str, texts: Sequence[str]) -> list[Element]:
+def _list(title: str, texts: Sequence[str]) -> list[Element]:
     """Return a list with its heading; nothing of no texts."""
     return [element("h3", title), element("ul", *(element("li", text) for text in texts))] if texts else []
 
@@ -88,11 +88,11 @@ def _facts(findings: Findings) -> list[tuple[str, str]]:
     if result.group is not None:
         entries.append(("Group", result.group))
     lists = (("States", system.states), ("Inputs", system.inputs))
-    entries += [(name, ", ".join(map(findings.labelled, columns))) for name, columns in lists if columns]
+    entries += [(name, ", ".join(map(findings.label, columns))) for name, columns in lists if columns]
     if system.target:
-        entries.append(("Target", findings.labelled(system.target)))
+        entries.append(("Target", findings.label(system.target)))
     if system.time:
-        entries.append(("Time", findings.labelled(system.time)))
+        entries.append(("Time", findings.label(system.time)))
     if system.ranges:
         ranges = (f"{name} {number(low)} to {number(high)}" for name, (low, high) in system.ranges.items())
         entries.append(("Range searched", ", ".join(ranges)))

@@ -24,30 +24,30 @@ def conclusion(result: Result) -> str:
     """Return one paragraph: what was sought in which data, what was found, and how far it can be trusted."""
     found = [equation for equation in result.equations if equation.expression is not None]
     if not found:
-        return f"Atoll looked{_source(result)} for {_sought(result)}, and found none."
+        return f"Atoll looked{_source(result)} for {_aim(result)}, and found none."
     meaning = _trust(result.equations)
-    return f"Atoll looked{_source(result)} for {_sought(result)}. {_explained(result, found[0])}{meaning}"
+    return f"Atoll looked{_source(result)} for {_aim(result)}. {_explain(result, found[0])}{meaning}"
 
 
-def _sought(result: Result) -> str:
+def _aim(result: Result) -> str:
     variables = [equation.variable for equation in result.equations]
     if result.kind == "regression":
-        return f"a formula that gives {variables[0]} from {_listed(result.names)}"
+        return f"a formula that gives {variables[0]} from {_list(result.names)}"
     states = result.columns.states or variables
     noise = " and how large its noise is" if result.process else ""
     if len(states) == 1:
         return f"an equation that says how fast {states[0]} changes{noise}"
-    return f"equations that say how fast {_listed(states)} change{noise.replace('its', 'their')}"
+    return f"equations that say how fast {_list(states)} change{noise.replace('its', 'their')}"
 
 
 def _source(result: Result) -> str:
     data = result.data
     if data is None or not data.rows:
         return ""
-    return f" in {data.rows:,} rows of {_listed(data.files)}" if data.files else f" in {data.rows:,} rows"
+    return f" in {data.rows:,} rows of {_list(data.files)}" if data.files else f" in {data.rows:,} rows"
 
 
-def _explained(result: Result, equation: Equation) -> str:
+def _explain(result: Result, equation: Equation) -> str:
     """Return how a left-hand side is read; "" of a formula without time."""
     lhs, variable, time = equation.lhs, equation.variable, result.time
     if lhs == f"d{variable}/d{time}":
@@ -73,14 +73,14 @@ def _trust(equations: Sequence[Equation]) -> str:
         named = [equation.lhs for equation in equations if equation.verdict == verdict]
         if named:
             is_one = len(named) == 1
-            it = f"the equation of {named[0]}" if is_one else f"the equations of {_listed(named)}"
+            it = f"the equation of {named[0]}" if is_one else f"the equations of {_list(named)}"
             if len(named) == len(equations):
                 it = "this equation" if is_one else "these equations"
             sentences.append(_MEANINGS[verdict].format(it=it, s="s" if is_one else ""))
     return "".join(f"{sentence}. " for sentence in sentences).rstrip()
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list(names: Sequence[str]) -> str:
     """Return names as ``a, b and c``; of many the first and their number."""
     if len(names) > _MOST_NAMES:
         return f"{', '.join(names[:_MOST_NAMES])} and {len(names) - _MOST_NAMES} more"

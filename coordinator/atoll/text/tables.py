@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from atoll.model.constants import ConstantWords, fitted_text, number_text, told, with_errors, words_of
+from atoll.model.constants import ConstantWords, constant_words, fitted_text, number_text, with_errors, words_of
 from atoll.model.parameters import constant_names, interval_text, r2_text, unit_text
 from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, SimpleTogether, Units
 from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place
@@ -74,7 +74,7 @@ def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
 
 def constants_line(constants: Sequence[Constant]) -> str | None:
     """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
-    known = told(constants)
+    known = constant_words(constants)
     return "constants: " + ", ".join(map(_words_text, known)) if known else None
 
 

@@ -88,18 +88,19 @@ class Asked:
         return json.dumps(asdict(self)).encode() + b"\n"
 
 
-def parted(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
+def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
     """Return files by name that are one after the other in a body, in a folder beside it; raises HTTPException."""
     folder, there = body.parent / "sent", body.stat().st_size
     folder.mkdir()
     paths = [folder / name for name in sizes]
-    told = [there if size is None else size for size in sizes.values()]
-    if sum(told) != there:
-        raise HTTPException(422, f"the body has {there:,} bytes, but bytes says {sum(told):,}; give those of each file")
+    lengths = [there if size is None else size for size in sizes.values()]
+    if sum(lengths) != there:
+        sentence = f"the body has {there:,} bytes, but bytes says {sum(lengths):,}; give those of each file"
+        raise HTTPException(422, sentence)
     if len(paths) == 1:
         return [body.rename(paths[0])]
     with body.open("rb") as file:
-        for path, size in zip(paths, told, strict=True):
+        for path, size in zip(paths, lengths, strict=True):
             path.write_bytes(file.read(size))
     return paths
 
@@ -126,7 +127,7 @@ class Readers:
         answer = files[0].parent.parent / "answer"
         asked = Asked(tuple(map(str, files)), str(answer), made, options, media_type, self.limits)
         async with self._slots:
-            code = await self._asked(asked.to_line())
+            code = await self._ask_reader(asked.to_line())
         if code == REFUSED:
             raise UnreadableError(**json.loads(answer.read_bytes()))
         if code is None:
@@ -135,7 +136,7 @@ class Readers:
             raise HTTPException(*self.limits.of_code(code, ", ".join(file.name for file in files)))
         return answer
 
-    async def _asked(self, line: bytes) -> int | None:
+    async def _ask_reader(self, line: bytes) -> int | None:
         """Return the exit code of a reader; None where there was none, and no process to start it."""
         ours, theirs = socket.socketpair()
         with theirs:

@@ -52,8 +52,8 @@ def _json(made: Mapping[str, object]) -> bytes:
 
 MADE: Final[Mapping[str, Callable[[Submission], bytes]]] = {
     "table": _table,
-    "outline": lambda submission: _json(submission.outlined()),
-    "preview": lambda submission: _json(submission.prepared()),
+    "outline": lambda submission: _json(submission.outline()),
+    "preview": lambda submission: _json(submission.preview()),
 }
 """What can be asked for."""
 
@@ -81,7 +81,7 @@ def _load_ahead() -> None:
             importlib.import_module(name)
     with suppress(Exception):
         path = files("atoll.web").joinpath("static/predator_prey.csv")
-        Submission.of([Path(str(path))], "{}").prepared()
+        Submission.of([Path(str(path))], "{}").preview()
 
 
 def _fork(work: Callable[[T], int], given: T) -> int:

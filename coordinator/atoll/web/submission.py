@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.client.options import OPTIONS
-from atoll.web.options import configured
+from atoll.web.options import read_options
 from atoll.web.progress import some
 from atoll.web.reading import TABLE
 from atoll_coordinator.data.outline import Outline, outline
@@ -51,14 +51,14 @@ class Submission:
             UsageError: an option is unknown or does not fit.
             DataError: a file cannot be read.
         """
-        given, config = configured(options)
+        given, config = read_options(options)
         if media_type != TABLE:
             check_sheet(paths, config.data.sheet)
             return cls(tuple(path.name for path in paths), read_table(paths, config.data), config, given)
         table = Table.from_bytes(paths[0].read_bytes())
         return cls(table.files, table, config, given)
 
-    def outlined(self) -> dict[str, Any]:
+    def outline(self) -> dict[str, Any]:
         """Return how the file was read and what would be searched, as plain data."""
         planned = outline(self.table, self.config)
         return {
@@ -109,7 +109,7 @@ class Submission:
         files = repr(self.filenames[0] if len(self.filenames) == 1 else [*self.filenames])
         return f"import atoll\n\nmodel = atoll.discover({files}{given})\nprint(model)"
 
-    def prepared(self) -> dict[str, Any]:
+    def preview(self) -> dict[str, Any]:
         """Return what is measured, smoothed and differentiated, with standard errors; takes seconds."""
         return preview_of(prepare(self.table, self.config))
 
@@ -160,7 +160,7 @@ def _cell(table: Table, name: str, value: float) -> str:
     text = table.label(name, value)
     if text is not None:
         return text
-    return table.moment(name, value) if name in table.origins else f"{value:.6g}"
+    return table.moment(name, value).removesuffix(" 00:00:00") if name in table.origins else f"{value:.6g}"
 
 
 def _numbers(values: Any) -> list[float | None]:

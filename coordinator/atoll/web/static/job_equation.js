@@ -1,7 +1,7 @@
 // One equation of a job: what it is now, its front of complexity against error, how the islands got there.
 
-import { ConvergenceChart, FrontChart, cycled, errorOf, legend, sayPoint, steerable } from "./charts.js";
-import { foldWhen, folding, framed, h, keyed, redraw, setClass, setText, show } from "./dom.js";
+import { ConvergenceChart, FrontChart, colourOf, errorOf, legend, sayPoint, makeSteerable } from "./charts.js";
+import { foldWhen, folding, perFrame, h, keyed, redraw, setClass, setText, show } from "./dom.js";
 import { formula } from "./mathml.js";
 import { ENDED, count, number, short } from "./format.js";
 
@@ -14,7 +14,7 @@ export class EquationCard {
   #equation = null; #chosen = null;
   constructor(variable, pick) {
     Object.assign(this, { variable, pick });
-    this.draw = framed(() => this.#draw());
+    this.draw = perFrame(() => this.#draw());
     this.#build();
   }
 
@@ -32,7 +32,7 @@ export class EquationCard {
     this.pickedFormula = h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `Chosen equation of ${this.variable}` });
     this.islands = h("div");
     this.rows = h("tbody");
-    this.mark = steerable(this.front.box, `Front of ${this.variable}: choose an equation`, {
+    this.mark = makeSteerable(this.front.box, `Front of ${this.variable}: choose an equation`, {
       count: () => this.#points.length, at: () => this.#index, choose: (index) => this.#choose(index), say: () => sayPoint(this.#points[this.#index]),
     });
     this.pictures = h("div", { class: "pair" },
@@ -97,7 +97,7 @@ export class EquationCard {
 
   #drawLegend(curves) {
     const names = curves.map((curve) => (typeof curve.island === "number" ? `island ${curve.island}` : String(curve.island)));
-    redraw(this.islands, names.join(), () => legend(names.map((name, index) => [cycled(index), name])));
+    redraw(this.islands, names.join(), () => legend(names.map((name, index) => [colourOf(index), name])));
   }
 
   #drawPicked(point) {

@@ -91,7 +91,7 @@ async function loadSession() {
 }
 
 /** Without a token that the service knows nothing can be shown: there is a field for one in the place of every view. */
-function refused(sentence) {
+function refuse(sentence) {
   if (session.needs_token) return;
   if (token()) session.refusal = "The token of this page is not known any more: the service was started anew, or the address is another one's.";
   Object.assign(session, { needs_token: true, may_write: false });
@@ -124,7 +124,7 @@ async function begin() {
     main.focus();
   });
   acceptFiles();
-  hooks.refused = refused;
+  hooks.refused = refuse;
   hooks.answered = (isThere) => connection("requests", isThere, "The service does not answer.");
   setInterval(() => lost.has("requests") && loadSession(), ASK_AGAIN);
   onConnection(({ connected, reason }) => connection("events", connected, reason));

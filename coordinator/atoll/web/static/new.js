@@ -1,7 +1,7 @@
 // A new job: a file, how it is read, what it looks like smoothed, the options, and the same as a command.
 
 import { get, paths, session, upload } from "./api.js";
-import { LinesChart, legend, sparse } from "./charts.js";
+import { LinesChart, legend, thin } from "./charts.js";
 import { announce, copyable, facts, faultBox, h, redraw, setText, show, viewHeading } from "./dom.js";
 import { HAS_RESULT, plural } from "./format.js";
 import { mends, namesOf } from "./mend.js";
@@ -213,15 +213,15 @@ class NewJob {
   }
   /** Gives a column a role; "" leaves it to the service, and an `option` without a role names the column. */
   #choose(column, role, option = null) {
-    if (role === null) return this.#put(option, quoted(column));
+    if (role === null) return this.#put(option, quote(column));
     if (role) this.#chosen.set(column, role);
     else this.#chosen.delete(column);
     if (["time", "trajectory", "weights"].includes(role)) {
       for (const [name, other] of [...this.#chosen]) if (other === role && name !== column) this.#chosen.delete(name); // there is one of each
     }
-    const named = (wanted) => this.#columns.filter(({ name }) => this.#chosen.get(name) === wanted).map(({ name }) => quoted(name));
+    const named = (wanted) => this.#columns.filter(({ name }) => this.#chosen.get(name) === wanted).map(({ name }) => quote(name));
     for (const wanted of ["time", "input", "trajectory", "weights"]) this.#put(OPTION_OF[wanted], named(wanted).join(","));
-    this.#put("states", this.#states().map(quoted).join(","));
+    this.#put("states", this.#states().map(quote).join(","));
     return undefined;
   }
   /** Returns the states, where somebody has said that a column is one or that a state is none: they are named together then. */
@@ -256,7 +256,7 @@ class NewJob {
     const band = (values, sigma) => (sigma === null ? null : [-1, 1].map((side) => values.map((value, i) => shift(value, side * (sigma[i] ?? sigma)))));
     const pictures = states.slice(0, MOST_CHARTS).flatMap((state) => {
       const [curve, slope] = [new LinesChart(`${state.name}, smoothed`, { height: 200 }), new LinesChart(`Derivative of ${state.name}`, { height: 200 })];
-      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: sparse(state.measured), colour: "c1", isPoints: true }]);
+      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: thin(state.measured), colour: "c1", isPoints: true }]);
       slope.set(label, `d${state.name}/d${label}`, xs, [{ values: state.derivative, colour: "c2", band: band(state.derivative, state.derivative_sigma) }]);
       this.#charts.push(curve, slope);
       return [curve.box, slope.box];
@@ -291,11 +291,11 @@ function takeEnter(event) {
   target.dispatchEvent(new Event("change"));
 }
 
-function quoted(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }
+function quote(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }
 /** Returns a setting as the texts that an option takes. */
 function asTexts(name, value) {
   if (value === null || value === false) return [];
-  if (Array.isArray(value)) return [value.map((part) => (part?.column ? `${part.column}${part.degrees ? ":deg" : ""}` : quoted(String(part)))).join(",")];
+  if (Array.isArray(value)) return [value.map((part) => (part?.column ? `${part.column}${part.degrees ? ":deg" : ""}` : quote(String(part)))).join(",")];
   if (typeof value !== "object") return [String(value)];
   return Object.entries(value).flatMap(([side, right]) => {
     if (name === "bound") return right.map((bound) => (side === "*" ? bound : `${side}: ${bound}`));
