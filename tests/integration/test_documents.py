@@ -48,7 +48,7 @@ NOT_RUN = {
     r"make ": "installs, or runs these tests; tests/unit/test_project.py looks whether the target exists",
     r"docker |ATOLL_PUBLISH=.* docker ": "needs Docker: make deploy-rehearsal STEPS=compose",
     r"kubectl ": "needs Kubernetes: make deploy-rehearsal STEPS=kubernetes",
-    r"srun ": "needs Slurm: tests/unit/deploy/test_scripts.py runs its tasks as processes",
+    r"srun ": "needs Slurm: make deploy-rehearsal STEPS=slurm",
     r"coordinator compare ": "needs results with candidates: tests/unit/library/cli/verbs/test_compare.py",
     r"sbatch ": "needs Slurm: make deploy-rehearsal STEPS=slurm",
     r"python3 -m venv |pip ": "installs from the network: make test-wheel",
