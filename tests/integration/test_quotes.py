@@ -5,7 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from examples.quotes import MARK, PAGES, ROOT, QuoteError, numbers_of, printed_lines, requoted, run_example
+from examples.quotes import (
+    MARK,
+    PAGES,
+    ROOT,
+    QuoteError,
+    compared_block,
+    numbers_of,
+    printed_lines,
+    requoted,
+    run_example,
+)
 
 TEXTS = {name: (ROOT / name).read_text("utf-8") for name in PAGES}
 
@@ -43,6 +53,15 @@ def test_what_the_example_does_not_have_is_named() -> None:
         requoted(PAGE, printed_lines(PRINTED.replace("noise", "other")), {"rest": "6"})
     with pytest.raises(QuoteError, match="there is no number 'rest'"):
         requoted(PAGE, printed_lines(PRINTED), {"balance": "1"})
+
+
+def test_a_comparison_is_quoted_as_it_is_printed_but_for_equations() -> None:
+    """The numbers of the comparison in docs/analysis.md came of no program, and were those of an earlier version."""
+    text = "A = the first: dx/dt = x\nB = the second: dx/dt = 2*x\ndx/dt: another form\n  A: 5 constants; dx/dt = x"
+    assert compared_block(text) == "\n```text\ndx/dt: another form\n  A: 5 constants; …\n```\n"
+    (mark,) = MARK.finditer(TEXTS["docs/analysis.md"])
+    assert mark["name"] == "compare"
+    assert mark["text"].startswith("\n```text\ndhare/dyear: ")
 
 
 def test_pages_agree_with_each_other() -> None:
