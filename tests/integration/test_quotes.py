@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from atoll.experiments.odds import DECIDED, UNDECIDED
 from examples.quotes import (
     MARK,
     PAGES,
@@ -88,3 +89,8 @@ def test_pages_quote_what_the_example_prints_and_finds(tmp_path: Path) -> None:
     lines, numbers = printed_lines(text), numbers_of(model)
     changed = [name for name, page in TEXTS.items() if requoted(page, lines, numbers) != page]
     assert not changed, f"run python -m examples.quotes, and read what moved: {changed}"
+
+
+def test_the_odds_at_which_data_decide_are_those_of_the_code() -> None:
+    said = f"Data do not decide below odds of {UNDECIDED:.0f} to 1, and decide from {DECIDED:.0f} to 1 on."
+    assert said in TEXTS["docs/analysis.md"]
