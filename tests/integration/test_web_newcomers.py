@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.browsers import NARROWEST
 from tests.certificates import HAS_OPENSSL, Lab
 from tests.integration.stage import LIMIT_MS, Stage, check, needs_chromium, shoot
 from tests.integration.test_web import TOKEN, Page, _address, _entry, free_port, web
@@ -71,8 +72,8 @@ def expected(stage: Stage, *statuses: int) -> None:
     stage.complaints[:] = [text for text in stage.complaints if not text.startswith(tuple(map(str, statuses)))]
 
 
-def put(stage: Stage, tab: Any, name: str, text: str) -> None:
-    (stage.place / name).write_text(text, "utf-8")
+def put(stage: Stage, tab: Any, name: str, text: str, encoding: str = "utf-8") -> None:
+    (stage.place / name).write_text(text, encoding)
     tab.locator("input[type=file]").first.set_input_files(stage.place / name)
 
 
@@ -120,6 +121,51 @@ def test_errors_have_buttons_that_mend_them_and_sites_their_names(stage: Stage) 
         expected(stage, 422)
 
 
+def test_warnings_have_buttons_that_do_what_they_advise(stage: Stage) -> None:
+    """A voltage that is switched is made an input that is held, by two buttons; units can be given on a telephone."""
+    lines = ["t [ms],voltage [V],current,sample no."]
+    current = 0.0
+    for row in range(200):
+        voltage = 12 if row // 50 % 2 == 0 else 6
+        lines.append(f"{10 * row},{voltage},{current:.3f},{row}")
+        current += 0.05 * (voltage - 2.0 * current) + 0.01 * math.sin(1e3 * row)
+    with web(stage.place, stage.address, stage.port):
+        until(stage.page.is_up)
+        tab = stage.open("#/new")
+        put(stage, tab, "motor.csv", "\n".join(lines) + "\n")
+        mending = tab.get_by_role("group", name="What would mend it")
+        mending.get_by_role("button", name="Inputs: columns without an equation: voltage").click()
+        tab.get_by_text("'sample no.' counts the rows", exact=False).wait_for()
+        tab.get_by_text("--inputs voltage", exact=False).first.wait_for()
+        mending.get_by_role("button", name="Inputs that keep their value until the next row: voltage").click()
+        tab.get_by_text("--inputs voltage --hold voltage", exact=False).or_(
+            tab.get_by_text("--hold voltage --inputs voltage", exact=False)
+        ).first.wait_for()
+        tab.set_viewport_size({"width": NARROWEST, "height": 900})
+        tab.get_by_label("Unit of current").fill("A")
+        tab.get_by_label("Unit of current").press("Enter")  # which does not submit the job
+        tab.get_by_text("--unit current=A", exact=False).first.wait_for()
+        check(tab, "light")
+        expected(stage, 422)  # a state that is switched has no derivative
+
+
+def test_columns_can_be_chosen_whatever_stands_above_them(stage: Stage) -> None:
+    """A log with lines of remarks above its header, in the letters of Windows."""
+    with web(stage.place, stage.address, stage.port):
+        until(stage.page.is_up)
+        tab = stage.open("#/new")
+        remarks = "Prüfstand 3; Bediener: Müller\nAbtastrate: 50 Hz\n\n"
+        put(stage, tab, "zählung.csv", remarks + field_notes().replace("hares", "Füchse"), "cp1252")
+        mending = tab.get_by_role("group", name="What would mend it")
+        mending.get_by_label("Time column").select_option("week")
+        mending.get_by_role("button", name="Missing values: drop").click()
+        mending.get_by_label("A new trajectory begins where this column changes").select_option("site")
+        tab.get_by_text("Nordmoor, Nordmoor").wait_for()
+        assert tab.get_by_role("combobox", name="Role of Füchse").is_visible()
+        check(tab, "dark")
+        expected(stage, 422)
+
+
 def test_who_has_no_token_gives_it_in_a_field(stage: Stage) -> None:
     with web(stage.place, stage.address, stage.port):
         until(stage.page.is_up)
@@ -137,6 +183,20 @@ def test_who_has_no_token_gives_it_in_a_field(stage: Stage) -> None:
         tab.get_by_text("signed in").wait_for()
         tab.get_by_role("heading", name="No jobs yet").wait_for()
         expected(stage, 401)
+
+
+def test_a_view_that_could_not_be_loaded_comes_by_itself(stage: Stage) -> None:
+    with web(stage.place, stage.address, stage.port):
+        until(stage.page.is_up)
+        tab = stage.open()
+        tab.get_by_role("heading", name="No jobs yet").wait_for()
+        tab.route("**/*", lambda route: route.abort())
+        tab.get_by_role("link", name="Coordinator").click()
+        tab.get_by_text("The service does not answer", exact=False).first.wait_for()
+        assert tab.get_by_text("Loading…").count() == 0
+        tab.unroute_all()
+        tab.get_by_text("takes up jobs").wait_for()
+        tab.get_by_text("What you see is as it was", exact=False).wait_for(state="detached")
 
 
 @pytest.mark.slow

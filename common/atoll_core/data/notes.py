@@ -1,6 +1,6 @@
 """Sentences for the user about a job: warnings, and notes, which report what was done by rule and ask for nothing."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 
 
 class Note(str):
@@ -15,3 +15,8 @@ class Note(str):
 def notes_of(sentences: Iterable[str]) -> tuple[str, ...]:
     """Return the texts of the notes among sentences, each once."""
     return tuple(dict.fromkeys(str(sentence) for sentence in sentences if isinstance(sentence, Note)))
+
+
+def with_kind(sentence: str, notes: Container[str]) -> str:
+    """Return a sentence with what it is before it, as terminals show it."""
+    return f"{'note' if sentence in notes else 'warning'}: {sentence}"

@@ -199,8 +199,8 @@ def _basins(analysis: Analysis) -> Listing:
         if which == UNDECIDED and analysis.cycles.has_family:
             ending = "go round closed orbits, or reach none of these within the time that was simulated"
         rows.append(Row((share, ending), f"{share} {ending}"))
-    title = f"basins: of {len(analysis.basins.reached)} starts in the box"
-    return Listing(title, ("share", "of the starts"), tuple(rows))
+    title = f"basins: of {len(analysis.basins.reached)} initial states in the box"
+    return Listing(title, ("share", "of the initial states"), tuple(rows))
 
 
 def _comparison(comparison: Comparison, analysis: Analysis) -> Row:

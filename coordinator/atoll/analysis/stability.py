@@ -194,11 +194,11 @@ def _is_centre(flow: Flow, point: FloatArray, eigenvalues: Complexes, box: Box) 
 
     Several are looked at, since a damping that grows with the amplitude is not seen near the point.
     """
-    turns = [_turned(flow, point, share * box.widths[0], eigenvalues, box) for share in _AMPLITUDES]
+    turns = [_turn(flow, point, share * box.widths[0], eigenvalues, box) for share in _AMPLITUDES]
     return turns[0] is not None and all(turn is None or abs(turn - 1.0) < _CLOSED for turn in turns)
 
 
-def _turned(flow: Flow, point: FloatArray, radius: float, eigenvalues: Complexes, box: Box) -> float | None:
+def _turn(flow: Flow, point: FloatArray, radius: float, eigenvalues: Complexes, box: Box) -> float | None:
     """Return the distance from `point` on its first side after a turn, over the `radius` before; None: it has none."""
     period = 2.0 * np.pi / float(np.abs(eigenvalues.imag).max())
     start = point + np.array([radius, 0.0])

@@ -64,7 +64,7 @@ class Job:
             if self.read_as:
                 display.print_note(f"read as {self.read_as}")
             try:
-                Follower(client, self.id, display, check).follow()
+                Follower(client, self.id, display, check, in_python).follow()
             except KeyboardInterrupt:
                 display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
                 self.is_interrupted = True

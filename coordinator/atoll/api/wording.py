@@ -12,7 +12,9 @@ from atoll_core.errors import AtollError, Field
 
 _TLS: Final = re.compile(r"--tls-(ca|cert|key)(?: \(ATOLL_TLS_\w+\))?")
 _WITH_NUMBER: Final = re.compile(r"--([a-z][a-z-]*)[ =](\d+)\b")
-_WITH_COLUMN: Final = re.compile(r"--(inputs|missing|target|time) (\w+)(?=[;,.)]|$)")
+_COLUMN_OPTIONS: Final = "angle|group|hold|inputs|missing|states|target|time|trajectory|weights"
+_WITH_COLUMN: Final = re.compile(rf"--({_COLUMN_OPTIONS}) (COLUMN\b|\w+(?:,\w+)*(?=[;,.)]|$| keeps))")
+_QUOTED: Final = re.compile(rf"--({_COLUMN_OPTIONS}) '([^']+)'")
 _OPTION: Final = re.compile(r"--([a-z][a-z-]*)")
 
 
@@ -21,7 +23,8 @@ def in_python(sentence: str) -> str:
     sentence = sentence.replace("--tls-...", "tls").replace("--missing drop", "missing='drop'")
     sentence = _TLS.sub(r"tls['\1']", sentence)
     sentence = _WITH_NUMBER.sub(lambda match: Field(match[1].replace("-", "_"), int(match[2])).in_python, sentence)
-    sentence = _WITH_COLUMN.sub(lambda match: Field(match[1], match[2]).in_python, sentence)
+    for pattern in (_QUOTED, _WITH_COLUMN):
+        sentence = pattern.sub(lambda match: Field(match[1], match[2]).in_python, sentence)
     return _OPTION.sub(lambda match: match[1].replace("-", "_"), sentence)
 
 

@@ -6,6 +6,7 @@ from typing import Final, Self
 
 from atoll.client.client import Client
 from atoll.client.subscription import Subscription
+from atoll_core.data.notes import with_kind
 from atoll_core.errors import UnreachableError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
@@ -33,15 +34,22 @@ class Display:
 
 
 class Follower:
-    """Follows one job through a client. A few times a second `check` returns sentences to show, or raises."""
+    """Follows one job through a client. A few times a second `check` returns sentences to show, or raises.
 
-    def __init__(self, client: Client, job: str, display: Display, check: Callable[[], Sequence[str]] = tuple) -> None:
+    `reword` puts warnings, which name options of the command line, into other words.
+    """
+
+    def __init__(
+        self, client: Client, job: str, display: Display, check: Callable[[], Sequence[str]] = tuple,
+        reword: Callable[[str], str] = str,
+    ) -> None:  # fmt: skip
         self.job = job
         self.phases: dict[str, float] = defaultdict(float)
         """Seconds spent in each phase of the job, as seen while following it."""
         self._client = client
         self._display = display
         self._check = check
+        self._reword = reword
         self._view: JobView | None = None
         self._workforce = Workforce()
         self._changed_at = 0.0
@@ -75,7 +83,7 @@ class Follower:
         for warning in self._view.warnings:
             if warning not in self._warned:
                 self._warned.add(warning)
-                self._display.print_note(f"note: {warning}")
+                self._display.print_note(self._reword(with_kind(warning, self._view.notes)))
         if self._seen_at is not None:
             self.phases[phase(self._view, self._workforce)] += now - self._seen_at
         self._seen_at = now

@@ -48,6 +48,8 @@ def plot_fit(model: "Model", axes: object = None) -> Axes:
             at.plot(times, values_of_curve(drawn.values[state]), color=color, label=part.name)
             if part.measured:
                 at.plot(part.times, values_of_curve(part.measured[state]), ".", color=color, markersize=3)
+    if len(parts) > 1:
+        each[0].legend(loc="best")
     return each
 
 
@@ -89,10 +91,16 @@ def plot_phase(model: "Model", axes: object = None) -> Axes:
     each = _axes(axes, [label(model.result, y)], label(model.result, x))
     at = each[0]
     at.streamplot(first, second, across, up, color="0.7", density=0.8)
-    for number, part in enumerate(_trajectories(model)):
+    parts = _trajectories(model)
+    for number, part in enumerate(parts):
         if part.values and {x, y} <= set(part.values):
             color, drawn = f"C{number % 10}", curves_of(model, part).values
-            at.plot(values_of_curve(drawn[x]), values_of_curve(drawn[y]), color=color)
+            at.plot(
+                values_of_curve(drawn[x]),
+                values_of_curve(drawn[y]),
+                color=color,
+                label=part.name if len(parts) > 1 else None,
+            )
             if part.measured and {x, y} <= set(part.measured):
                 at.plot(*(values_of_curve(part.measured[name]) for name in (x, y)), ".", color=color, markersize=3)
     _add_fixed_points(at, model, box)

@@ -70,8 +70,8 @@ class OnData:
         """Whose description is shorter; "" where that is not known."""
         if self.longer is None or abs(self.longer) < 0.05:
             return ""
-        longer = _NAMES[1] if self.longer > 0.0 else _NAMES[0]
-        return f"The description by {longer} is {abs(self.longer):.1f} nats longer, its equations included."
+        shorter = _NAMES[0] if self.longer > 0.0 else _NAMES[1]
+        return f"Δ description length, equations included: {abs(self.longer):.1f} in favour of {shorter}."
 
 
 @dataclass(frozen=True)

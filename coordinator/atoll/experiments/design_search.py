@@ -20,9 +20,9 @@ from atoll.experiments.designs import (
     certainties,
     distance_after,
     distances_of,
+    expected_gain,
     needed,
     precision,
-    told,
 )
 from atoll.experiments.measured import measured_of
 from atoll.experiments.rivals import Rival, rivals_of
@@ -158,12 +158,12 @@ class _Report:
             return f"the data have excluded all but one of {len(self._rivals)} candidates already"
         best = max((experiment.gain.evidence for experiment in chosen), default=0.0)
         if best * _TOO_MANY < SETTINGS.inference.distinct_nats:
-            return f"all {len(self._rivals)} candidates foretell the same within the bounds"
+            return f"all {len(self._rivals)} candidates predict the same within the bounds"
         return None
 
     def _discrimination(self, design: Design) -> Gain:
         foretold = [candidate.at(design) for candidate in self._candidates]
-        return told(distances_of(foretold, self._weights), self._weights, self._useful)
+        return expected_gain(distances_of(foretold, self._weights), self._weights, self._useful)
 
     def _looked_at(self, tried: _Tried) -> _Tried:
         """Return an experiment with what is expected of it, the heaviest candidates fitted to its outcomes."""
@@ -176,7 +176,7 @@ class _Report:
                     pair = self._rivals[i].fitted, self._rivals[j].fitted
                     distances[i, j] = distance_after(*pair, tried.design, foretold[i], self._sigmas)
         sure = certainties(distances, self._weights)
-        return replace(tried, gain=told(distances, self._weights, self._useful), certainties=sure)
+        return replace(tried, gain=expected_gain(distances, self._weights, self._useful), certainties=sure)
 
     def _precision(self, design: Design) -> Gain:
         return precision(self._of_shown.at(design), len(self._shown.values))[0]

@@ -163,7 +163,7 @@ def needed(lengths: Sequence[float]) -> FloatArray:
     return np.asarray(behind + 2.0 * np.sqrt(2.0 * behind))
 
 
-def told(distances: FloatArray, weights: Sequence[float], useful: FloatArray) -> Gain:
+def expected_gain(distances: FloatArray, weights: Sequence[float], useful: FloatArray) -> Gain:
     """Return what is expected of an experiment with these Bhattacharyya distances of all pairs of candidates.
 
     Its worth is the evidence, of each pair as much as is `useful`.

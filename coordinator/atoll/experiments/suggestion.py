@@ -55,7 +55,7 @@ class Candidate:
         """Where it comes from, and how much longer its description is than that of the equations shown."""
         if self.origin == "shown":
             return self.origin
-        return f"{self.origin}, {abs(self.longer):.3g} nats {'longer' if self.longer >= 0.0 else 'shorter'}"
+        return f"{self.origin}, Δ description length {self.longer:.3g}"
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class Suggestion:
         return self.worth / self.cost
 
     @property
-    def start_text(self) -> str:
+    def initial_text(self) -> str:
         """Where it begins, and with which inputs."""
         return ", ".join(f"{name} = {value:.4g}" for name, value in {**self.initial, **self.inputs}.items())
 
@@ -153,7 +153,7 @@ class Suggestions:
         ]
         lines.append("searched: " + ", ".join(parts))
         for number, experiment in enumerate(self.experiments, start=1):
-            where, samples = experiment.start_text, experiment.samples_text
+            where, samples = experiment.initial_text, experiment.samples_text
             lines.append(f"experiment {number}: {where}; {samples}; {self._worth(experiment)}")
             lines += [f"  warning: {experiment.remark}"] if experiment.remark else []
         return "\n".join(lines)

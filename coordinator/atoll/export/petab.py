@@ -195,7 +195,7 @@ class _Tables:
         for number, part in enumerate(self._trajectories, start=1):
             for state, start, value in zip(self._description.states, self._starts, part.start, strict=True):
                 reach = self._width(state)
-                title = f"{state.column} at the beginning of {part.name}"
+                title = f"initial {state.column} of {part.name}"
                 yield f"{start}_{number}", title, "lin", value - reach, value + reach, value, 1
         for state in self._measured:
             name = self._words[state]

@@ -187,7 +187,7 @@ def _parameters(words: Wording, units: Units, has_start_parameters: bool) -> Ite
         value = "" if has_start_parameters else start
         yield _parameter(words[state], state.column, value, unit, words.about(state), constant="false")
         if has_start_parameters:
-            yield _parameter(start_name(words, state), f"{state.column} at the beginning", start, unit)
+            yield _parameter(start_name(words, state), f"initial {state.column}", start, unit)
     if has_start_parameters and model.depends_on_time:
         yield _parameter("begin_time", "time at which the simulation begins", "0.0", units.of(model.time_unit))
     for each in model.constants:

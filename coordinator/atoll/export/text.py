@@ -8,7 +8,7 @@ import io
 import re
 from typing import Final
 
-from atoll.model.constants import ConstantWords, told
+from atoll.model.constants import ConstantWords, constant_words
 from atoll.model.equations import equation_of
 from atoll.model.groups import remark_on_groups
 from atoll_coordinator.result.result import Result
@@ -71,7 +71,7 @@ def latex_lines(result: Result) -> list[str]:
         unit = equation_of(result, equation).unit
         unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
         lines.append(f"{left} &= {to_latex(from_infix(equation.expression, names), names)}{unit}")
-        constants = ",\\; ".join(map(_constant_latex, told(equation.constants)))
+        constants = ",\\; ".join(map(_constant_latex, constant_words(equation.constants)))
         lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
     return lines
 

@@ -45,7 +45,7 @@ def with_errors(constants: Sequence[Constant]) -> list[Constant]:
     return [each for each in constants if each.std_error is not None or not each.identifiable or each.at_bound]
 
 
-def told(constants: Sequence[Constant]) -> list[ConstantWords]:
+def constant_words(constants: Sequence[Constant]) -> list[ConstantWords]:
     """Return what is said of the constants of an equation; nothing where no error is known, or all are rounding."""
     known = with_errors(constants)
     return [] if all(map(_is_exact, known)) else [*map(words_of, known)]

@@ -111,13 +111,13 @@ def _parameter(name: str, variable: str, value: float, constant: Constant | None
     if constant is None:
         return Parameter(name, variable, value)
     is_turned = value * (constant.value or 0.0) < 0.0
-    low, high = _turned(constant.interval, is_turned) or (None, None)
+    low, high = _swap(constant.interval, is_turned) or (None, None)
     interval = None if low is None or high is None else (low, high)
-    bounds = _turned(constant.bounds, is_turned)
+    bounds = _swap(constant.bounds, is_turned)
     return Parameter(name, variable, value, constant.std_error, interval, constant.identifiable, constant.unit, bounds)
 
 
-def _turned(pair: Pair | None, is_turned: bool) -> Pair | None:
+def _swap(pair: Pair | None, is_turned: bool) -> Pair | None:
     """Return lower and upper end of a range, of that of the opposite number if it `is_turned`."""
     if pair is None or not is_turned:
         return pair

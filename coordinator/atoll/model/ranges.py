@@ -39,9 +39,9 @@ def names_outside(values: Mapping[str, float], ranges: Mapping[str, tuple[float,
 
 
 def outside_sentence(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
-    """Return that a start lies outside of the measured ranges, and what follows; "" where it does not."""
+    """Return that an initial state lies outside of the measured ranges, and what follows; "" where it does not."""
     names = names_outside(values, ranges)
     if not names:
         return ""
     each = [f"{name} = {values[name]:.4g} (measured: {ranges[name][0]:.4g} to {ranges[name][1]:.4g})" for name in names]
-    return f"the start is outside of the measured range: {', '.join(each)}; the model is extrapolated there"
+    return f"the initial state is outside of the measured range: {', '.join(each)}; the model is extrapolated there"

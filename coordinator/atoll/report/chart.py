@@ -81,7 +81,7 @@ class Chart:
             _Scale(self._bounds(self.y, [layer.y for layer in self._layers]), HEIGHT - _BOTTOM, _TOP),
         )
         width, height = WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM
-        drawn = (_drawn(layer, *scales) for layer in self._layers)
+        drawn = (_layer_element(layer, *scales) for layer in self._layers)
         box = f"{_LEFT} {_TOP} {width} {height}"
         inside = element("svg", *drawn, x=_LEFT, y=_TOP, width=width, height=height, viewBox=box)
         whole = {"role": "img", "aria_label": self.title, "viewBox": f"0 0 {WIDTH} {HEIGHT}"}
@@ -107,8 +107,8 @@ class Chart:
             at = round(up(place), 1)
             made.append(element("path", class_="grid", d=f"M{_LEFT},{at}H{WIDTH - _RIGHT}"))
             made.append(element("text", label, x=_LEFT - 6, y=at + 4, text_anchor="end"))
-        turned = f"rotate(-90 14 {middle})"
-        made.append(element("text", self.y.label, x=14, y=middle, text_anchor="middle", transform=turned))
+        rotation = f"rotate(-90 14 {middle})"
+        made.append(element("text", self.y.label, x=14, y=middle, text_anchor="middle", transform=rotation))
         centre = 0.5 * (_LEFT + WIDTH - _RIGHT)
         made.append(element("text", self.x.label, x=centre, y=HEIGHT - 8, text_anchor="middle"))
         return made
@@ -136,7 +136,7 @@ def _on(axis: Axis, value: Number) -> float:
     return math.log10(value) if value > 0.0 else math.nan
 
 
-def _drawn(layer: _Layer, across: _Scale, up: _Scale) -> Element:
+def _layer_element(layer: _Layer, across: _Scale, up: _Scale) -> Element:
     places = [
         (round(across(x), 1), round(up(y), 1)) if math.isfinite(x) and math.isfinite(y) else None
         for x, y in zip(layer.x, layer.y, strict=True)

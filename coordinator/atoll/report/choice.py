@@ -22,8 +22,8 @@ def choice(findings: Findings) -> list[Element]:
     sections = []
     if compared:
         text = paragraph(
-            "In nats, how much longer the data are to describe by another equation than by the one shown: below "
-            "about 3 the data hardly decide."
+            "Δ description length: how much longer the data are to describe with another equation than with the one "
+            "shown, in nats. Below about 3 the data hardly decide."
         )
         if findings.result.groups or findings.result.group is not None:
             compared.append(paragraph("Constants of candidates are of all groups of trajectories together."))
@@ -53,14 +53,14 @@ def _next_experiment(suggestions: "Suggestions") -> list[Element]:
     ]
     rows: list[list[Child]] = [
         [
-            element("span", experiment.start_text),
+            element("span", experiment.initial_text),
             experiment.samples_text,
             experiment.certainty_text if told_apart else f"{number(experiment.information, 3)} nats",
             experiment.remark,
         ]
         for experiment in suggestions.experiments
     ]
-    heads = ["begin at", "samples", "what it tells" if told_apart else "about the constants", "warning"]
+    heads = ["initial state", "samples", "what it tells" if told_apart else "about the constants", "warning"]
     if not any(experiment.remark for experiment in suggestions.experiments):
         heads, rows = heads[:-1], [row[:-1] for row in rows]
     return [
@@ -102,7 +102,7 @@ def _candidates(equation: Equation, findings: Findings) -> list[Element]:
         ]
         for candidate in equation.candidates
     ]
-    heads = ["expression", "nats", "R²", "held-out R²", "complexity", "origin"]
+    heads = ["expression", "Δ description length", "R²", "held-out R²", "complexity", "origin"]
     return [table(f"Candidates of {equation.lhs}", heads, rows), *_decision(equation)]
 
 
@@ -112,5 +112,5 @@ def _decision(equation: Equation) -> list[Element]:
     if prediction is None or not prediction.measure_from:
         return []
     start = ", ".join(f"{name} = {number(value)}" for name, value in prediction.measure_from.items())
-    disputed = "The candidates foretell different courses from other initial states. " if prediction.is_disputed else ""
-    return [paragraph(f"{disputed}A measurement that begins at {start} would tell most between them.")]
+    disputed = "The candidates predict different courses from other initial states. " if prediction.is_disputed else ""
+    return [paragraph(f"{disputed}A measurement from the initial state {start} would tell most between them.")]

@@ -68,7 +68,7 @@ def _phase_plane(findings: Findings, analysis: "Analysis") -> Element:
     ]
     if analysis.cycles.cycles:
         marks.append(("line cycle", "limit cycle"))
-    marks += [(f"line c{index}", f"trajectory {part.name}") for index, (part, _) in enumerate(findings.drawn)]
+    marks += [(f"line c{index}", f"trajectory {part.name}") for index, (part, _) in enumerate(findings.curves)]
     return figure(
         drawn.svg(),
         "Phase plane" + ("; shades tell which attractor is reached" if len(analysis.basins.attractors) > 1 else ""),
@@ -126,7 +126,7 @@ def _add_trajectories(drawn: Chart, findings: Findings) -> None:
     if len(columns) != 2:
         return
     first, second = columns
-    for index, (part, curves) in enumerate(findings.drawn):
+    for index, (part, curves) in enumerate(findings.curves):
         if part.measured:
             drawn.add_points(part.measured[first], part.measured[second], f"small c{index}")
         drawn.add_line(curves.values[first], curves.values[second], f"c{index}")

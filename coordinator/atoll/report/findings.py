@@ -56,17 +56,17 @@ class Findings:
             return cls(result, model, None, str(error), identifiability, suggestions)
 
     @cached_property
-    def drawn(self) -> Sequence[tuple[Simulated, ModelCurves]]:
+    def curves(self) -> Sequence[tuple[Simulated, ModelCurves]]:
         """The simulated trajectories that are drawn with their curves, at most `SHOWN`, each in a colour of its own."""
         return [(part, curves_of(self.model, part)) for part in chosen(self.result.simulated)]
 
-    def labelled(self, column: str) -> str:
+    def label(self, column: str) -> str:
         """Return a column name with its unit."""
         return label(self.result, column)
 
     def axis(self, column: str) -> Axis:
         """Return the axis of a column, labelled with its unit."""
-        return Axis(self.labelled(column))
+        return Axis(self.label(column))
 
     def over_time(self, title: str, column: str) -> Chart:
         """Return an empty chart of a column over time, both labelled with their units."""

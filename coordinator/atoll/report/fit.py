@@ -1,4 +1,4 @@
-"""Measured beside smoothed, simulated and fitted values, and what is left between them."""
+"""Measured beside smoothed, simulated and fitted values, and the residuals."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final
@@ -14,22 +14,22 @@ from atoll_coordinator.result.listed_trajectories import Simulated, Smoothed
 
 ROWS: Final = 60
 """Rows of the numbers behind a picture."""
-_LEFT: Final = (
-    "Measured less simulated values. Without a pattern, and as large as the errors of the measurements, they are what "
-    "a right model leaves; lines mark twice the estimated error on either side."
+_RESIDUALS: Final = (
+    "Measured minus simulated values. Those of a right model have no pattern and are as large as the errors of the "
+    "measurements; lines mark twice the estimated error on either side."
 )
 
 
 def trajectories(findings: Findings) -> list[Element]:
     """Return the sections of the fit, of its residuals, and of the errors of the measurements."""
-    parts = [part for part, _ in findings.drawn]
+    parts = [part for part, _ in findings.curves]
     sections = []
     if parts:
         states = list(parts[0].values or {})
         fits = pictures(_fit(state, findings) for state in states)
         left = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
-        sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explained(findings)))
-        sections.append(section("residuals", "What the model leaves", paragraph(_LEFT), left))
+        sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explanation(findings)))
+        sections.append(section("residuals", "Residuals", paragraph(_RESIDUALS), left))
     elif findings.result.simulated:
         sections.append(section("fit", "Measured and simulated", paragraph("The model could not be simulated.")))
     if findings.result.noise:
@@ -56,20 +56,20 @@ def fitted_values(findings: Findings) -> list[Element]:
         known_values = [value for value in measured if value is not None]
         ends = [min(known_values), max(known_values)] if known_values else []
         fit.add_line(ends, ends, "rule")
-    left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured less fitted"))
+    left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured minus fitted"))
     left.add_points(fitted, residuals(measured, fitted), "c0")
     rows = list(zip(*variables.values(), measured, fitted, strict=True))
     some = [[number(value, 6) for value in row] for row in rows[:: max(1, len(rows) // ROWS)]]
     numbers = table(f"{target}, measured and fitted", [*variables, "measured", "fitted"], some)
     drawn = [
         figure(fit.svg(), f"{target}: dots measured, line fitted", numbers),
-        figure(left.svg(), "what the model leaves", None),
+        figure(left.svg(), "residuals", None),
     ]
     return [section("fit", "Measured and fitted", pictures(drawn))]
 
 
 def _which(findings: Findings) -> Element:
-    parts, curves = zip(*findings.drawn, strict=True)
+    parts, curves = zip(*findings.curves, strict=True)
     text = f"Dots are measured. Lines are simulated by the model{_origin([each.pieces for each in curves])}"
     text += "." if not any(part.lower for part in parts) else (
         "; bands hold 95 % of the uncertainty that constants and initial states have."
@@ -91,7 +91,7 @@ def _origin(pieces: Sequence[int | None]) -> str:
 
 
 def _fit(state: str, findings: Findings) -> Element:
-    drawn, parts = findings.over_time(f"{state} over time, measured and simulated", state), findings.drawn
+    drawn, parts = findings.over_time(f"{state} over time, measured and simulated", state), findings.curves
     for index, (_, curves) in enumerate(parts):
         if curves.lower and curves.upper:
             drawn.add_band(curves.times, curves.lower[state], curves.upper[state], f"c{index}")
@@ -104,7 +104,7 @@ def _fit(state: str, findings: Findings) -> Element:
     numbers = table(f"{state}, measured and simulated", heads, _some_rows(listed))
     names = [f"trajectory {part.name}" + (", held out" if part.held_out else "") for part, _ in parts]
     marks = [legend((f"c{index}", name) for index, name in enumerate(names))] if len(parts) > 1 else []
-    return figure(drawn.svg(), findings.labelled(state), numbers, *marks)
+    return figure(drawn.svg(), findings.label(state), numbers, *marks)
 
 
 def _curves(part: Simulated, state: str) -> list[Curve]:
@@ -121,7 +121,7 @@ def _some_rows(curves: Sequence[tuple[str, Sequence[Curve]]]) -> Iterable[list[s
             yield [name, *(number(value, 6) for value in row)]
 
 
-def _explained(findings: Findings) -> Element:
+def _explanation(findings: Findings) -> Element:
     states = list(findings.result.simulated[0].r2)
     rows = [
         [
@@ -150,14 +150,14 @@ def _residuals(state: str, parts: Sequence[Simulated], findings: Findings) -> El
         for time, value in list(zip(part.times, values, strict=True))[:: max(1, len(times) // ROWS)]
     ]
     numbers = table(f"residuals of {state}", ["trajectory", findings.result.time, "residual"], rows)
-    return figure(drawn.svg(), findings.labelled(state), numbers)
+    return figure(drawn.svg(), findings.label(state), numbers)
 
 
 def _errors(findings: Findings) -> Element:
     heads = ["state", "error (sd)", "of the deviation", "smoothing", "rounded to", "rows left out", "outliers", "kind"]
     rows = [
         [
-            findings.labelled(state),
+            findings.label(state),
             number(noise.error, 3),
             f"{100 * noise.relative:.3g} %" if noise.relative is not None else "",
             _method(noise),
@@ -200,4 +200,4 @@ def _smoothing(state: str, parts: Sequence[Smoothed], findings: Findings) -> Ele
         drawn.add_line(part.times, part.smoothed[state], f"c{index}")
     rows = _some_rows([(part.name, (part.times, part.measured[state], part.smoothed[state])) for part in some])
     numbers = table(f"{state} smoothed", ["trajectory", findings.result.time, "measured", "smoothed"], rows)
-    return figure(drawn.svg(), findings.labelled(state), numbers)
+    return figure(drawn.svg(), findings.label(state), numbers)

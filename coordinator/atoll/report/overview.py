@@ -24,8 +24,8 @@ def overview(findings: Findings) -> Element:
     """Return the section: equations with verdicts, then what was asked."""
     result = findings.result
     equations = [_equation(equation, findings) for equation in result.equations]
-    warned = _listed("Warnings", result.proper_warnings)
-    noted = _listed("Notes", result.notes)
+    warned = _list("Warnings", result.proper_warnings)
+    noted = _list("Notes", result.notes)
     of_noise = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time." if result.process else ""
     remarks = map(paragraph, filter(None, [remark_on_groups(result), of_noise]))
     verdicts = dict.fromkeys(equation.verdict or "" for equation in result.equations)
@@ -35,7 +35,7 @@ def overview(findings: Findings) -> Element:
     return section("found", "Found", opening, *equations, explained, *remarks, *warned, facts(_facts(findings)), *noted)
 
 
-def _listed(title: str, texts: Sequence[str]) -> list[Element]:
+def _list(title: str, texts: Sequence[str]) -> list[Element]:
     """Return a list with its heading; nothing of no texts."""
     return [element("h3", title), element("ul", *(element("li", text) for text in texts))] if texts else []
 
@@ -64,14 +64,21 @@ def _checks(checks: Sequence[Check]) -> list[Element]:
     listed = [check for check in checks if check.outcome in ("failed", "not made")]
     others = [check for check in checks if check.outcome not in ("failed", "not made")]
     parts = [paragraph(text[:1].upper() + text[1:] + ("." if not listed else ":"))]
-    parts += [element("ul", *map(_check, listed))] if listed else []
+    parts += [element("ul", *_items(listed))] if listed else []
     if others:
-        parts.append(element("details", element("summary", "The other checks"), element("ul", *map(_check, others))))
+        parts.append(element("details", element("summary", "The other checks"), element("ul", *_items(others))))
     return parts
 
 
-def _check(check: Check) -> Element:
-    return element("li", element("b", f"{check.name}: {check.outcome}."), f" {check.reason}")
+def _items(checks: Sequence[Check]) -> list[Element]:
+    """Return an item for each reason: checks that say the same stand together."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for check in checks:
+        names.setdefault((check.outcome, check.reason), []).append(check.name)
+    return [
+        element("li", element("b", f"{', '.join(named)}: {outcome}."), f" {reason}")
+        for (outcome, reason), named in names.items()
+    ]
 
 
 def _facts(findings: Findings) -> list[tuple[str, str]]:
@@ -80,11 +87,11 @@ def _facts(findings: Findings) -> list[tuple[str, str]]:
     if result.group is not None:
         entries.append(("Group", result.group))
     lists = (("States", system.states), ("Inputs", system.inputs))
-    entries += [(name, ", ".join(map(findings.labelled, columns))) for name, columns in lists if columns]
+    entries += [(name, ", ".join(map(findings.label, columns))) for name, columns in lists if columns]
     if system.target:
-        entries.append(("Target", findings.labelled(system.target)))
+        entries.append(("Target", findings.label(system.target)))
     if system.time:
-        entries.append(("Time", findings.labelled(system.time)))
+        entries.append(("Time", findings.label(system.time)))
     if system.ranges:
         ranges = (f"{name} {number(low)} to {number(high)}" for name, (low, high) in system.ranges.items())
         entries.append(("Range searched", ", ".join(ranges)))

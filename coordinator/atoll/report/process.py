@@ -36,7 +36,7 @@ def _ensemble(ensemble: PathEnsemble, state: str, findings: Findings) -> Element
     rows = list(zip(ensemble.times, *(curve[state] for curve in curves), strict=True))
     some = [[number(value, 5) for value in row] for row in rows[:: max(1, len(rows) // ROWS)]]
     numbers = table(f"simulated paths of {state}", [findings.result.time, "mean", "5 %", "95 %"], some)
-    return figure(drawn.svg(), f"{findings.labelled(state)}, {ensemble.finite_paths} paths", numbers)
+    return figure(drawn.svg(), f"{findings.label(state)}, {ensemble.finite_paths} paths", numbers)
 
 
 def _density(density: Density, state: str, findings: Findings) -> Element:
@@ -48,4 +48,4 @@ def _density(density: Density, state: str, findings: Findings) -> Element:
     rows = [[number(value) for value in row] for row in curves]
     numbers = table(f"stationary density of {state}", [state, "simulated", "measured"], rows)
     overlap = f"; they overlap by {100 * density.overlap:.0f} %" if density.overlap is not None else ""
-    return figure(drawn.svg(), f"{findings.labelled(state)}: line simulated, dots measured{overlap}", numbers)
+    return figure(drawn.svg(), f"{findings.label(state)}: line simulated, dots measured{overlap}", numbers)

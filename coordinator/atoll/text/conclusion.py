@@ -14,18 +14,23 @@ _MEANINGS: Final = {
     "no model": "Do not use {it}: nothing was found that describes the data",
 }
 _MOST_NAMES: Final = 4
+_TIMES: Final = {
+    "ms": "millisecond", "s": "second", "sec": "second", "min": "minute", "h": "hour", "hr": "hour", "d": "day",
+    "wk": "week", "a": "year", "yr": "year",
+}  # fmt: skip
+_CALENDAR: Final = ("second", "minute", "hour", "day", "week", "month", "quarter", "year")
 
 
 def conclusion(result: Result) -> str:
     """Return one paragraph: what was sought in which data, what was found, and how far it can be trusted."""
     found = [equation for equation in result.equations if equation.expression is not None]
     if not found:
-        return f"Atoll looked{_source(result)} for {_sought(result)}, and found none."
+        return f"Atoll looked{_source(result)} for {_aim(result)}, and found none."
     meaning = _trust(result.equations)
-    return f"Atoll looked{_source(result)} for {_sought(result)}. {_explained(result, found[0])}{meaning}"
+    return f"Atoll looked{_source(result)} for {_aim(result)}. {_explain(result, found[0])}{meaning}"
 
 
-def _sought(result: Result) -> str:
+def _aim(result: Result) -> str:
     variables = [equation.variable for equation in result.equations]
     if result.kind == "regression":
         return f"a formula that gives {variables[0]} from {enumerated(result.names, _MOST_NAMES)}"
@@ -44,14 +49,23 @@ def _source(result: Result) -> str:
     return f" in {data.rows:,} rows{files}"
 
 
-def _explained(result: Result, equation: Equation) -> str:
+def _explain(result: Result, equation: Equation) -> str:
     """Return how a left-hand side is read; "" of a formula without time."""
     lhs, variable, time = equation.lhs, equation.variable, result.time
     if lhs == f"d{variable}/d{time}":
-        return f"{lhs} is the change of {variable} per unit of {time}. "
+        return f"{lhs} is the change of {variable} per {_time_unit(result)}. "
     if lhs == f"d2{variable}/d{time}2":
-        return f"{lhs} is the acceleration of {variable}: the change of its rate per unit of {time}. "
+        return f"{lhs} is the acceleration of {variable}: the change of its rate per {_time_unit(result)}. "
     return ""
+
+
+def _time_unit(result: Result) -> str:
+    """Return in what time is counted, in words: the unit of its column, else what the column is called."""
+    unit = result.units.get(result.time)
+    if unit:
+        return _TIMES.get(unit, unit)
+    name = result.time.lower().removesuffix("s")
+    return name if name in _CALENDAR else f"unit of {result.time}"
 
 
 def _trust(equations: Sequence[Equation]) -> str:

@@ -37,7 +37,7 @@ def _ensemble_line(ensemble: PathEnsemble) -> str:
         f"{state} from {number_text(ensemble.lower[state][-1])} to {number_text(ensemble.upper[state][-1])}"
         for state in ensemble.mean
     ]
-    start = f"{ensemble.finite_paths} paths from the beginning of trajectory {ensemble.trajectory}"
+    start = f"{ensemble.finite_paths} paths from the initial state of trajectory {ensemble.trajectory}"
     return f"ensemble: {start}; at t = {number_text(ensemble.times[-1], 6)} 90 % have {', '.join(ranges)}"
 
 

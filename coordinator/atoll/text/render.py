@@ -15,6 +15,7 @@ from atoll.text import tables
 from atoll.text.process import process_lines
 from atoll_coordinator.result.equations import Equation, Member
 from atoll_coordinator.result.result import Result
+from atoll_core.data.notes import with_kind
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
@@ -87,7 +88,7 @@ def parse_picks(texts: Sequence[str]) -> dict[str, int]:
 
 def render_text(result: Result, *, fronts: bool = False) -> str:
     """Return the equations for people, one after another; with `fronts`, all tables: the fronts, with numbers to pick,
-    constants, contenders, noise and simulations.
+    constants, candidates, noise and simulations.
     """
     names = result.names
     called = constant_names(result)
@@ -98,7 +99,7 @@ def render_text(result: Result, *, fronts: bool = False) -> str:
         blocks += tables.summary(result)
     blocks += _shared_lines(result)
     blocks += process_lines(result)
-    blocks += [f"{'note' if warning in result.notes else 'warning'}: {warning}" for warning in result.warnings]
+    blocks += [with_kind(warning, result.notes) for warning in result.warnings]
     cost = f"{_count(result.point_evaluations or 0)} point evaluations in {number_text(result.search_seconds)} s"
     blocks.append(f"{cost} of search, seed {result.seed}")
     return "\n".join(blocks)
@@ -165,9 +166,9 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
         lines += tables.constants_table(equation.constants)
         lines += tables.together_line(equation.simple_together)
     if with_tables or equation.verdict != "exact":
-        contenders = tables.contenders_table(equation.candidates, lambda text: rounded(text, names), most)
-        lines += contenders
-        lines += ["    constants of contenders are of all groups together"] if contenders and texts else []
+        listed = tables.candidates_table(equation.candidates, lambda text: rounded(text, names), most)
+        lines += listed
+        lines += ["    constants of candidates are of all groups together"] if listed and texts else []
     if with_tables:
         lines += [*_front_lines(equation.front, names), ""]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""What people are shown beside the equations: constants, contenders, noise, simulations. Lines of text.
+"""What people are shown besides the equations: constants, candidates, noise, simulations. Lines of text.
 
 What a result does not have is not shown.
 """
@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from atoll.model.constants import ConstantWords, fitted_text, number_text, told, with_errors, words_of
+from atoll.model.constants import ConstantWords, constant_words, fitted_text, number_text, with_errors, words_of
 from atoll.model.parameters import constant_names, interval_text, r2_text, unit_text
 from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, SimpleTogether, Units
 from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place
@@ -74,7 +74,7 @@ def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
 
 def constants_line(constants: Sequence[Constant]) -> str | None:
     """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
-    known = told(constants)
+    known = constant_words(constants)
     return "constants: " + ", ".join(map(_words_text, known)) if known else None
 
 
@@ -146,13 +146,13 @@ def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str])
     return columns(heads, rows, "    ")
 
 
-# ------------------------------------------------------------------------------------------------ contenders
+# ------------------------------------------------------------------------------------------------ candidates
 
 
-def contenders_table(
+def candidates_table(
     candidates: Sequence[Candidate], display: Callable[[str], str], most: int | None = None
 ) -> list[str]:
-    """Return the contenders, the one shown first, by how much longer a description they are; nothing for one alone.
+    """Return the candidates, the one shown first, with their Δ description length; nothing for one alone.
 
     At most `most` others are listed, and all guesses; of the rest their number.
     """
@@ -161,7 +161,15 @@ def contenders_table(
     shown = [one for place, one in enumerate(candidates) if most is None or place <= most or one.origin == "guess"]
     is_held_out = any(candidate.held_out_r2 is not None for candidate in shown)
     unseen = "cross-validated" if any(candidate.cross_validated for candidate in shown) else "held out"
-    heads = ("contender", "nats", "R2", *((unseen,) if is_held_out else ()), "size", "origin", "expression")
+    heads = (
+        "candidate",
+        "Δ description length",
+        "R2",
+        *((unseen,) if is_held_out else ()),
+        "size",
+        "origin",
+        "expression",
+    )
     rows = [
         (
             "*" if candidate.selected else "",

@@ -82,9 +82,9 @@ class Access:
             return Problem(403, "requests from a page of another origin are refused; open the page at its own address")
         authorization = headers.get("authorization")
         if authorization is not None and self.gateway_of(authorization) is None:
-            return _unauthorized("the token is not known; take the address that coordinator web has printed")
+            return _unauthorized_problem("the token is not known; take the address that coordinator web has printed")
         if authorization is None and (method not in SAFE or (self.viewer is None and not _is_open(path))):
-            return _unauthorized("this needs a token; take the address that coordinator web has printed")
+            return _unauthorized_problem("this needs a token; take the address that coordinator web has printed")
         return None
 
 
@@ -159,5 +159,5 @@ def _is_foreign(headers: Headers) -> bool:
     return origin is not None and _name(origin.partition("://")[2]) != _name(headers.get("host", ""))
 
 
-def _unauthorized(sentence: str) -> Problem:
+def _unauthorized_problem(sentence: str) -> Problem:
     return Problem(401, sentence, {"www-authenticate": "Bearer"})

@@ -33,10 +33,10 @@ from atoll.web.access import gateway_of
 from atoll.web.connections import most_connections
 from atoll.web.feed import MAX_LISTENERS, Feed
 from atoll.web.gateway import BusyError, Gateway
-from atoll.web.options import configured, options_by_heading, sizes_by_name
+from atoll.web.options import options_by_heading, read_options, sizes_by_name
 from atoll.web.progress import progress
-from atoll.web.reading import MAX_BODY, TABLE, Readers, parted
-from atoll.web.simulation import simulated
+from atoll.web.reading import MAX_BODY, TABLE, Readers, split_files
+from atoll.web.simulation import simulation_of
 from atoll.web.temporary import PREFIX, held
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
@@ -410,7 +410,7 @@ class Api:
 
     async def simulation(self, request: Request) -> Response:
         """Simulate the model from its first measured state, and along each measured trajectory, for pictures."""
-        return JSONResponse(await run_in_threadpool(simulated, await self._chosen(request)))
+        return JSONResponse(await run_in_threadpool(simulation_of, await self._chosen(request)))
 
     async def report(self, request: Request) -> Response:
         """Give the report as HTML; 202 while a worker makes it."""
@@ -431,7 +431,7 @@ class Api:
         name, result = request.path_params["format"], await self._chosen(request)
         if name not in (*LANGUAGES, *OF_RESULTS):
             raise HTTPException(404, f"there is no format {name[:64]!r} of an export")
-        text = await run_in_threadpool(_exported, result, name)
+        text = await run_in_threadpool(_export, result, name)
         return _download(request, text, f"{_job(request)}.{name}.txt", "text/plain")
 
     async def _chosen(self, request: Request) -> Result:
@@ -472,7 +472,7 @@ class Api:
         if not is_id(job):
             raise HTTPException(422, "an id has 1 to 64 letters, digits, _ or -")
         priority, shared = _whole(request, "priority", 0, -10, 10) or 0, _flag(request, "shared")
-        config = configured(asked.get("options", ""))[1]
+        config = read_options(asked.get("options", ""))[1]
         async with self._made(request, "table") as answer:
             name = name or answer.with_name("name").read_text("utf-8")
             view = await gateway_of(request).ask(
@@ -487,7 +487,7 @@ class Api:
         sizes = sizes_by_name(asked.getlist("filename"), asked.getlist("bytes"))
         options, of = asked.get("options", ""), asked.get("of")
         media_type = request.headers.get("content-type", "").partition(";")[0] if of is None else TABLE
-        configured(options)  # a mistake there is said before the file has come
+        read_options(options)  # a mistake there is said before the file has come
         if of is not None and not is_id(of):
             raise HTTPException(422, "of names a job by its id")
         if self._coming[gateway] >= MAX_COMING:
@@ -500,7 +500,7 @@ class Api:
                     await _receive(request, MAX_BODY, file.write)
                 if of is not None:
                     await gateway.ask(lambda client: body.write_bytes(client.table(of)))
-                parts = await run_in_threadpool(parted, body, sizes)
+                parts = await run_in_threadpool(split_files, body, sizes)
                 yield await self._readers.read(parts, options, media_type, made)
         finally:
             self._coming[gateway] -= 1
@@ -617,7 +617,7 @@ def _download(request: Request, text: str, name: str, media_type: str) -> Respon
     return Response(text, media_type=media_type, headers=headers)
 
 
-def _exported(result: Result, name: str) -> str:
+def _export(result: Result, name: str) -> str:
     return OF_RESULTS[name](result) if name in OF_RESULTS else written(Model(result), name)
 
 

@@ -114,7 +114,17 @@ def describe() -> dict[str, Any]:
     schemas["Problem"] = {
         "type": "object",
         "required": ["type", "title", "status", "detail"],
-        "properties": {"type": _TEXT, "title": _TEXT, "status": {"type": "integer"}, "detail": _TEXT},
+        "properties": {
+            "type": _TEXT,
+            "title": _TEXT,
+            "status": {"type": "integer"},
+            "detail": _TEXT,
+            "columns": {
+                "description": "of a file that was refused: its columns, for options that name one",
+                "type": "array",
+                "items": {"type": "object"},
+            },
+        },
     }
     paths: dict[str, dict[str, Any]] = {}
     for route in Api(Readers()).routes():

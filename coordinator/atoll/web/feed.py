@@ -1,7 +1,7 @@
-"""What happens at a coordinator, told to any number of pages: one subscription, and one look a second at open jobs.
+"""What happens at a coordinator, sent to any number of pages: one subscription, and one look a second at open jobs.
 
 Events come from the subscription and have numbers, by which a page resumes. How jobs stand is looked up, once for all
-pages, while somebody listens: what has changed of a view is told, not the view.
+pages, while a page listens: messages say what has changed of a view.
 """
 
 import asyncio
@@ -45,7 +45,7 @@ _AGAIN_S: Final = 1.0
 
 
 @dataclass(frozen=True)
-class Told:
+class Message:
     """A message of the stream; `number` is that of the event, if it is one, `job` whose it is."""
 
     kind: str
@@ -65,14 +65,14 @@ class _Listener:
     """A page that listens to these `jobs`, None: to all."""
 
     jobs: frozenset[str] | None
-    queue: asyncio.Queue[Told] = field(default_factory=lambda: asyncio.Queue(MAX_BEHIND))
+    queue: asyncio.Queue[Message] = field(default_factory=lambda: asyncio.Queue(MAX_BEHIND))
     is_behind: bool = False
 
-    def tell(self, told: Told) -> None:
-        if self.jobs is not None and told.kind != "connection" and told.job not in self.jobs:
+    def tell(self, message: Message) -> None:
+        if self.jobs is not None and message.kind != "connection" and message.job not in self.jobs:
             return
         try:
-            self.queue.put_nowait(told)
+            self.queue.put_nowait(message)
         except asyncio.QueueFull:
             self.is_behind = True
 
@@ -81,13 +81,13 @@ class Feed:
     """All pages of one principal. Its thread and its task run while somebody listens, and a little longer."""
 
     def __init__(self, gateway: Gateway, changed: Callable[[str], object] = lambda job: None) -> None:
-        """`changed` is told of each job whose state is another."""
+        """`changed` is called with each job whose state is another."""
         self._gateway = gateway
         self._changed = changed
         self._listeners: set[_Listener] = set()
         self._views: dict[str, dict[str, Any]] = {}
         self._touched: set[str] = set()
-        self._connection = Told("connection", _encode({"connected": True, "reason": ""}))
+        self._connection = Message("connection", _encode({"connected": True, "reason": ""}))
         self._last: int | None = None
         self._told: int | None = None
         self._stop = threading.Event()
@@ -111,9 +111,9 @@ class Feed:
             yield f"retry: 1000\n\n{self._greeting().text}"
             last = after or 0
             if after is not None:
-                async for told in self._missed(after, listener):
-                    last = told.number or last
-                    yield told.text
+                async for message in self._missed_events(after, listener):
+                    last = message.number or last
+                    yield message.text
             if jobs is not None:
                 self._touched.update(jobs)
             for view in [*self._views.values()]:
@@ -121,24 +121,24 @@ class Feed:
             while not listener.is_behind:
                 try:
                     async with asyncio.timeout(KEEP_ALIVE_S):
-                        told = await listener.queue.get()
+                        message = await listener.queue.get()
                 except TimeoutError:
                     yield ": keep-alive\n\n"
                     continue
-                if told.number is None or told.number > last:
-                    last = told.number or last
-                    yield told.text
+                if message.number is None or message.number > last:
+                    last = message.number or last
+                    yield message.text
         finally:
             self._listeners.discard(listener)
 
-    async def _missed(self, after: int, listener: _Listener) -> AsyncIterator[Told]:
+    async def _missed_events(self, after: int, listener: _Listener) -> AsyncIterator[Message]:
         """Yield the events after that number that are in the coordinator's store."""
         while True:
             events = await self._gateway.ask(lambda client, after=after: client.events(None, max(after, 1), PAGE))  # type: ignore[misc]
             for event in events:
                 after = event.number
                 if listener.jobs is None or event.job in listener.jobs:
-                    yield _happened(event)
+                    yield _event_message(event)
             if len(events) < PAGE:
                 return
 
@@ -166,7 +166,7 @@ class Feed:
             except AtollError as error:
                 self._post(loop, self._take_connection, str(error))
                 self._stop.wait(_AGAIN_S)
-            except Exception:  # what happens next shall be told all the same
+            except Exception:  # pages shall hear what happens next all the same
                 _LOG.exception("following the coordinator broke")
                 self._stop.wait(_AGAIN_S)
             finally:
@@ -190,7 +190,7 @@ class Feed:
         if not loop.is_closed():
             loop.call_soon_threadsafe(take, *values)
 
-    def _greeting(self) -> Told:
+    def _greeting(self) -> Message:
         """Return how the connection is, and how far things have come: whoever hears nothing yet can resume, too."""
         return replace(self._connection, number=self._told)
 
@@ -204,18 +204,18 @@ class Feed:
             if event.job is not None:
                 self._touched.add(event.job)
             if event.event == "deleted":  # which names no job, since nothing of it is kept
-                self._touched |= self._watched()
-            self._tell(_happened(event))
+                self._touched |= self._watched_jobs()
+            self._tell(_event_message(event))
 
     def _take_connection(self, reason: str | None) -> None:
-        told = Told("connection", _encode({"connected": reason is None, "reason": reason or ""}))
-        if told != self._connection:
-            self._connection = told
-            self._tell(told)
+        message = Message("connection", _encode({"connected": reason is None, "reason": reason or ""}))
+        if message != self._connection:
+            self._connection = message
+            self._tell(message)
 
-    def _tell(self, told: Told) -> None:
+    def _tell(self, message: Message) -> None:
         for listener in self._listeners:
-            listener.tell(told)
+            listener.tell(message)
 
     # ------------------------------------------------------------------------------------------------ views
 
@@ -235,14 +235,14 @@ class Feed:
         """Look at open jobs, and at those to which something has happened."""
         touched, self._touched = self._touched, set()
         views = {view.job: view for view in await self._gateway.ask(_open_jobs)}
-        watched = self._watched()
+        watched = self._watched_jobs()
         gone = [job for job, view in self._views.items() if view["state"] not in FINAL_STATES and job not in views]
         for job in (touched | {*gone} | (watched - self._views.keys())) - views.keys():
             try:
                 views[job] = await self._gateway.ask(lambda client, job=job: client.status(job))  # type: ignore[misc]
             except UnknownJobError:
                 if self._views.pop(job, None) is not None:
-                    self._tell(Told("job", _encode({"job": job, "changes": {}, "deleted": True}), job))
+                    self._tell(Message("job", _encode({"job": job, "changes": {}, "deleted": True}), job))
         self._take_connection(None)
         for view in views.values():
             self._take_view(view)
@@ -250,7 +250,7 @@ class Feed:
         for job in ended:
             del self._views[job]
 
-    def _watched(self) -> set[str]:
+    def _watched_jobs(self) -> set[str]:
         return {job for listener in self._listeners for job in listener.jobs or ()}
 
     def _take_view(self, view: JobView) -> None:
@@ -279,9 +279,9 @@ def _open_jobs(client: Client) -> tuple[JobView, ...]:
     return client.jobs(is_open=True, last=MAX_PAGE_JOBS)
 
 
-def _changes(job: str, changes: Mapping[str, Any]) -> Told:
-    return Told("job", _encode({"job": job, "changes": changes}), job)
+def _changes(job: str, changes: Mapping[str, Any]) -> Message:
+    return Message("job", _encode({"job": job, "changes": changes}), job)
 
 
-def _happened(event: EventView) -> Told:
-    return Told("happened", _encode(to_jsonable_python(event)), event.job, event.number)
+def _event_message(event: EventView) -> Message:
+    return Message("happened", _encode(to_jsonable_python(event)), event.job, event.number)

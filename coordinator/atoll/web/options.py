@@ -70,7 +70,7 @@ def options_by_heading() -> dict[str, Any]:
     }
 
 
-def configured(text: str) -> tuple[dict[str, Any], JobConfig]:
+def read_options(text: str) -> tuple[dict[str, Any], JobConfig]:
     """Return options that were sent as JSON by name, and the configuration that they describe; raises UsageError."""
     given = _options(text)
     return given, configure(

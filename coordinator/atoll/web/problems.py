@@ -1,6 +1,6 @@
 """Errors of the API as problem details (RFC 9457), with the sentences of the command line."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Final
 
@@ -21,9 +21,17 @@ class Problem(JSONResponse):
 
     media_type = "application/problem+json"
 
-    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None) -> None:
+    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None, **members: object) -> None:
         content = {"type": "about:blank", "title": HTTPStatus(status).phrase, "status": status, "detail": detail}
-        super().__init__(content, status, headers)
+        super().__init__(content | members, status, headers)
+
+
+class UnreadableError(HTTPException):
+    """Raised where a file is refused; `columns` are those of its table, none where it could not be read at all."""
+
+    def __init__(self, status_code: int, detail: str, columns: Sequence[Mapping[str, object]] = ()) -> None:
+        super().__init__(status_code, detail)
+        self.columns = columns
 
 
 def status_of(error: AtollError) -> int:
@@ -41,7 +49,8 @@ def of_error(request: Request, error: Exception) -> Response:
 def of_refusal(request: Request, error: Exception) -> Response:
     """Return what is answered to what HTTP alone refuses, such as a path that is not there."""
     assert isinstance(error, HTTPException)
-    return Problem(error.status_code, error.detail, error.headers)
+    members = {"columns": list(error.columns)} if isinstance(error, UnreadableError) and error.columns else {}
+    return Problem(error.status_code, error.detail, error.headers, **members)
 
 
 def of_too_many(request: Request, error: Exception) -> Response:

@@ -81,11 +81,11 @@ def _candidate(candidate: Candidate, names: Sequence[str]) -> dict[str, Any]:
 
 def _text(expression: str | None, names: Sequence[str]) -> str | None:
     """Return an expression with as many digits as the terminal shows."""
-    return None if expression is None else _rounded(expression, tuple(names))
+    return None if expression is None else _round(expression, tuple(names))
 
 
 @lru_cache(4_096)
-def _rounded(expression: str, names: tuple[str, ...]) -> str:
+def _round(expression: str, names: tuple[str, ...]) -> str:
     try:
         return rounded(expression, names)
     except AtollError:

@@ -15,6 +15,7 @@ from starlette.exceptions import HTTPException
 
 from atoll.client.local_workers import start_apart
 from atoll.client.over_http import TOKEN
+from atoll.web.problems import UnreadableError
 from atoll_core.machine.usage import total_memory_bytes
 
 TABLE: Final = "application/vnd.atoll.table"
@@ -27,7 +28,7 @@ READERS: Final = 2
 """Files that are read at the same time; others wait."""
 
 REFUSED: Final = 3
-"""Exit code of a reader whose answer is JSON: with which status and sentence it refuses."""
+"""Exit code of a reader whose answer is JSON: status, sentence and columns of an `UnreadableError`."""
 
 LATE: Final = -int(signal.SIGALRM)
 """What is told in place of the exit code of a reader that took too long in all."""
@@ -87,18 +88,19 @@ class Asked:
         return json.dumps(asdict(self)).encode() + b"\n"
 
 
-def parted(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
+def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
     """Return files by name that are one after the other in a body, in a folder beside it; raises HTTPException."""
     folder, there = body.parent / "sent", body.stat().st_size
     folder.mkdir()
     paths = [folder / name for name in sizes]
-    told = [there if size is None else size for size in sizes.values()]
-    if sum(told) != there:
-        raise HTTPException(422, f"the body has {there:,} bytes, but bytes says {sum(told):,}; give those of each file")
+    lengths = [there if size is None else size for size in sizes.values()]
+    if sum(lengths) != there:
+        sentence = f"the body has {there:,} bytes, but bytes says {sum(lengths):,}; give those of each file"
+        raise HTTPException(422, sentence)
     if len(paths) == 1:
         return [body.rename(paths[0])]
     with body.open("rb") as file:
-        for path, size in zip(paths, told, strict=True):
+        for path, size in zip(paths, lengths, strict=True):
             path.write_bytes(file.read(size))
     return paths
 
@@ -125,16 +127,16 @@ class Readers:
         answer = files[0].parent.parent / "answer"
         asked = Asked(tuple(map(str, files)), str(answer), made, options, media_type, self.limits)
         async with self._slots:
-            code = await self._asked(asked.to_line())
+            code = await self._ask_reader(asked.to_line())
         if code == REFUSED:
-            raise HTTPException(**json.loads(answer.read_bytes()))
+            raise UnreadableError(**json.loads(answer.read_bytes()))
         if code is None:
             raise HTTPException(503, "files cannot be read at the moment; ask again", {"retry-after": "1"})
         if code:
             raise HTTPException(*self.limits.of_code(code, ", ".join(file.name for file in files)))
         return answer
 
-    async def _asked(self, line: bytes) -> int | None:
+    async def _ask_reader(self, line: bytes) -> int | None:
         """Return the exit code of a reader; None where there was none, and no process to start it."""
         ours, theirs = socket.socketpair()
         with theirs:

@@ -31,6 +31,9 @@ T = TypeVar("T")
 MAX_ANSWER: Final = 4 * 1024**2
 """Bytes of an outline or preview: with `submission.VALUES` values, it has ten thousand columns."""
 
+MAX_COLUMNS: Final = 1_000
+"""Columns of a table that are named where it is refused, for a page that lets one of them be chosen."""
+
 
 class TooLargeError(AtollError):
     """Raised where an answer is too large for a page."""
@@ -49,8 +52,8 @@ def _json(made: Mapping[str, object]) -> bytes:
 
 MADE: Final[Mapping[str, Callable[[Submission], bytes]]] = {
     "table": _table,
-    "outline": lambda submission: _json(submission.outlined()),
-    "preview": lambda submission: _json(submission.prepared()),
+    "outline": lambda submission: _json(submission.outline()),
+    "preview": lambda submission: _json(submission.preview()),
 }
 """What can be asked for."""
 
@@ -78,7 +81,7 @@ def _load_ahead() -> None:
             importlib.import_module(name)
     with suppress(Exception):
         path = files("atoll.web").joinpath("static/predator_prey.csv")
-        Submission.of([Path(str(path))], "{}").prepared()
+        Submission.of([Path(str(path))], "{}").preview()
 
 
 def _fork(work: Callable[[T], int], given: T) -> int:
@@ -120,13 +123,16 @@ def _answer(asked: Asked) -> int:
         os.setpgid(0, 0)
     _limit(asked.limits)
     paths, answer, code = [Path(file) for file in asked.files], Path(asked.answer), 0
+    submission = None
     try:
         submission = Submission.of(paths, asked.options, asked.media_type)
         answer.with_name("name").write_text(submission.filenames[0], "utf-8")
         made = MADE[asked.made](submission)
     except BaseException as error:  # also the panics of polars
         status, sentence = _refusal(error, ", ".join(path.name for path in paths), asked.limits)
-        made, code = json.dumps({"status_code": status, "detail": sentence}).encode(), REFUSED
+        columns = [] if submission is None else submission.columns()[:MAX_COLUMNS]
+        refusal = {"status_code": status, "detail": sentence, "columns": columns}
+        made, code = json.dumps(refusal).encode(), REFUSED
     answer.write_bytes(made)
     return code
 

@@ -141,7 +141,7 @@ def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> N
         UsageError: nobody can listen there, or the certificate cannot be used.
     """
     allow_open_files()
-    config = configured(build_application(access), listener)
+    config = configure(build_application(access), listener)
     try:
         config.load()
     except OSError as error:  # also what is no certificate
@@ -162,7 +162,7 @@ def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> N
     uvicorn.Server(config).run(sockets=[opened])
 
 
-def configured(application: Any, listener: Listener) -> uvicorn.Config:
+def configure(application: Any, listener: Listener) -> uvicorn.Config:
     """Return how uvicorn answers. It logs no requests, which may hold a token, and no complaints about clients."""
     return uvicorn.Config(
         application, log_level="error", access_log=False, server_header=False, date_header=False,

@@ -21,7 +21,7 @@ MOST_ROWS: Final = 1_000
 """Rows of columns, and measured points of a picture, at most."""
 
 
-def simulated(result: Result) -> dict[str, Any]:
+def simulation_of(result: Result) -> dict[str, Any]:
     """Return a simulation as columns, and the curves of trajectories beside what was measured.
 
     Of a regression there are fitted values; nothing, with a sentence, of what is no model.
@@ -30,7 +30,7 @@ def simulated(result: Result) -> dict[str, Any]:
     try:
         model = Model(result)
         if model.is_regression:
-            return answer | {"fitted": _fitted(model)}
+            return answer | {"fitted": _fitted_values(model)}
         parts = chosen(result.simulated)
         simulation = None if model.groups else model.simulate(has_bands=False)
         if not parts and simulation is not None:
@@ -80,7 +80,7 @@ def _trajectory(model: Model, part: Simulated) -> Mapping[str, Any]:
     }
 
 
-def _fitted(model: Model) -> Mapping[str, Any] | None:
+def _fitted_values(model: Model) -> Mapping[str, Any] | None:
     """Return measured and fitted values of a regression; None where the result has none."""
     known = model.result.regression
     if known is None or not known.measured:

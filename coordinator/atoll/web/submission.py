@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.client.options import OPTIONS
-from atoll.web.options import configured
+from atoll.web.options import read_options
 from atoll.web.progress import some
 from atoll.web.reading import TABLE
-from atoll_coordinator.data.outline import outline
+from atoll_coordinator.data.outline import Outline, outline
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.reading.workbooks import check_sheet
@@ -51,40 +51,45 @@ class Submission:
             UsageError: an option is unknown or does not fit.
             DataError: a file cannot be read.
         """
-        given, config = configured(options)
+        given, config = read_options(options)
         if media_type != TABLE:
             check_sheet(paths, config.data.sheet)
             return cls(tuple(path.name for path in paths), read_table(paths, config.data), config, given)
         table = Table.from_bytes(paths[0].read_bytes())
         return cls(table.files, table, config, given)
 
-    def outlined(self) -> dict[str, Any]:
+    def outline(self) -> dict[str, Any]:
         """Return how the file was read and what would be searched, as plain data."""
         planned = outline(self.table, self.config)
-        plan, roles = planned.as_dict(), planned.roles
-        angles = {angle.column: "degrees" if angle.degrees else "radians" for angle in roles.angles}
-        units = plan["units"]
-        assert isinstance(units, dict)
         return {
-            **plan,
+            **planned.as_dict(),
             "read_as": describe(self.table, self.config),
-            "columns": [
-                {
-                    "name": name,
-                    "role": _role(name, roles),
-                    "unit": units.get(name),
-                    "angle": angles.get(name),
-                    "first": [_cell(self.table, name, value) for value in values[:SHOWN].tolist()],
-                }
-                for name, values in zip(self.table.names, self.table.columns, strict=True)
-            ]
-            + [
-                {"name": name, "role": "unused", "unit": None, "angle": None, "first": []}
-                for name in self.table.skipped
-            ],
+            "columns": self.columns(planned),
             "command": self.command(),
             "python": self.python(),
         }
+
+    def columns(self, planned: Outline | None = None) -> list[dict[str, Any]]:
+        """Return the columns of the table with their first values, as plain data; roles are null without an outline."""
+        roles = None if planned is None else planned.roles
+        angles = (
+            {} if roles is None else {angle.column: "degrees" if angle.degrees else "radians" for angle in roles.angles}
+        )
+        units = {} if planned is None else planned.units
+        first = {
+            name: [_cell(self.table, name, value) for value in values[:SHOWN].tolist()]
+            for name, values in zip(self.table.names, self.table.columns, strict=True)
+        }
+        return [
+            {
+                "name": name,
+                "role": None if roles is None else _role(name, roles),
+                "unit": units.get(name),
+                "angle": angles.get(name),
+                "first": first.get(name, []),
+            }
+            for name in (*self.table.names, *self.table.skipped)
+        ]
 
     def command(self) -> str:
         """Return the command line that submits the same."""
@@ -104,7 +109,7 @@ class Submission:
         files = repr(self.filenames[0] if len(self.filenames) == 1 else [*self.filenames])
         return f"import atoll\n\nmodel = atoll.discover({files}{given})\nprint(model)"
 
-    def prepared(self) -> dict[str, Any]:
+    def preview(self) -> dict[str, Any]:
         """Return what is measured, smoothed and differentiated, with standard errors; takes seconds."""
         return preview_of(prepare(self.table, self.config))
 
@@ -155,7 +160,7 @@ def _cell(table: Table, name: str, value: float) -> str:
     text = table.label(name, value)
     if text is not None:
         return text
-    return table.moment(name, value) if name in table.origins else f"{value:.6g}"
+    return table.moment(name, value).removesuffix(" 00:00:00") if name in table.origins else f"{value:.6g}"
 
 
 def _numbers(values: Any) -> list[float | None]:

@@ -164,7 +164,8 @@ class JobView(Frozen):
     `fault` of a failed job: the data could not be used, two workers diverged, its islands killed their workers, or
     something of ours broke. `stalls` says where it stands still, and why; `ahead` counts jobs before it in the line.
     `submitter` is by the name in the certificate; others see the job when it is `shared`. One that is `paused` waits to
-    be resumed, one that is `held` has begun and has no place now. `tasks` are those that have not ended.
+    be resumed, one that is `held` has begun and has no place now. `tasks` are those that have not ended. `notes` are
+    those of the `warnings` that report what was done by rule.
     """
 
     job: str
@@ -175,6 +176,7 @@ class JobView(Frozen):
     reason: str | None = None
     fault: Literal["data", "diverged", "poison", "internal"] | None = None
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     submitted: str
     elapsed: float
     workers: int

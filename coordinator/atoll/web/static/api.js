@@ -28,9 +28,9 @@ export async function keepToken(given) {
 
 /** Forgets a token that the service does not know any more. */
 export function forgetToken() { sessionStorage.removeItem(STORE); }
-/** What a request failed with: a sentence for people, and the HTTP status, 0 where nothing answered. */
+/** What a request failed with: a sentence for people, the HTTP status, 0 where nothing answered, and the columns of a file that was refused. */
 export class ApiError extends Error {
-  constructor(sentence, status) { super(sentence); this.status = status; }
+  constructor(sentence, status, columns = []) { super(sentence); Object.assign(this, { status, columns }); }
 }
 
 export function address(path, query = {}) {
@@ -62,7 +62,7 @@ export async function check(response) {
   if (response.ok || response.status === 304) return response;
   const problem = await response.json().catch(() => ({})); // no problem document: the status has to do
   if (response.status === 401) hooks.refused(problem.detail);
-  throw new ApiError(problem.detail ?? `The service answered ${response.status} ${response.statusText}`.trim(), response.status);
+  throw new ApiError(problem.detail ?? `The service answered ${response.status} ${response.statusText}`.trim(), response.status, problem.columns);
 }
 
 export async function get(path, query, signal) { return (await check(await send(path, { query, signal }))).json(); }

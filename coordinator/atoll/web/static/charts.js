@@ -24,7 +24,7 @@ function load() {
 /** Returns a colour of the style sheet as it is now. */
 export function colour(name) { return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim(); }
 /** Colours come again after six, dashed. */
-export function cycled(index) { return `c${index % COLOURS}${Math.floor(index / COLOURS) % 2 ? " dashed" : ""}`; }
+export function colourOf(index) { return `c${index % COLOURS}${Math.floor(index / COLOURS) % 2 ? " dashed" : ""}`; }
 /** Returns a legend: a mark of its colour before each name. */
 export function legend(entries) {
   return h("ul", { class: "legend" }, entries.map(([name, label]) =>
@@ -140,8 +140,8 @@ export class FrontChart extends Chart {
   #options(UPlot, count) {
     const steps = UPlot.paths.stepped({ align: 1 });
     const series = Array.from({ length: count }, (_, index) => ({
-      stroke: stroke(cycled(index)), width: 1, dash: index ? [5, 4] : undefined, paths: steps, spanGaps: true,
-      points: { show: true, size: 8, fill: stroke(cycled(index)), stroke: stroke("ground"), width: 1 },
+      stroke: stroke(colourOf(index)), width: 1, dash: index ? [5, 4] : undefined, paths: steps, spanGaps: true,
+      points: { show: true, size: 8, fill: stroke(colourOf(index)), stroke: stroke("ground"), width: 1 },
     }));
     const chosen = { stroke: stroke("text"), paths: () => null, points: { show: true, size: 14, width: 2, fill: "transparent", stroke: stroke("text") } };
     const options = frame("complexity", "error (normalized)", { isLogY: true, series: [{}, ...series, chosen] });
@@ -164,7 +164,7 @@ function decades(errors) {
 }
 
 /** Returns some of many points, so that a line below them is seen; the others are null. */
-export function sparse(values, most = 100) {
+export function thin(values, most = 100) {
   const step = Math.ceil(values.length / most);
   return values.map((value, index) => (index % step ? null : value));
 }
@@ -186,7 +186,7 @@ export class ConvergenceChart extends Chart {
 
   #options(UPlot, names, isLogX, isLogY) {
     const paths = UPlot.paths.stepped({ align: 1 });
-    const series = names.map((_, index) => ({ stroke: stroke(cycled(index)), dash: dashOf(cycled(index)), width: 1.4, paths, spanGaps: true, points: { show: this.isShort } }));
+    const series = names.map((_, index) => ({ stroke: stroke(colourOf(index)), dash: dashOf(colourOf(index)), width: 1.4, paths, spanGaps: true, points: { show: this.isShort } }));
     return frame("generation", "error (normalized)", {
       isLogX, isLogY, series: [{}, ...series], hooks: { draw: [(plot) => this.#drawPlateau(plot)] },
     });
@@ -321,7 +321,7 @@ function band(plot, xs, low, high) {
 }
 
 /** Lets an element be what arrow keys move through a front, as a slider says it to screen readers. */
-export function steerable(element, label, { count, at, choose, say }) {
+export function makeSteerable(element, label, { count, at, choose, say }) {
   element.addEventListener("keydown", (event) => {
     const last = count() - 1;
     const steps = { ArrowRight: at() + 1, ArrowUp: at() + 1, ArrowLeft: at() - 1, ArrowDown: at() - 1, Home: 0, End: last, Enter: at() };

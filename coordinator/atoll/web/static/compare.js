@@ -1,7 +1,7 @@
 // Two jobs side by side: their equations by variable, their fronts on the same axes, and what differs otherwise.
 
 import { get, paths } from "./api.js";
-import { FrontChart, cycled, legend } from "./charts.js";
+import { FrontChart, colourOf, legend } from "./charts.js";
 import { faultBox, h, viewHeading } from "./dom.js";
 import { follow } from "./events.js";
 import { HAS_RESULT, duration, largestError, number, stateOf } from "./format.js";
@@ -41,7 +41,7 @@ class Comparison {
 
   #draw(all) {
     const jobs = all.map(({ job }) => job);
-    const names = jobs.map((job, index) => h("a", { href: `#/jobs/${encodeURIComponent(job.job)}` }, h("span", { class: `swatch ${cycled(index)}`, "aria-hidden": "true" }), `${job.name} (${job.job})`));
+    const names = jobs.map((job, index) => h("a", { href: `#/jobs/${encodeURIComponent(job.job)}` }, h("span", { class: `swatch ${colourOf(index)}`, "aria-hidden": "true" }), `${job.name} (${job.job})`));
     const facts = [["State", stateOf], ["Largest error", (job) => number(largestError(job))], ["Elapsed", (job) => duration(job.elapsed)], ["Seed", (job) => job.seed], ["Preset", (job) => job.preset]];
     this.jobs.replaceChildren(pairTable("Jobs", names, facts.map(([label, say]) => [label, ...jobs.map(say)])));
     this.#drawEquations(all);
@@ -57,7 +57,7 @@ class Comparison {
       const pair = all.map(({ equations }) => equations.find((equation) => equation.variable === variable));
       const place = this.#place(variable, all);
       place.formulas.replaceChildren(...pair.map((equation, index) => h("div", { class: "side" },
-        h("p", { class: "faint" }, h("span", { class: `swatch ${cycled(index)}`, "aria-hidden": "true" }), all[index].job.name),
+        h("p", { class: "faint" }, h("span", { class: `swatch ${colourOf(index)}`, "aria-hidden": "true" }), all[index].job.name),
         h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `${variable} of ${all[index].job.name}` },
           equation ? formula(equation.mathml, `${equation.lhs} = ${equation.expression}`) : "No equation."), this.#verdict(all[index].job, variable))));
       place.chart.set(pair.map((equation) => equation?.front ?? []));
@@ -74,7 +74,7 @@ class Comparison {
     if (!this.#charts.has(variable)) {
       const chart = new FrontChart(`Fronts of ${variable} of both jobs`);
       const formulas = h("div", { class: "pair" });
-      this.equations.append(h("article", { class: "equation" }, h("h3", {}, variable), formulas, chart.box, legend(all.map(({ job }, index) => [cycled(index), job.name]))));
+      this.equations.append(h("article", { class: "equation" }, h("h3", {}, variable), formulas, chart.box, legend(all.map(({ job }, index) => [colourOf(index), job.name]))));
       this.#charts.set(variable, { chart, formulas });
     }
     return this.#charts.get(variable);

@@ -61,7 +61,7 @@ export function faultBox() {
 }
 
 /** Returns a function that has `draw` run once before the next frame, however often it is called. */
-export function framed(draw) {
+export function perFrame(draw) {
   let isDue = false;
   return () => {
     if (isDue) return;
@@ -81,7 +81,7 @@ export function facts(pairs) {
 }
 
 /** Returns a button that asks for a confirmation inside the page before it does `act`. */
-export function confirmed(label, question, yes, act) {
+export function confirmButton(label, question, yes, act) {
   const open = h("button", { type: "button", onclick: () => toggle(true) }, label);
   const agree = h("button", { type: "button", class: "danger", onclick: () => (toggle(false), act()) }, yes);
   const refuse = h("button", { type: "button", onclick: () => toggle(false) }, "No");

@@ -63,7 +63,7 @@ export function largestError(job) {
 }
 
 /** Notes when a job was heard of: while it lasts, its seconds are counted here. */
-export function heard(job) { return { ...job, heard: Date.now() }; }
+export function stamp(job) { return { ...job, heard: Date.now() }; }
 
 export function elapsed(job) {
   const isOver = ENDED.includes(job.state) || job.elapsed === undefined;

@@ -2,8 +2,8 @@
 
 import { get, paths, session } from "./api.js";
 import { follow } from "./events.js";
-import { announce, facts, foldWhen, folding, framed, faultBox, h, redraw, setClass, setText, show, viewHeading } from "./dom.js";
-import { ENDED, HAS_RESULT, count, duration, elapsed, heard, moment, plural, stateOf } from "./format.js";
+import { announce, facts, foldWhen, folding, perFrame, faultBox, h, redraw, setClass, setText, show, viewHeading } from "./dom.js";
+import { ENDED, HAS_RESULT, count, duration, elapsed, stamp, moment, plural, stateOf } from "./format.js";
 import { Actions } from "./job_actions.js";
 import { EquationCard } from "./job_equation.js";
 import { Islands } from "./job_islands.js";
@@ -18,7 +18,7 @@ class JobPage {
   constructor(root, id, app) {
     this.id = id;
     this.app = app;
-    this.draw = framed(() => this.#draw());
+    this.draw = perFrame(() => this.#draw());
     this.actions = new Actions(id, app, (job) => this.#merge(job));
     this.progress = new Progress(id, (progress) => this.#showProgress(progress));
     this.islands = new Islands(id);
@@ -75,7 +75,7 @@ class JobPage {
 
   #merge(changes) {
     const before = this.#job && stateOf(this.#job);
-    this.#job = "elapsed" in changes ? heard({ ...this.#job, ...changes }) : { ...this.#job, ...changes };
+    this.#job = "elapsed" in changes ? stamp({ ...this.#job, ...changes }) : { ...this.#job, ...changes };
     const after = stateOf(this.#job);
     if (before && before !== after) {
       announce(`The job is ${after}.`);

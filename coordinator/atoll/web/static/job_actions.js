@@ -1,7 +1,7 @@
 // What can be done with a job.
 
 import { change, paths } from "./api.js";
-import { announce, confirmed, faultBox, h, setText, show } from "./dom.js";
+import { announce, confirmButton, faultBox, h, setText, show } from "./dom.js";
 import { ENDED } from "./format.js";
 
 export class Actions {
@@ -15,10 +15,10 @@ export class Actions {
   #build() {
     const button = (label, act) => h("button", { type: "button", onclick: act }, label);
     this.pause = button("Pause", () => this.#post(this.isPaused ? "resume" : "pause"));
-    this.cancel = confirmed("Cancel", "End the job and keep its best equations?", "Yes, end it", () => this.#post("cancel"));
+    this.cancel = confirmButton("Cancel", "End the job and keep its best equations?", "Yes, end it", () => this.#post("cancel"));
     this.retry = button("Retry", () => this.#retry());
     this.share = button("Share", () => this.#do(() => change("PUT", paths.of(this.id, "sharing"), { shared: !this.isShared })));
-    this.remove = confirmed("Delete", "Delete the job with its result and its data?", "Yes, delete it", () => this.#remove());
+    this.remove = confirmButton("Delete", "Delete the job with its result and its data?", "Yes, delete it", () => this.#remove());
     this.level = h("input", { type: "number", min: "-10", max: "10", step: "1", value: "0" });
     this.priority = h("form", { class: "inline", onsubmit: (event) => this.#prioritize(event) }, h("label", {}, "Priority ", this.level), h("button", {}, "Set"));
     this.anew = h("a", { class: "button", href: `#/new?from=${encodeURIComponent(this.id)}` }, "Submit again with changes");

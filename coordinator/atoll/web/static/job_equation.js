@@ -1,7 +1,7 @@
 // One equation of a job: what it is now, its front of complexity against error, how the islands got there.
 
-import { ConvergenceChart, FrontChart, cycled, errorOf, legend, sayPoint, steerable } from "./charts.js";
-import { foldWhen, folding, framed, h, keyed, redraw, setClass, setText, show } from "./dom.js";
+import { ConvergenceChart, FrontChart, colourOf, errorOf, legend, sayPoint, makeSteerable } from "./charts.js";
+import { foldWhen, folding, perFrame, h, keyed, redraw, setClass, setText, show } from "./dom.js";
 import { formula } from "./mathml.js";
 import { ENDED, count, number, short } from "./format.js";
 
@@ -14,7 +14,7 @@ export class EquationCard {
   #equation = null; #chosen = null;
   constructor(variable, pick) {
     Object.assign(this, { variable, pick });
-    this.draw = framed(() => this.#draw());
+    this.draw = perFrame(() => this.#draw());
     this.#build();
   }
 
@@ -32,7 +32,7 @@ export class EquationCard {
     this.pickedFormula = h("div", { class: "formula", tabindex: "0", role: "group", "aria-label": `Chosen equation of ${this.variable}` });
     this.islands = h("div");
     this.rows = h("tbody");
-    this.mark = steerable(this.front.box, `Front of ${this.variable}: choose an equation`, {
+    this.mark = makeSteerable(this.front.box, `Front of ${this.variable}: choose an equation`, {
       count: () => this.#points.length, at: () => this.#index, choose: (index) => this.#choose(index), say: () => sayPoint(this.#points[this.#index]),
     });
     this.pictures = h("div", { class: "pair" },
@@ -97,7 +97,7 @@ export class EquationCard {
 
   #drawLegend(curves) {
     const names = curves.map((curve) => (typeof curve.island === "number" ? `island ${curve.island}` : String(curve.island)));
-    redraw(this.islands, names.join(), () => legend(names.map((name, index) => [cycled(index), name])));
+    redraw(this.islands, names.join(), () => legend(names.map((name, index) => [colourOf(index), name])));
   }
 
   #drawPicked(point) {
@@ -132,23 +132,32 @@ export class EquationCard {
 function checkLists(checks) {
   if (!checks.length) return [];
   const isOpen = ({ outcome }) => outcome === "failed" || outcome === "not made";
-  const item = ({ name, outcome, reason }) => h("li", {}, h("b", {}, `${name}: ${outcome}.`), ` ${reason}`);
   const [missed, others] = [checks.filter(isOpen), checks.filter((check) => !isOpen(check))];
   const passed = others.filter(({ outcome }) => outcome === "passed").length;
   return [h("p", {}, `${passed} of ${passed + missed.length} checks passed${missed.length ? ":" : "."}`),
-    missed.length ? h("ul", {}, missed.map(item)) : null,
-    others.length ? h("details", {}, h("summary", {}, "The other checks"), h("ul", {}, others.map(item))) : null].filter(Boolean);
+    missed.length ? h("ul", {}, checkItems(missed)) : null,
+    others.length ? h("details", {}, h("summary", {}, "The other checks"), h("ul", {}, checkItems(others))) : null].filter(Boolean);
+}
+
+/** Returns an item for each reason: checks that say the same stand together. */
+function checkItems(checks) {
+  const groups = new Map();
+  for (const { name, outcome, reason } of checks) {
+    const key = JSON.stringify([outcome, reason]);
+    groups.set(key, { outcome, reason, names: [...groups.get(key)?.names ?? [], name] });
+  }
+  return [...groups.values()].map(({ outcome, reason, names }) => h("li", {}, h("b", {}, `${names.join(", ")}: ${outcome}.`), ` ${reason}`));
 }
 
 /** Returns the equations that were compared with the one above, by how much longer the data are to describe with them. */
 function candidateTable(variable, candidates) {
   if (candidates.length < 2) return [];
   const isHeldOut = candidates.some((candidate) => candidate.held_out_r2 !== null);
-  const heads = ["Δ log-likelihood", "R²", ...(isHeldOut ? ["Held-out R²"] : []), "Complexity", "Origin", "Equation"];
+  const heads = ["Δ description length", "R²", ...(isHeldOut ? ["Held-out R²"] : []), "Complexity", "Origin", "Equation"];
   const rows = candidates.map((candidate) => [candidate.selected ? "shown" : candidate.nats === null ? "?" : candidate.nats.toFixed(1), candidate.r2,
     ...(isHeldOut ? [candidate.held_out_r2 ?? ""] : []), candidate.complexity, candidate.origin ?? "", h("code", {}, candidate.expression)]);
   const cell = (value, index) => h("td", { class: index < heads.length - 2 ? "number" : null }, value ?? "");
-  return [h("h4", {}, "Candidates"), h("p", { class: "faint" }, "How much worse the data are described by another equation: below about 3 the data hardly decide."),
+  return [h("h4", {}, "Candidates"), h("p", { class: "faint" }, "Δ description length: how much longer the data are to describe with another equation, in nats. Below about 3 the data hardly decide."),
     h("div", { class: "wide", tabindex: "0", role: "group", "aria-label": `Candidates of ${variable}` }, h("table", {}, h("caption", { class: "unseen" }, `Candidates of ${variable}`),
       h("thead", {}, h("tr", {}, heads.map((head, index) => h("th", { scope: "col", class: index < heads.length - 2 ? "number" : null }, head)))),
       h("tbody", {}, rows.map((row, index) => h("tr", { class: candidates[index].selected ? "chosen" : null }, row.map(cell))))))];

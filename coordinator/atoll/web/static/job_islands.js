@@ -1,8 +1,8 @@
 // Where the islands of a job are: one cell for each, in the colour of its worker, with its epoch and what just happened.
 
 import { get, paths } from "./api.js";
-import { cycled } from "./charts.js";
-import { framed, h, keyed, setClass, setText, show } from "./dom.js";
+import { colourOf } from "./charts.js";
+import { perFrame, h, keyed, setClass, setText, show } from "./dom.js";
 import { ENDED, plural } from "./format.js";
 import { Paced } from "./poll.js";
 
@@ -16,7 +16,7 @@ export class Islands extends Paced {
   constructor(id) {
     super(() => this.#read());
     this.id = id;
-    this.draw = framed(() => this.#draw());
+    this.draw = perFrame(() => this.#draw());
     this.map = h("div", { class: "islands", tabindex: "0", role: "group", "aria-label": "Islands by equation" });
     this.workers = h("ul", { class: "legend" });
     this.summary = h("p", { class: "faint" });
@@ -68,7 +68,7 @@ export class Islands extends Paced {
     setText(this.summary, `${plural(this.#islands.length, "island")} on ${plural(names.length, "worker")}${away ? `; ${away} without a worker` : ""}.`);
     keyed(this.workers, names, (worker) => worker, (worker) => {
       const { index, letter } = this.#letter(worker);
-      return h("li", {}, h("span", { class: `swatch ${cycled(index)}`, "aria-hidden": "true" }), `${letter} ${worker}`);
+      return h("li", {}, h("span", { class: `swatch ${colourOf(index)}`, "aria-hidden": "true" }), `${letter} ${worker}`);
     });
     const variables = [...new Set(this.#islands.map((island) => island.variable))];
     keyed(this.map, variables, (variable) => variable, (variable) => this.#group(variable), (group, variable) => this.#fill(group, variable));
@@ -90,7 +90,7 @@ export class Islands extends Paced {
       setText(name, `${island.island} ${worker ? worker.letter : "–"}`);
       setText(place, `epoch ${island.epoch}`);
       setText(note, mark ?? (worker ? (island.epoch > least ? "sent" : "computes") : ""));
-      setClass(cell, `${worker ? cycled(worker.index) : "nobody"}${mark ? " fresh" : ""}`);
+      setClass(cell, `${worker ? colourOf(worker.index) : "nobody"}${mark ? " fresh" : ""}`);
       cell.title = `island ${island.island} of ${variable}: ${island.worker ?? "no worker"}`;
     });
   }

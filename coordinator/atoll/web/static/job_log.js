@@ -1,7 +1,7 @@
 // What happened to a job, newest first: what somebody may have to do something about stands out.
 
 import { get, paths } from "./api.js";
-import { folding, framed, h, keyed, show } from "./dom.js";
+import { folding, perFrame, h, keyed, show } from "./dom.js";
 import { clock } from "./format.js";
 
 const MOST = 300;
@@ -15,7 +15,7 @@ export class Log {
   #events = new Map(); #last = 0;
   constructor(id) {
     this.id = id;
-    this.draw = framed(() => this.#draw()); // events come by the hundred
+    this.draw = perFrame(() => this.#draw()); // events come by the hundred
     this.all = h("input", { type: "checkbox", onchange: () => this.draw() });
     this.list = h("ol", { class: "log", reversed: true });
     this.none = h("p", { class: "faint" }, "Nothing yet.");

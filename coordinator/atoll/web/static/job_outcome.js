@@ -1,7 +1,7 @@
 // What a job gives: what it comes to, measured against simulated, report and files to download.
 
 import { check, get, getText, paths, send } from "./api.js";
-import { TrailsChart, cycled, legend } from "./charts.js";
+import { TrailsChart, colourOf, legend } from "./charts.js";
 import { HAS_RESULT, plural } from "./format.js";
 import { announce, download, faultBox, h, redraw, setText, show } from "./dom.js";
 import { Paced } from "./poll.js";
@@ -96,8 +96,8 @@ export class Outcome {
       const chart = this.#keep(new TrailsChart(`${state} over ${time}, measured and simulated`));
       this.charts.append(h("figure", {}, h("figcaption", {}, label(state)), chart.box, legendOf(trajectories)));
       chart.set(label(time), label(state), trajectories.flatMap((part, index) => [
-        { xs: part.measured_times, ys: part.measured[state] ?? [], colour: cycled(index), isPoints: true },
-        { xs: part.times, ys: part.values[state], colour: cycled(index), low: part.lower?.[state], high: part.upper?.[state] }]));
+        { xs: part.measured_times, ys: part.measured[state] ?? [], colour: colourOf(index), isPoints: true },
+        { xs: part.times, ys: part.values[state], colour: colourOf(index), low: part.lower?.[state], high: part.upper?.[state] }]));
     }
   }
 
@@ -120,8 +120,8 @@ export class Outcome {
     const draw = () => {
       const [x, y] = selects.map((select) => select.value);
       chart.set(labels[x] ?? x, labels[y] ?? y, trajectories.flatMap((part, index) => [
-        { xs: part.measured[x] ?? [], ys: part.measured[y] ?? [], colour: cycled(index), isPoints: true },
-        { xs: part.values[x], ys: part.values[y], colour: cycled(index) }]));
+        { xs: part.measured[x] ?? [], ys: part.measured[y] ?? [], colour: colourOf(index), isPoints: true },
+        { xs: part.values[x], ys: part.values[y], colour: colourOf(index) }]));
     };
     const axes = h("span", { class: "bar" }, h("label", {}, "across ", selects[0]), h("label", {}, "up ", selects[1]));
     this.charts.append(h("figure", {}, h("figcaption", {}, "Phase portrait"), states.length > 2 ? axes : null, chart.box, legendOf(trajectories)));
@@ -169,7 +169,7 @@ function captionOf(trajectories, total, states) {
 }
 
 function legendOf(trajectories) {
-  return trajectories.length > 1 ? legend(trajectories.map(({ name, held_out: out }, index) => [cycled(index), `${name}${out ? ", held out" : ""}`])) : null;
+  return trajectories.length > 1 ? legend(trajectories.map(({ name, held_out: out }, index) => [colourOf(index), `${name}${out ? ", held out" : ""}`])) : null;
 }
 
 /** A page that we open has our strict policy, under which styles in its text do not count: they become style sheets. */

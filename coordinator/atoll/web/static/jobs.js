@@ -2,8 +2,8 @@
 
 import { get, session } from "./api.js";
 import { follow } from "./events.js";
-import { framed, faultBox, h, keyed, redraw, setClass, setText, show, viewHeading } from "./dom.js";
-import { ENDED, duration, elapsed, heard, largestError, moment, number, plural, short, stateOf } from "./format.js";
+import { perFrame, faultBox, h, keyed, redraw, setClass, setText, show, viewHeading } from "./dom.js";
+import { ENDED, duration, elapsed, stamp, largestError, moment, number, plural, short, stateOf } from "./format.js";
 
 const STATES = ["queued", "preparing", "running", "refining", "done", "failed", "cancelled"];
 const PAGE = 50;
@@ -30,7 +30,7 @@ class Jobs {
     this.text = parameters.get("text") ?? "";
     this.sort = Object.hasOwn(COLUMNS, parameters.get("sort")) ? parameters.get("sort") : "submitted";
     this.isDown = parameters.has("down") ? parameters.get("down") === "yes" : Boolean(COLUMNS[this.sort].isDown);
-    this.draw = framed(() => this.#draw());
+    this.draw = perFrame(() => this.#draw());
     this.#build(root);
     follow("all", { job: (change) => this.#change(change), happened: ({ event }) => event === "deleted" && this.again() });
     this.clock = setInterval(() => document.visibilityState === "visible" && this.draw(), 1000);
@@ -89,14 +89,14 @@ class Jobs {
     const page = await this.fault.guard(() => get("jobs", { limit: PAGE, cursor, state: this.filter }));
     this.hasFailed = !page;
     if (page && cursor === null) this.#jobs.clear();
-    for (const job of page?.jobs ?? []) this.#jobs.set(job.job, heard(job));
+    for (const job of page?.jobs ?? []) this.#jobs.set(job.job, stamp(job));
     if (page) [this.#next, this.#isLoaded] = [page.next, true];
     this.draw();
   }
 
   #change({ job: id, changes, deleted }) {
     const known = this.#jobs.get(id);
-    const job = "elapsed" in changes ? heard({ ...known, ...changes }) : { ...known, ...changes };
+    const job = "elapsed" in changes ? stamp({ ...known, ...changes }) : { ...known, ...changes };
     if (deleted || (this.filter && job.state !== this.filter)) this.#jobs.delete(id);
     else if (known || this.#belongs(job)) this.#jobs.set(id, job);
     else return;
@@ -132,7 +132,7 @@ class Jobs {
     history.replaceState(null, "", `#/jobs${kept.size ? `?${kept}` : ""}`);
   }
 
-  #shown() {
+  #visibleJobs() {
     const words = this.text.toLowerCase();
     const { value } = COLUMNS[this.sort];
     const sign = this.isDown ? -1 : 1;
@@ -146,7 +146,7 @@ class Jobs {
   }
 
   #draw() {
-    const jobs = this.#shown();
+    const jobs = this.#visibleJobs();
     const isEmpty = this.#isLoaded && !this.#jobs.size && !this.filter;
     for (const head of this.heads) {
       const order = head.dataset.name === this.sort ? (this.isDown ? "descending" : "ascending") : "none";

@@ -18,6 +18,8 @@ const VIEWS = {
 };
 
 const ASK_AGAIN = 2000;
+/** Milliseconds after which the other views are loaded, too. */
+const SOON = 3000;
 let current = null;
 let visits = 0;
 /** What is not there now, with the reason. */
@@ -48,7 +50,8 @@ async function visit() {
     if (visitNumber !== visits) return;
     current = open(root, { id, parameters }, app);
   } catch {
-    root.replaceChildren(viewHeading("This view cannot be loaded"), h("p", {}, "The service does not answer. Load the page again."));
+    root.replaceChildren(viewHeading("This view cannot be loaded"), h("p", {}, "The service does not answer. The view is loaded as soon as it does."));
+    current = { again: () => location.reload() }; // browsers keep in mind which modules could not be loaded
   }
   if (visitNumber > 1) focus(root);
 }
@@ -88,7 +91,7 @@ async function loadSession() {
 }
 
 /** Without a token that the service knows nothing can be shown: there is a field for one in the place of every view. */
-function refused(sentence) {
+function refuse(sentence) {
   if (session.needs_token) return;
   if (token()) session.refusal = "The token of this page is not known any more: the service was started anew, or the address is another one's.";
   Object.assign(session, { needs_token: true, may_write: false });
@@ -121,7 +124,7 @@ async function begin() {
     main.focus();
   });
   acceptFiles();
-  hooks.refused = refused;
+  hooks.refused = refuse;
   hooks.answered = (isThere) => connection("requests", isThere, "The service does not answer.");
   setInterval(() => lost.has("requests") && loadSession(), ASK_AGAIN);
   onConnection(({ connected, reason }) => connection("events", connected, reason));
@@ -130,6 +133,10 @@ async function begin() {
   addEventListener("hashchange", visit);
   await visit();
   if (!session.needs_token) startEvents();
+  setTimeout(loadViews, SOON);
 }
+
+/** Loads the other views while nothing else is to do, so that they open without the service, too. */
+function loadViews() { for (const { load } of Object.values(VIEWS)) load().catch(() => {}); } // it is tried again when it is opened
 
 begin();

@@ -1,27 +1,45 @@
-// An error that names an option has a button that sets it, takes it back, or lets a column be chosen.
+// An error that names an option has a button that sets it, takes it back, or lets a column be chosen; a warning one that sets it.
 
 import { h } from "./dom.js";
 
 const NAMED = /--([a-z][a-z-]*)(?: (-?[a-z0-9.]+))?/g;
 /** Options that name one column of the data. */
 const OF_COLUMN = ["time", "trajectory", "group", "target", "weights"];
+/** Options that take columns, with the role that a column has there, "" where it keeps its own. */
+const OF_COLUMNS = { inputs: "input", states: "state", hold: "" };
+
+/** Returns the names that an option has, which are quoted where they hold a comma. */
+export function namesOf(text) {
+  return [...(text ?? "").matchAll(/"((?:[^"]|"")*)"|([^,]+)/g)].map(([, inQuotes, plain]) => (inQuotes?.replaceAll('""', '"') ?? plain.trim()));
+}
 
 /** Returns elements that mend what a sentence complains about. `put(name, value)` sets an option; null takes it back. */
-export function mends(sentence, { options, given, columns, put, choose }) {
+export function mends(sentence, { options, given, columns, put, choose, assign, isWarning = false }) {
   const seen = new Set();
   return [...sentence.matchAll(NAMED)].flatMap(([, flag, word]) => {
     const name = flag.replaceAll("-", "_");
     const option = options.get(name);
     if (!option || seen.has(name)) return [];
     seen.add(name);
-    if (OF_COLUMN.includes(name) && given[name] === undefined) return columns.length ? columnMend(option, sentence, columns, choose) : [];
+    if (name in OF_COLUMNS) {
+      const value = columnsBehind(sentence, flag, columns);
+      const act = () => (OF_COLUMNS[name] ? assign(namesOf(value), OF_COLUMNS[name]) : put(name, value));
+      if (value && given[name] !== value) return [button(`${option.label}: ${namesOf(value).join(", ")}`, act)];
+    }
+    if (!isWarning && OF_COLUMN.includes(name) && given[name] === undefined) return columns.length ? columnMend(option, sentence, columns, choose) : [];
     if (isValue(option, word) && String(given[name]) !== word) return [button(`${option.label}: ${word}`, () => put(name, option.is_repeatable ? [word] : word))];
-    if (given[name] !== undefined) return [button(`Take back “${option.label}”`, () => put(name, null))];
+    if (given[name] !== undefined) return isWarning ? [] : [button(`Take back “${option.label}”`, () => put(name, null))];
     return option.metavar === null ? [button(option.label, () => put(name, true))] : [];
   });
 }
 
 function button(label, act) { return h("button", { type: "button", onclick: act }, label); }
+/** Returns the columns that a sentence names behind an option, in quotes where the shell needs them; "" where it names none. */
+function columnsBehind(sentence, flag, columns) {
+  const [, inQuotes, plain] = sentence.match(new RegExp(`--${flag} (?:'([^']+)'|([^\\s'";()]+))`)) ?? [];
+  const value = inQuotes ?? plain?.replace(/[.,]+$/, "") ?? "";
+  return namesOf(value).every((name) => columns.includes(name)) ? value : "";
+}
 /** A word behind an option is a value of it where it is one of its choices, or a number where it takes numbers. */
 function isValue({ metavar, name }, word) {
   if (word === undefined || metavar === null) return false;

@@ -1,10 +1,10 @@
 // A new job: a file, how it is read, what it looks like smoothed, the options, and the same as a command.
 
 import { get, paths, session, upload } from "./api.js";
-import { LinesChart, legend, sparse } from "./charts.js";
+import { LinesChart, legend, thin } from "./charts.js";
 import { announce, copyable, facts, faultBox, h, redraw, setText, show, viewHeading } from "./dom.js";
 import { HAS_RESULT, plural } from "./format.js";
-import { mends } from "./mend.js";
+import { mends, namesOf } from "./mend.js";
 
 const ROLES = ["time", "state", "input", "trajectory", "weights", "unused"];
 /** The options that name the columns of roles: of those that nobody has chosen the service decides. */
@@ -12,8 +12,6 @@ const OPTION_OF = { time: "time", state: "states", input: "inputs", trajectory: 
 /** Settings that are not called like their option. */
 const SETTINGS = { allow: "variables_of", require: "required_of" };
 const SETTLE = 500;
-/** Bytes of a file in which its first line is looked for. */
-const HEAD = 8192;
 const MOST_CHARTS = 6;
 
 export default function open(root, { parameters }, app) { return new NewJob(root, parameters, app); }
@@ -38,8 +36,8 @@ class NewJob {
     this.priority = h("input", { type: "number", min: "-10", max: "10", value: "0" });
     this.shared = h("input", { type: "checkbox" });
     this.send = h("button", { class: "primary", disabled: true }, "Submit the job");
-    const step = (title, ...parts) => h("section", {}, h("h2", {}, title), parts);
-    root.append(viewHeading("New job"), h("form", { onsubmit: (event) => this.#submit(event) },
+    const step = (title, ...parts) => h("section", { id: title === "Submit" ? "submitting" : null }, h("h2", {}, title), parts);
+    root.append(viewHeading("New job"), h("form", { onsubmit: (event) => this.#submit(event), onkeydown: takeEnter },
       step("Data", h("div", { class: "drop" }, h("span", {}, "Drop data files here, or "), file, h("label", { for: "file", class: "button" }, "choose files"), demo), this.hint, this.unread, this.mending, this.outline),
       (this.seen = step("Smoothed", this.preview)), step("Options", this.form), (this.same = step("The same elsewhere", this.commands)),
       step("Submit", session.may_write ? null : h("p", { class: "faint" }, "You are looking only. ", h("a", { href: "#/token" }, "Enter the token"), " to submit."),
@@ -150,7 +148,9 @@ class NewJob {
     this.unread.say();
     show(this.mending, false);
     try {
-      this.#drawOutline(await upload("outline", this.#body, this.#query, signal));
+      const outline = await upload("outline", this.#body, this.#query, signal);
+      this.#drawOutline(outline);
+      this.#offerMends(outline.warnings.join(" "), true);
       this.send.disabled = !session.may_write;
       this.fault.say();
       this.#drawPreview(await upload("preview", this.#body, this.#query, signal));
@@ -159,13 +159,14 @@ class NewJob {
       setText(this.hint, `${this.#source} cannot be read like this.`);
       this.unread.say(error.message);
       this.send.disabled = true;
-      if (this.#files) await this.#guessColumns();
+      this.#drawRefused(error.columns ?? []);
       this.#offerMends(error.message);
     }
   }
-  /** An error has buttons that mend it. */
-  #offerMends(sentence) {
+  /** An error has buttons that mend it, and a warning those that do what it advises. */
+  #offerMends(sentence, isWarning = false) {
     const parts = mends(sentence, {
+      isWarning, assign: (names, role) => names.forEach((name) => this.#choose(name, role)),
       options: new Map([...this.#fields].map(([name, { option }]) => [name, option])), given: this.#options, columns: this.#columns.map(({ name }) => name),
       put: (name, value) => this.#put(name, value),
       choose: (column, option) => { this.#choose(column, Object.keys(OPTION_OF).find((role) => OPTION_OF[role] === option) ?? null, option); },
@@ -173,12 +174,9 @@ class NewJob {
     this.mending.replaceChildren(...parts);
     show(this.mending, parts.length > 0);
   }
-  /** What cannot be read yet, as there is no time, still has names in its first line, of which one can be chosen. */
-  async #guessColumns() {
-    const [line] = (await this.#files[0].slice(0, HEAD).text()).split(/\r?\n/);
-    const names = line.split(/[,;\t]/).map((name) => name.trim().replace(/^"(.*)"$/, "$1"));
-    const isText = names.length > 1 && names.every((name) => name && !/[\0-\x1f\ufffd]/.test(name));
-    if (!this.#columns.length && isText) this.#columns = names.map((name) => ({ name, role: null, first: [] }));
+  /** What cannot be read yet, as there is no time, still has columns, of which one can be chosen. */
+  #drawRefused(columns) {
+    if (!this.#columns.length) this.#columns = columns;
     if (this.#columns.length) this.#drawColumns({ columns: this.#columns, equations: [] });
   }
 
@@ -215,15 +213,15 @@ class NewJob {
   }
   /** Gives a column a role; "" leaves it to the service, and an `option` without a role names the column. */
   #choose(column, role, option = null) {
-    if (role === null) return this.#put(option, quoted(column));
+    if (role === null) return this.#put(option, quote(column));
     if (role) this.#chosen.set(column, role);
     else this.#chosen.delete(column);
     if (["time", "trajectory", "weights"].includes(role)) {
       for (const [name, other] of [...this.#chosen]) if (other === role && name !== column) this.#chosen.delete(name); // there is one of each
     }
-    const named = (wanted) => this.#columns.filter(({ name }) => this.#chosen.get(name) === wanted).map(({ name }) => quoted(name));
+    const named = (wanted) => this.#columns.filter(({ name }) => this.#chosen.get(name) === wanted).map(({ name }) => quote(name));
     for (const wanted of ["time", "input", "trajectory", "weights"]) this.#put(OPTION_OF[wanted], named(wanted).join(","));
-    this.#put("states", this.#states().map(quoted).join(","));
+    this.#put("states", this.#states().map(quote).join(","));
     return undefined;
   }
   /** Returns the states, where somebody has said that a column is one or that a state is none: they are named together then. */
@@ -258,7 +256,7 @@ class NewJob {
     const band = (values, sigma) => (sigma === null ? null : [-1, 1].map((side) => values.map((value, i) => shift(value, side * (sigma[i] ?? sigma)))));
     const pictures = states.slice(0, MOST_CHARTS).flatMap((state) => {
       const [curve, slope] = [new LinesChart(`${state.name}, smoothed`, { height: 200 }), new LinesChart(`Derivative of ${state.name}`, { height: 200 })];
-      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: sparse(state.measured), colour: "c1", isPoints: true }]);
+      curve.set(label, state.name, xs, [{ values: state.smoothed, colour: "c0", band: band(state.smoothed, state.sigma) }, { values: thin(state.measured), colour: "c1", isPoints: true }]);
       slope.set(label, `d${state.name}/d${label}`, xs, [{ values: state.derivative, colour: "c2", band: band(state.derivative, state.derivative_sigma) }]);
       this.#charts.push(curve, slope);
       return [curve.box, slope.box];
@@ -285,16 +283,19 @@ class NewJob {
   }
 }
 
-/** Returns the names that an option has, which are quoted where they hold a comma. */
-function namesOf(text) {
-  return [...(text ?? "").matchAll(/"((?:[^"]|"")*)"|([^,]+)/g)].map(([, inQuotes, plain]) => (inQuotes?.replaceAll('""', '"') ?? plain.trim()));
+/** Enter in a unit or an option takes the value: only below "Submit" it submits the job. */
+function takeEnter(event) {
+  const { key, target } = event;
+  if (key !== "Enter" || target.tagName !== "INPUT" || target.type === "file" || target.closest("#submitting")) return;
+  event.preventDefault();
+  target.dispatchEvent(new Event("change"));
 }
 
-function quoted(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }
+function quote(name) { return /[",]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name; }
 /** Returns a setting as the texts that an option takes. */
 function asTexts(name, value) {
   if (value === null || value === false) return [];
-  if (Array.isArray(value)) return [value.map((part) => (part?.column ? `${part.column}${part.degrees ? ":deg" : ""}` : quoted(String(part)))).join(",")];
+  if (Array.isArray(value)) return [value.map((part) => (part?.column ? `${part.column}${part.degrees ? ":deg" : ""}` : quote(String(part)))).join(",")];
   if (typeof value !== "object") return [String(value)];
   return Object.entries(value).flatMap(([side, right]) => {
     if (name === "bound") return right.map((bound) => (side === "*" ? bound : `${side}: ${bound}`));

@@ -36,7 +36,7 @@ export default function open(root, _place, app) {
   }
   follow("all", { happened: (event) => history.add([event]) });
   history.fetch();
-  return poll;
+  return { again: () => Promise.all([poll.again(), history.fetch()]), close: () => poll.close() };
 }
 
 /** Seconds of a processor that each worker has used in a second, between the last two answers. */
@@ -54,19 +54,24 @@ class Loads {
 
 /** When workers came and went, newest first. */
 class History {
-  #events = new Map();
+  #events = new Map(); #isKnown = false;
   constructor() {
     this.list = h("ol", { class: "log", reversed: true });
-    this.none = h("p", { class: "faint" }, "No worker has come or gone yet.");
+    this.none = h("p", { class: "faint", hidden: true }, "No worker has come or gone yet.");
     this.box = h("section", { "aria-label": "History" }, h("h2", {}, "History"), this.none, this.list);
   }
 
-  async fetch() { this.add((await get("logs", { limit: 1000 }).catch(() => ({ events: [] }))).events); }
+  async fetch() {
+    const answer = await get("logs", { limit: 1000 }).catch(() => null); // the banner says it if the service is away
+    if (!answer) return;
+    this.#isKnown = true;
+    this.add(answer.events);
+  }
 
   add(events) {
     for (const event of events) if (HISTORY.has(event.event)) this.#events.set(event.number, event);
     const shown = [...this.#events.values()].sort((a, b) => b.number - a.number).slice(0, MOST_EVENTS);
-    show(this.none, !shown.length);
+    show(this.none, this.#isKnown && !shown.length);
     keyed(this.list, shown, (event) => event.number, (event) => h("li", { class: event.event === "worker-lost" || event.event === "refused" ? "doubtful" : "" },
       h("time", { datetime: event.time }, moment(event.time)), h("span", { class: "kind" }, event.event),
       h("span", {}, `${event.worker ?? ""}: ${event.text}`, event.job ? h("small", {}, " (job ", jobLink(event.job), ")") : null)));

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.columns.clipping import check_clipping
+from atoll_coordinator.data.columns.counters import check_counters
 from atoll_coordinator.data.columns.fill_values import check_fill_values, fill_values
 from atoll_coordinator.data.columns.finding import Columns, Finding
 from atoll_coordinator.data.columns.levels import check_few_levels, check_held_inputs
@@ -25,6 +26,7 @@ CHECKS: Final[Sequence[Check]] = (
     check_clipping,
     check_few_levels,
     check_held_inputs,
+    check_counters,
     check_relations,
     check_second_order,
     check_map,

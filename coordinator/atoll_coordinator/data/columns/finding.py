@@ -1,5 +1,6 @@
 """What a check of columns sees, and what it finds. Pure data."""
 
+import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -86,6 +87,15 @@ class Columns:
         """Return all values of a column that are there."""
         values = self.whole[name]
         return values[np.isfinite(values)]
+
+    def may_leave_out(self, name: str) -> bool:
+        """Say whether a column is a state that no option names, so that it may be left out."""
+        data = self.config.data
+        if not self.is_in_time or name not in self.roles.states or data.states is not None:
+            return False
+        named = {*(data.only or ()), *data.offsets, *self.angles, data.group, data.trajectory}
+        texts = self.config.model_dump_json(include={"space", "prior"}, exclude_defaults=True)
+        return name not in named and re.search(rf"(?<!\w){re.escape(name)}(?!\w)", texts) is None
 
     def without(self, missing: Mapping[str, float]) -> "Columns":
         """Return the same with one value of some columns taken as missing."""

@@ -5,7 +5,6 @@ follow from those of the basis. Whatever equation is found with such columns, ot
 """
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -58,7 +57,7 @@ def check_relations(columns: Columns) -> Iterator[Finding]:
     for relation in linear_relations(columns):
         chosen = _subject(relation, left)
         is_made = relation.is_exact and chosen.constant == 0.0
-        if is_made and _may_leave(columns, chosen.name) and len(columns.roles.states) - len(left) > 1:
+        if is_made and columns.may_leave_out(chosen.name) and len(columns.roles.states) - len(left) > 1:
             left.append(chosen.name)
             yield _left_out(chosen, columns)
         else:
@@ -214,16 +213,6 @@ def _subject(relation: Relation, left: Sequence[str]) -> Relation:
         return relation
     forms = [relation.solved_for(name) for name in reversed(relation.columns)]
     return next((form for form in forms if all(value > 0.0 for value in form.coefficients.values())), relation)
-
-
-def _may_leave(columns: Columns, name: str) -> bool:
-    """Say whether a column is a state that no option names, so that it may be left out."""
-    data = columns.config.data
-    if not columns.is_in_time or name not in columns.roles.states or data.states is not None:
-        return False
-    named = {*(data.only or ()), *data.offsets, *(angle.column for angle in data.angles), data.group, data.trajectory}
-    texts = columns.config.model_dump_json(include={"space", "prior"}, exclude_defaults=True)
-    return name not in named and re.search(rf"(?<!\w){re.escape(name)}(?!\w)", texts) is None
 
 
 def _left_out(relation: Relation, columns: Columns) -> Finding:

@@ -72,7 +72,7 @@ class Evidence:
     known, by name; NaN where too few rows tell, empty without inputs; `held_inputs` names all that are held.
     `digits` is how many digits a target's values have that were rounded, None where they were not; `unfitted` counts
     constants that are as the search left them, so that nothing is known of their errors.
-    `stopped` says what a limit of time has stopped, nothing where nothing was.
+    `stopped` says what was stopped, nothing where nothing was: by a limit of time, or, with `is_cancelled`, by a user.
     """
 
     kind: JobKind = "trajectories"
@@ -118,6 +118,7 @@ class Evidence:
     digits: int | None = None
     unfitted: int = 0
     stopped: str = ""
+    is_cancelled: bool = False
 
     @cached_property
     def statistics(self) -> ResidualStatistics:
@@ -254,6 +255,8 @@ def _simulated(evidence: Evidence) -> Check:
 def _time(evidence: Evidence) -> Check:
     if not evidence.stopped:
         return Check("time", "passed", "no limit of time has stopped anything")
+    if evidence.is_cancelled:
+        return Check("time", "not made", f"the job was cancelled before {evidence.stopped}: let it run on")
     return Check("time", "not made", f"the limit of time stopped {evidence.stopped}: give more time with --max-time")
 
 
@@ -276,7 +279,9 @@ def _null(evidence: Evidence) -> Check:
         return _unsimulated(evidence, name)
     nats = evidence.null_nats
     if nats >= least:
-        return Check(name, "passed", f"it describes the rows {nats:.3g} nats better than no equation", nats, least)
+        return Check(
+            name, "passed", f"it describes the rows better than no equation (Δ log-likelihood {nats:.3g})", nats, least
+        )
     what = "a constant" if evidence.kind == "target" else "a constant or a random walk"
     reason = f"the rows are described about as well without an equation, by {what}"
     return Check(name, "failed", f"{reason} (Δ log-likelihood {nats:.2g}): measure more rows", nats, least)
@@ -563,14 +568,12 @@ def _alternatives(evidence: Evidence) -> Check:
     if nats is None:
         return _nothing(name, "no other equation with as few constants, which predicts something else, was compared")
     if nats >= least:
-        return Check(name, "passed", f"the next best equation fits worse (Δ log-likelihood {nats:.3g})", nats, least)
+        return Check(
+            name, "passed", f"the next best equation fits worse (Δ description length {nats:.3g})", nats, least
+        )
     where = _to_decide(evidence.prediction) if evidence.rivals_agree else ""
-    reason = f"another equation describes the data about as well ({_apart(nats)}){where}"
+    reason = f"another equation describes the data about as well (Δ description length {nats:.2g}){where}"
     return Check(name, "failed", reason, nats, least)
-
-
-def _apart(nats: float) -> str:
-    return f"{nats:.2g} nats apart" if nats >= 0.0 else f"{-nats:.2g} nats shorter"
 
 
 def _constants(evidence: Evidence) -> Check:
@@ -677,7 +680,7 @@ def _chance(evidence: Evidence) -> Check:
     if nats is None:
         return _unsimulated(evidence, "odds against chance")
     outcome: CheckOutcome = "passed" if nats >= least else "failed"
-    reason = f"it describes the rows {nats:.2g} nats better than no equation, and {least} are needed"
+    reason = f"it describes the rows better than no equation (Δ log-likelihood {nats:.2g}; {least} is needed)"
     return Check("odds against chance", outcome, reason, nats, least)
 
 
@@ -713,7 +716,7 @@ RULES: Final[Sequence[Rule]] = (
         _simulation_alone(),
         _inputs,
     ),
-    Rule("no equation", "nats over a constant and a random walk", "4.6", _everywhere(), _null),
+    Rule("no equation", "Δ log-likelihood over a constant and a random walk", "4.6", _everywhere(), _null),
     Rule("held-out trajectories", "R2 of trajectories left out", "0.9 less the noise", _simulation_alone(), _held_out),
     Rule("rows left out", "R2 of rows left out one at a time", "0.9", _target_alone(), _predicted_rows),
     Rule("target uncertainty", "uncertainty of the target", "0.01", _target_alone(), _target_noise),
@@ -725,10 +728,10 @@ RULES: Final[Sequence[Rule]] = (
     Rule("long run", "means and variances of a chaotic model", "p < 0.01", _simulation_alone(), _long_run),
     Rule("other initial states", "odds of models that predict the same", "0.95", _simulation_alone(), _other_starts),
     Rule("poles", "poles that the simulation passes", "none", _simulation_alone(), _poles),
-    Rule("alternative equations", "nats to the next best equation", "3", _everywhere(), _alternatives),
+    Rule("alternative equations", "Δ description length of the next best equation", "3", _everywhere(), _alternatives),
     Rule("constants", "constants that the data do not determine", "none", _everywhere(), _constants),
     Rule("precision", "residuals without noise", "1e-6, or rounding", _everywhere(), _precision, is_exactness=True),
-    Rule("odds against chance", "nats over no equation", "5.3", _everywhere(), _chance, is_exactness=True),
+    Rule("odds against chance", "Δ log-likelihood over no equation", "5.3", _everywhere(), _chance, is_exactness=True),
     Rule("precision of constants", "standard error over estimate", "1e-3", _everywhere(), _loosest, is_exactness=True),
     Rule(
         "digits of constants",

@@ -33,9 +33,9 @@ def stochastic_remarks(recording: Recording, simulation: Simulation | None) -> l
     if not walking:
         return []
     named = ", ".join(f"'{state}'" for state in walking)
-    what = "What was measured of" if simulation is None else "What the model leaves of"
+    what = "The measurements" if simulation is None else "The residuals"
     return [
-        f"{what} {named} grows like a random walk, as where noise moves the system itself: with --stochastic, drift "
+        f"{what} of {named} grow like a random walk, as where noise moves the system itself: with --stochastic, drift "
         "and diffusion are sought."
     ]
 

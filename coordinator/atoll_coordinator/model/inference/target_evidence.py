@@ -53,7 +53,7 @@ def target_evidence(
         weights: (R,) of the rows, 1 on average; None: all alike.
         kind: "target", or that of a job whose trajectories the equation was not simulated along.
         is_known: whether the equation was given.
-        stopped: what a limit of time has stopped.
+        stopped: what was stopped.
     """
     target = problem.target
     scale = target.standard_deviation

@@ -1,6 +1,7 @@
 """What a result says of how far its model can be trusted: alternatives, verdicts, correlations, simulations."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -52,8 +53,12 @@ def verdict(
         from atoll_coordinator.model.inference.target_evidence import target_evidence
 
         kind: JobKind = "trajectories" if has_trajectories else "target"
-        stopped = "the choice of the equation" if why in ("max-time", "cancelled") or state == "cancelled" else ""
-        judged = judge(target_evidence(shown, problem, weights, kind=kind, is_known=why == _KNOWN, stopped=stopped))
+        is_cancelled = why == "cancelled" or state == "cancelled"
+        evidence = target_evidence(
+            shown, problem, weights, kind=kind, is_known=why == _KNOWN,
+            stopped="the choice of the equation" if is_cancelled or why == "max-time" else "",
+        )  # fmt: skip
+        judged = judge(replace(evidence, is_cancelled=is_cancelled))
     if judged.grade in ("exact", "good") and shown.units is not None and shown.units.faults:
         judged = with_objection(judged, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
     if judged.grade == "good" and why in _STOPPED and not (has_trajectories and why == "max-epochs"):

@@ -250,7 +250,7 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
 
     verdicts = []
     for number, equation in enumerate(equations):
-        good = "The steps it leaves are independent and without a pattern over the states"
+        good = "The residual steps are independent and without a pattern over the states"
         if number < states and is_certain[number]:
             checks, good = [], _CERTAIN
         elif number < states:
@@ -303,7 +303,7 @@ def _drift_checks(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDAr
     return [
         _check(
             "pattern of steps", pattern, limit,
-            f"the steps it leaves follow a pattern over the states (p = {pattern:.1g})",
+            f"the residual steps follow a pattern over the states (p = {pattern:.1g})",
             "the steps show no pattern over the states",
         ),
         _check(
@@ -336,7 +336,7 @@ def joint_checks(residuals: FloatArray, state: int, names: Sequence[str], *, has
         checks.append(
             _check(
                 "correlation of states", chances[least], limit / len(chances),
-                f"the steps it leaves go together with those of {names[least]} (p = {chances[least]:.1g})",
+                f"the residual steps go together with those of {names[least]} (p = {chances[least]:.1g})",
                 "its steps are independent of those of other states",
             )
         )  # fmt: skip
@@ -361,7 +361,7 @@ def _diffusion_checks(first: FloatArray, second: FloatArray, bins: Sequence[Rows
     checks = [
         _check(
             "pattern of squared steps", pattern, limit,
-            f"the squares of the steps it leaves follow a pattern over the states (p = {pattern:.1g})",
+            f"the squares of the residual steps follow a pattern over the states (p = {pattern:.1g})",
             "the squares of the steps show no pattern over the states",
         )
     ]  # fmt: skip
@@ -404,7 +404,7 @@ def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> li
         checks.append(Check("alternative equations", "passed", "no other equation describes the data about as well"))
         return checks
     apart = rival.nats - rivals[0].nats
-    reason = f"another equation describes the data about as well ({apart:.1f} nats apart)"
+    reason = f"another equation describes the data about as well (Δ description length {apart:.1f})"
     checks.append(Check("alternative equations", "failed", reason, apart, limit))
     return checks
 

@@ -99,7 +99,9 @@ def job_view(
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
-    variables = tuple(_variable_view(job.prepared, outcome, job.state) for outcome in outcomes) if job.prepared else ()
+    # Equations of a result that is made are shown as they are there: judging them looks at every row of the data.
+    prepared = job.prepared if job.result_text is None else None
+    variables = tuple(_variable_view(prepared, outcome, job.state) for outcome in outcomes) if prepared else ()
     return JobView(
         job=job.id,
         name=job.name,
@@ -109,6 +111,7 @@ def job_view(
         reason=job.reason or queue.waiting_reason(job.id) or waiting_reason,
         fault=job.fault,
         warnings=job.prepared.dataset.warnings if job.prepared else (),
+        notes=job.prepared.dataset.notes if job.prepared else (),
         submitted=job.submitted,
         elapsed=now - job.submitted_at,
         workers=len({worker for archipelago in job.open_archipelagos for worker in archipelago.workers}),
@@ -190,6 +193,7 @@ def _stored_equations(result: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a view that are in a result, which is read from JSON."""
     return {
         "warnings": tuple(result["warnings"]),
+        "notes": tuple(result.get("notes", ())),
         "point_evaluations": result["point_evaluations"],
         "variables": tuple(_stored_variable_view(equation) for equation in result["equations"]),
     }

@@ -8,7 +8,7 @@ import pytest
 from scipy.special import lambertw, ndtr
 
 from atoll.experiments.design_search import suggest
-from atoll.experiments.designs import Foretold, certainties, discrepancy, distances_of, needed, precision, told
+from atoll.experiments.designs import Foretold, certainties, discrepancy, distances_of, expected_gain, needed, precision
 from atoll.experiments.measured import measured_of
 from atoll.experiments.rivals import without_poles
 from atoll.experiments.space import Request
@@ -65,7 +65,7 @@ def test_an_experiment_that_begins_outside_of_the_data_is_warned_of() -> None:
     suggestions = suggest(Result.of(FOUND), Request(WIDE))
     first = suggestions.experiments[0]
     assert first.remark.startswith(
-        f"the start is outside of the measured range: x = {first.initial['x']:.4g} (measured"
+        f"the initial state is outside of the measured range: x = {first.initial['x']:.4g} (measured"
     )
     assert f"  warning: {first.remark}" in str(suggestions).splitlines()
     within = suggest(Result.of(FOUND), Request({}))
@@ -77,7 +77,7 @@ def test_numbers_of_models_far_from_their_data_are_bounded() -> None:
     here, far = Foretold(np.array([[0.0]]), along, 1), Foretold(np.array([[1e41]]), along, 1)
     distances = distances_of([here, far], [0.6, 0.4])
     assert distances.max() == 500.0
-    assert told(distances, [0.6, 0.4], needed([0.0, 0.0])).evidence <= 2000.0
+    assert expected_gain(distances, [0.6, 0.4], needed([0.0, 0.0])).evidence <= 2000.0
 
 
 def test_certainties_are_those_of_two_gaussians_at_least() -> None:
@@ -121,7 +121,7 @@ def test_a_linear_model_alone_is_measured_where_its_constant_shows_most() -> Non
 @pytest.mark.filterwarnings("error")
 def test_a_candidate_that_the_data_have_excluded_is_said_to_be() -> None:
     distances = np.array([[0.0, 900.0], [900.0, 0.0]])
-    assert told(distances, [1.0, 0.0], np.ones((2, 2))).information == 0.0
+    assert expected_gain(distances, [1.0, 0.0], np.ones((2, 2))).information == 0.0
     times = np.linspace(0.0, 2.0, 150)
     x = 2.0 * np.exp(-0.5 * times) + 1e-5 * np.random.default_rng(3).standard_normal(150)
     data = measured({"x": "-0.5*x"}, [(times, {"x": x})], 1e-5)
@@ -140,7 +140,7 @@ def test_a_model_without_constants_and_candidates_is_refused() -> None:
 def test_candidates_that_foretell_the_same_are_not_told_apart() -> None:
     suggestions = suggest(Result.of(FOUND), Request({"x": (0.01, 0.02)}))
     assert suggestions.purpose == "precision"
-    assert suggestions.reason == "all 2 candidates foretell the same within the bounds"
+    assert suggestions.reason == "all 2 candidates predict the same within the bounds"
 
 
 def test_rivals_that_are_given_are_candidates() -> None:
@@ -230,10 +230,10 @@ def test_information_is_none_of_the_same_and_all_of_what_is_far_apart() -> None:
     apart = np.array([[0.0, 50.0], [50.0, 0.0]])
     useful = needed([0.0, 13.0])
     np.testing.assert_allclose(useful, [[3.0 + 6.0**0.5 * 2.0] * 2, [16.0 + 32.0**0.5 * 2.0, 3.0 + 6.0**0.5 * 2.0]])
-    assert told(np.zeros((2, 2)), [0.5, 0.5], useful).information == pytest.approx(0.0)
-    assert told(apart, [0.5, 0.5], useful).information == pytest.approx(math.log(2.0))
-    assert told(apart, [0.5, 0.5], useful).evidence == pytest.approx(4.0 * 50.0)
-    assert told(apart, [0.5, 0.5], useful).worth == pytest.approx(0.5 * (useful[0, 1] + useful[1, 0]))
+    assert expected_gain(np.zeros((2, 2)), [0.5, 0.5], useful).information == pytest.approx(0.0)
+    assert expected_gain(apart, [0.5, 0.5], useful).information == pytest.approx(math.log(2.0))
+    assert expected_gain(apart, [0.5, 0.5], useful).evidence == pytest.approx(4.0 * 50.0)
+    assert expected_gain(apart, [0.5, 0.5], useful).worth == pytest.approx(0.5 * (useful[0, 1] + useful[1, 0]))
 
 
 def test_information_about_constants_leaves_out_what_an_initial_state_explains() -> None:

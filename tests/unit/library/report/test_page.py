@@ -20,6 +20,7 @@ from atoll.report.markup import Element, table, to_text
 from atoll.report.origin import origin
 from atoll.report.overview import overview
 from atoll.report.page import as_html
+from atoll.text.conclusion import conclusion
 from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, process, regression
 
@@ -178,7 +179,7 @@ def test_the_next_experiment_stands_with_the_candidates() -> None:
     one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5, None, (0.9996,))
     suggestions = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
     page = read(choice(Findings(Result.of(dynamics()), None, suggestions=suggestions)))
-    said = {"x = 1.5, u = 2.5", "2 samples from 0 to 4", SURE, "dx/dt = 2*x", "candidate, 0 nats longer"}
+    said = {"x = 1.5, u = 2.5", "2 samples from 0 to 4", SURE, "dx/dt = 2*x", "candidate, Δ description length 0"}
     assert said <= set(page.texts)
 
 
@@ -344,17 +345,39 @@ def test_a_page_begins_with_what_was_found_for_people_who_do_not_know_the_terms(
     ]
 
 
+@pytest.mark.parametrize(
+    ("time", "unit", "words"),
+    [
+        ("t", "ms", "per millisecond."),
+        ("t", "d", "per day."),
+        ("t", "furlong", "per furlong."),
+        ("Weeks", "", "per week."),
+        ("year", "", "per year."),
+        ("t", "", "per unit of t."),
+    ],
+)
+def test_a_rate_is_said_in_words_of_its_time(time, unit, words) -> None:
+    contents = dynamics()
+    contents["system"] |= {"time": time, "units": {time: unit} if unit else {}}
+    contents["equations"][0]["lhs"] = f"dx/d{time}"
+    assert f"dx/d{time} is the change of x {words}" in conclusion(Result.of(contents))
+
+
 def test_what_was_found_has_its_errors_its_checks_as_a_list_and_notes_apart_from_warnings() -> None:
     note = "The search sees 8 of 80 rows, spread evenly; models are judged by all."
     contents = dynamics(warnings=["Some measurements look like outliers.", note], notes=[note])
     contents["equations"][0]["checks"] = [
         {"name": "time", "outcome": "passed", "reason": "nothing was stopped"},
         {"name": "poles", "outcome": "failed", "reason": "it passes 2"},
+        {"name": "long run", "outcome": "not made", "reason": "not simulated"},
+        {"name": "constants", "outcome": "not made", "reason": "not simulated"},
     ]
     texts = read([overview(Findings(Result.of(contents), None))]).texts
     assert "Constants: 3 (3.00 ± 0.10)" in texts
-    checks = texts.index("Checks: 1 of 2 passed:")
-    assert texts[checks + 1 : checks + 4] == ["poles: failed.", " it passes 2", "The other checks"]
+    checks = texts.index("Checks: 1 of 4 passed:")
+    assert texts[checks + 1 : checks + 6] == [
+        "poles: failed.", " it passes 2", "long run, constants: not made.", " not simulated", "The other checks",
+    ]  # fmt: skip
     assert texts[texts.index("Warnings") + 1] == "Some measurements look like outliers."
     assert texts[texts.index("Notes") + 1] == note
 

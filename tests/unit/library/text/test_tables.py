@@ -8,10 +8,10 @@ from atoll.model.constants import plus_minus
 from atoll.model.parameters import r2_text
 from atoll.text.tables import (
     MOST_LINES,
+    candidates_table,
     columns,
     constants_line,
     constants_table,
-    contenders_table,
     correlation_lines,
     noise_lines,
     percent,
@@ -118,21 +118,21 @@ def test_the_table_of_constants_has_intervals() -> None:
     assert "interval" not in constants_table(constants(constant(3.0, 2.981, 0.018)))[0]
 
 
-def test_contenders_show_how_close_the_race_was() -> None:
+def test_candidates_show_how_close_the_race_was() -> None:
     def contender(text: str, nats: float | None, held_out: float | None, **more: bool) -> Candidate:
         shown = {"expression": text, "complexity": 3, "r2": 0.998, "selected": nats == 0.0}
         return Candidate.model_validate({**shown, "nats": nats, "held_out_r2": held_out, "origin": "front", **more})
 
-    lines = contenders_table([contender("a*x", 0.0, 0.9), contender("a+x", 2.13, None)], str.upper)
-    assert lines[0].split() == ["contender", "nats", "R2", "held", "out", "size", "origin", "expression"]
+    lines = candidates_table([contender("a*x", 0.0, 0.9), contender("a+x", 2.13, None)], str.upper)
+    assert " ".join(lines[0].split()) == "candidate Δ description length R2 held out size origin expression"
     assert lines[1].split() == ["*", "0.0", "0.9980", "0.9000", "3", "front", "A*X"]
     assert lines[2].split() == ["2.1", "0.9980", "-", "3", "front", "A+X"]
-    without = contenders_table([contender("a*x", 0.0, None), contender("a+x", None, None)], str)
+    without = candidates_table([contender("a*x", 0.0, None), contender("a+x", None, None)], str)
     assert "held" not in without[0]
-    assert contenders_table([contender("a*x", 0.0, None)], str) == []
+    assert candidates_table([contender("a*x", 0.0, None)], str) == []
     crossed = [contender(text, 0.0, 0.9, cross_validated=True) for text in ("a", "b", "c", "d")]
-    heads, *rest = contenders_table(crossed, str, most=2)
-    assert heads.split()[3] == "cross-validated"
+    heads, *rest = candidates_table(crossed, str, most=2)
+    assert heads.split()[5] == "cross-validated"
     assert [line.split()[-1] for line in rest[:3]] == ["a", "b", "c"]
     assert rest[3:] == ["    1 more: coordinator result"]
 

@@ -12,7 +12,7 @@ from uvicorn.server import ServerState
 from atoll.web import connections
 from atoll.web.application import build_application
 from atoll.web.connections import Connection
-from atoll.web.server import Listener, configured
+from atoll.web.server import Listener, configure
 from tests.unit.library.web.made import READERS, Asked, AtHand, access
 
 GET = b"GET /api/v1/version HTTP/1.1\r\nhost: localhost\r\n\r\n"
@@ -24,7 +24,7 @@ Open = Callable[[], Awaitable[Streams]]
 async def listening(application=None) -> AsyncIterator[Open]:
     """Answer as the web process does; yield what opens a connection."""
     loop, state = asyncio.get_running_loop(), ServerState()
-    config = configured(application or build_application(access(AtHand(Asked())), READERS), Listener("127.0.0.1", 0))
+    config = configure(application or build_application(access(AtHand(Asked())), READERS), Listener("127.0.0.1", 0))
     config.load()
     server = await loop.create_server(lambda: Connection(config, state, {}, loop), "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]

@@ -162,6 +162,19 @@ def test_a_file_that_does_harm_is_refused_in_a_sentence_and_the_next_is_read(
     assert sent(readers, "a.csv", CSV).status == 200
 
 
+def test_a_refused_table_has_its_columns_in_the_answer_whatever_stands_above_them(readers) -> None:
+    """A page lets one of them be chosen: of Windows' letters, behind a preamble, of text, too."""
+    lines = ["Messung von Müller", "", "Standort;Füchse;Hasen"] + [
+        f"{site};{k},5;{k * k}" for site in "ab" for k in range(8)
+    ]
+    answer = sent(readers, "a.csv", "\n".join(lines).encode("cp1252"))
+    assert (answer.status, "no time column" in answer.json["detail"]) == (422, True), answer.json
+    columns = {column["name"]: column for column in answer.json["columns"]}
+    assert set(columns) == {"Standort", "Füchse", "Hasen"}
+    assert (columns["Füchse"]["role"], columns["Füchse"]["first"][:2]) == (None, ["0.5", "1.5"])
+    assert "columns" not in sent(readers, "a.csv", b"\x00").json, "nothing was read"
+
+
 def test_what_is_pickled_in_a_file_is_not_run(readers, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(Evil, "place", str(tmp_path / "was here"))
     sent(readers, "a.npz", pickle_npz())

@@ -8,13 +8,13 @@ from atoll.client.options import OPTIONS
 from atoll.text.render import pick
 from atoll.web.options import LABELS
 from atoll.web.progress import progress
-from atoll.web.simulation import simulated
+from atoll.web.simulation import simulation_of
 from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, regression
 
 
 def test_curves_and_measured_points_are_given_for_each_trajectory() -> None:
-    answer = simulated(Result.of(dynamics()))
+    answer = simulation_of(Result.of(dynamics()))
     (part,) = answer["trajectories"]
     assert part["measured"]["x"] == [1.0, 1.5, 2.0]
     assert part["measured_times"] == [0.0, 0.5, 1.0]
@@ -28,7 +28,7 @@ def test_an_equation_that_was_picked_is_drawn_from_the_first_measured_state() ->
     times = [0.0, 1.0, 2.0]
     measured = {"x": [1.0, 0.9, 0.8], "y": [3.0, 2.0, 1.5]}
     contents["data"]["trajectories"] = [{"name": "1", "times": times, "measured": measured}]
-    (part,) = simulated(pick(Result.of(contents), {"x": 1}))["trajectories"]
+    (part,) = simulation_of(pick(Result.of(contents), {"x": 1}))["trajectories"]
     assert part["measured"] == measured
     assert part["values"]["x"][0] == 1.0
     assert len(part["times"]) > 10
@@ -38,14 +38,14 @@ def test_a_regression_has_fitted_values() -> None:
     contents = regression()
     contents["system"]["kind"] = "regression"
     contents["symbols"] = {"x": "x"}
-    answer = simulated(Result.of(contents))
+    answer = simulation_of(Result.of(contents))
     assert answer["fitted"] == {"target": "y", "measured": [0.5, 4.0, 2.0], "fitted": [0.0, 4.0, 2.0]}
 
 
 def test_what_is_no_model_has_a_sentence() -> None:
     contents = dynamics()
     contents["equations"][0]["expression"] = None
-    assert "no model" in simulated(Result.of(contents))["message"]
+    assert "no model" in simulation_of(Result.of(contents))["message"]
 
 
 def test_expressions_have_the_digits_of_the_terminal_and_constants_their_errors() -> None:

@@ -47,6 +47,26 @@ def test_a_state_that_others_make_is_left_out(name, values, text):
     assert said in "\n".join(examination.measurements.warnings)
 
 
+def test_a_state_that_counts_the_rows_is_left_out():
+    columns = noisy(prey(), 0.02) | {"Packet no.": np.arange(17.0, 217.0)}
+    examination, said = found(columns)
+    assert "'Packet no.' counts the rows and is no quantity of the system" in said
+    assert "--states 'x,y,Packet no.' keeps it" in said
+    assert examination.roles.states == ("x", "y")
+    kept, silent = found(columns, states=("x", "y", "Packet no."))
+    assert (kept.roles.states, "counts the rows" in silent) == (("x", "y", "Packet no."), False)
+
+
+@pytest.mark.parametrize("change", [lambda n: 0.5 * n, lambda n: n + (n > 90), lambda n: 3.0 * n, lambda n: 0.5 + n])
+def test_a_state_that_rises_otherwise_does_not_count_the_rows(change):
+    columns = noisy(prey(), 0.02) | {"z": change(np.arange(200.0))}
+    assert "counts the rows" not in found(columns)[1]
+
+
+def test_a_counter_alone_is_sought():
+    assert found({"t": 0.1 * np.arange(30.0), "n": np.arange(30.0)})[0].roles.states == ("n",)
+
+
 def test_whole_numbers_are_equal_too():
     columns = {name: values if name == "t" else np.round(5.0 * values) for name, values in prey().items()}
     examination, said = found({**columns, "twice": 2.0 * columns["x"]})

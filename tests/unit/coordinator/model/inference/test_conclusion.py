@@ -291,7 +291,7 @@ def test_what_one_trajectory_cannot_tell_is_said():
         assert (equation.grade, equation.prediction.is_disputed) == ("doubtful", True)
         x, y = equation.prediction.measure_from.values()
         assert abs(x - y) > 0.05
-        assert equation.reason.startswith("Another equation describes the data about as well (0")
+        assert equation.reason.startswith("Another equation describes the data about as well (Δ description length 0")
         assert "measure from x = " in equation.reason
 
 

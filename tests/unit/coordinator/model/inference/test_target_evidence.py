@@ -41,7 +41,7 @@ def test_what_predicts_the_same_or_is_far_behind_is_no_doubt(others):
 def test_what_is_as_near_and_predicts_something_else_is():
     verdict = judged(("9.0*sin(a)", 0.5))
     assert verdict.grade == "doubtful"
-    assert verdict.reason == "Another equation describes the data about as well (0.5 nats apart)."
+    assert verdict.reason == "Another equation describes the data about as well (Δ description length 0.5)."
 
 
 def test_a_wave_in_the_last_digit_does_not_make_an_equation_exact():

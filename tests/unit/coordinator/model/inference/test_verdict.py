@@ -134,8 +134,8 @@ def test_a_simulation_without_noise_and_without_error_is_exact() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"alternative": 1.24}, "1.2 nats apart"),
-        ({"alternative": -1.24}, "1.2 nats shorter"),
+        ({"alternative": 1.24}, "(Δ description length 1.2)"),
+        ({"alternative": -1.24}, "(Δ description length -1.2)"),
         ({"residuals": waves(0.1)}, "of the residual variance follows a pattern"),
         ({"residuals": noise(0.17)}, "are 1.7 times the noise"),
         ({"held_out_r2": 0.3}, "held-out trajectories are simulated with R2 0.3 only"),
@@ -244,7 +244,8 @@ def test_an_equation_that_others_agree_with_on_the_curve_alone_is_not_exact() ->
     doubted = judge(replace(CLEAN, rivals=1.0, rivals_agree=True, alternative=0.0))
     assert doubted.grade == "doubtful"
     assert doubted.reason == (
-        "Another equation describes the data about as well (0 nats apart): measure from x = 1, y = 2 to decide."
+        "Another equation describes the data about as well (Δ description length 0): "
+        "measure from x = 1, y = 2 to decide."
     )
 
 

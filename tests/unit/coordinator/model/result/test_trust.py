@@ -158,4 +158,6 @@ def test_the_check_of_time_does_not_pass_where_an_equation_that_nobody_refined_w
     for has_trajectories in (False, True):
         verdict = verdict_on(shown, state, why, has_trajectories=has_trajectories)
         assert verdict.grade == "doubtful"
-        assert next(check.outcome for check in verdict.checks if check.name == "time") == "not made"
+        time = next(check for check in verdict.checks if check.name == "time")
+        assert time.outcome == "not made"
+        assert ("--max-time" in time.reason, "was cancelled" in time.reason) == (state == "done", state == "cancelled")

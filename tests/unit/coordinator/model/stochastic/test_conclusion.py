@@ -33,7 +33,7 @@ def test_steps_that_go_together_with_those_of_another_state_are_objected_to() ->
     residuals[2] = np.sqrt(0.99) * residuals[2] - 0.1 * residuals[1]
     (check,) = joint_checks(residuals, 1, NAMES, has_noise=True)
     assert check.outcome == "failed"
-    assert check.reason.startswith("the steps it leaves go together with those of w")
+    assert check.reason.startswith("the residual steps go together with those of w")
 
 
 def test_steps_that_are_too_small_for_the_noise_of_others_are_objected_to() -> None:

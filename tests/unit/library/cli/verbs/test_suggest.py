@@ -35,7 +35,7 @@ def test_text_names_candidates_bounds_and_experiments(saved: Path, capsys: pytes
     assert main(words) == 0
     said = capsys.readouterr().out
     assert said.startswith("candidates, their constants fitted again (the data that were given):")
-    assert re.search(r"\(given, [\d.e+-]+ nats longer\)  dx/dt = ", said)
+    assert re.search(r"\(given, Δ description length [\d.e+-]+\)  dx/dt = ", said)
     assert "(of the data, smoothed)" in said
     assert "experiment 1: x = " in said
     assert "per unit of samples" in said
