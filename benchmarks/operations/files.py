@@ -1,9 +1,10 @@
 """Files as people have them, drawn: every column, row and sheet is read or named, and nothing breaks the reader.
 
 ``python -m benchmarks.operations.files --cases 5000`` draws a table from each seed and hides it: below a preamble or
-names of groups, without a header, with times as columns or in several columns, in long form, among sheets, in an
-encoding, with separators and decimal commas, in arrays, frames and records. A fifth of the files is damaged as well. A
-case is refused with one sentence, or all values come back; what does not is named in what is said of the reading.
+names of groups, above a footer, without a header, with times as columns or in several columns, in long form, among
+sheets, in an encoding, with separators and decimal commas, in arrays, frames and records. A fifth of the files is
+damaged as well. A case is refused with one sentence, or all values come back; what does not is named in what is said of
+the reading.
 ``--seed 7`` shows one case. Returns 1 where anything was lost silently or broke.
 """
 
@@ -35,6 +36,15 @@ PREAMBLES: Final[Sequence[list[Row]]] = (
     [["[Header]"], ["version=2"], ["[Data]"]],
     [["Experiment", " run 3", " by me"]],
 )
+FOOTERS: Final[Sequence[list[Row]]] = (
+    [["Total", "45.25", "33.5", "12.125"]],
+    [["Mean", "4.5", "3.25", "2.5"], ["SD", "1.5", "0.25", "0.5"], ["n = 20"]],
+    [[], ["Source: Institute of Fisheries", " 2020", " page 3"]],
+    [["n = 20"]],
+    [["-----"], ["end of file"]],
+    [["20 observations"]],
+    [[], ["* p < 5 %"], ["(c) 2020 by me"]],
+)
 SHAPES: Final = ("plain", "no header", "years", "quarters", "months", "long", "groups", "short header", "dates")
 
 
@@ -54,6 +64,26 @@ class Case:
     options: Mapping[str, object] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Content:
+    """The rows of a drawn table: those `above` the header, the `header`, and the `body` with its footer.
+
+    `shape` is one of `SHAPES`; `values` and `others` are as of `Case`.
+    """
+
+    shape: str
+    above: Sequence[Row]
+    header: Sequence[Row]
+    body: Sequence[Row]
+    values: Mapping[str, FloatArray]
+    others: Sequence[str]
+
+    @property
+    def lines(self) -> list[Row]:
+        """All rows of the file."""
+        return [*self.above, *self.header, *self.body]
+
+
 def drawn(seed: int, folder: Path) -> Case:
     """Draw a case; its file, if it has one, is written into `folder`."""
     draw = np.random.default_rng(seed)
@@ -63,15 +93,15 @@ def drawn(seed: int, folder: Path) -> Case:
     header, body, others = _shaped(draw, shape, rows, values)
     if kind == "arrays":
         return _arrays(draw, folder, rows, values)
+    below = _footer(draw, shape, len(body[0]))
+    body, others = [*body, *below], [*others, *(cells[0] for cells in below if cells)]
     if kind == "python" and shape in ("no header", "groups", "short header"):
         kind = "text"
-    if kind == "python":
-        return _in_python(draw, shape, header, body, values, others)
     above = [] if draw.random() < 0.5 or shape == "no header" else PREAMBLES[int(draw.integers(len(PREAMBLES)))]
-    lines = [*above, *header, *body]
-    if kind == "workbook":
-        return _workbook(draw, folder, shape, lines, values, others)
-    return _text(draw, folder, shape, lines, values, others)
+    content = Content(shape, above, header, body, values, others)
+    if kind == "python":
+        return _in_python(draw, content)
+    return _workbook(draw, folder, content) if kind == "workbook" else _text(draw, folder, content)
 
 
 def _shaped(
@@ -115,14 +145,18 @@ def _shaped(
     return [*groups, heads], body, others
 
 
-def _text(
-    draw: np.random.Generator,
-    folder: Path,
-    shape: str,
-    lines: Sequence[Row],
-    values: Mapping[str, FloatArray],
-    others: Sequence[str],
-) -> Case:
+def _footer(draw: np.random.Generator, shape: str, width: int) -> list[Row]:
+    """Return rows of a footer, none in most cases; where rows begin with names, a row of sums is one of data."""
+    if draw.random() < 0.7:
+        return []
+    drawn_rows = FOOTERS[int(draw.integers(len(FOOTERS)))]
+    if shape in ("years", "long") and len(drawn_rows[0]) > 3:
+        return []
+    return [cells[:width] for cells in drawn_rows]
+
+
+def _text(draw: np.random.Generator, folder: Path, content: Content) -> Case:
+    lines, others = content.lines, content.others
     separator = str(draw.choice([",", ";", "\t"]))
     has_commas = separator != "," and draw.random() < 0.4
     encoding = str(draw.choice(["utf-8", "utf-8-sig", "utf-16", "latin-1"]))
@@ -138,20 +172,14 @@ def _text(
             lambda line: line + end + line, lambda line: '"' + line, lambda line: line.replace("1", "x", 1),
         ][int(draw.integers(6))]  # fmt: skip
         written[place] = change(written[place])
+        others = [name for name in others if not lines[place] or name != lines[place][0]]
     path = folder / str(draw.choice(["a.csv", "a.txt", "a.dat", "a.tsv"]))
     path.write_bytes(end.join([*comments, *written, ""]).encode(encoding))
-    how = f"text, {shape}, {separator!r}, {'decimal commas, ' if has_commas else ''}{encoding}"
-    return Case(path, how, values, others, is_damaged)
+    how = f"text, {content.shape}, {separator!r}, {'decimal commas, ' if has_commas else ''}{encoding}"
+    return Case(path, how, content.values, others, is_damaged)
 
 
-def _workbook(
-    draw: np.random.Generator,
-    folder: Path,
-    shape: str,
-    lines: Sequence[Row],
-    values: Mapping[str, FloatArray],
-    others: Sequence[str],
-) -> Case:
+def _workbook(draw: np.random.Generator, folder: Path, content: Content) -> Case:
     import openpyxl
 
     book = openpyxl.Workbook()
@@ -159,12 +187,11 @@ def _workbook(
     for place, title in enumerate(titles):
         sheet = book.active if not place else book.create_sheet()
         sheet.title = title
-        for cells in lines if title == "data" else [["Made", "by me"], ["k", "1.5"]]:
+        for cells in content.lines if title == "data" else [["Made", "by me"], ["k", "1.5"]]:
             sheet.append([_number(cell) for cell in cells])
     book.save(folder / "a.xlsx")
-    return Case(
-        folder / "a.xlsx", f"workbook, {shape}, {len(titles)} sheets", values, [*others, *titles[:-1][:1], *titles[2:]]
-    )
+    how = f"workbook, {content.shape}, {len(titles)} sheets"
+    return Case(folder / "a.xlsx", how, content.values, [*content.others, *titles[:-1][:1], *titles[2:]])
 
 
 def _number(cell: str) -> object:
@@ -174,24 +201,25 @@ def _number(cell: str) -> object:
         return cell or None
 
 
-def _in_python(
-    draw: np.random.Generator,
-    shape: str,
-    header: Sequence[Row],
-    body: Sequence[Row],
-    values: Mapping[str, FloatArray],
-    others: Sequence[str],
-) -> Case:
+def _in_python(draw: np.random.Generator, content: Content) -> Case:
     has_texts = draw.random() < 0.5
+    names, body = content.header[-1], content.body
+    width = len(names)
     cells = [[cell.replace(".", ",") if has_texts else _number(cell) for cell in row] for row in body]
-    named = {name: [row[place] for row in cells] for place, name in enumerate(header[-1])}
-    kind = str(draw.choice(["arrays by name", "frame", "records"]))
+    cells = [[*row, *[None] * (width - len(row))] for row in cells]
+    named = {name: [row[place] for row in cells] for place, name in enumerate(names)}
+    kind = str(draw.choice(["arrays by name", "frame", "frame of pandas", "records"]))
     data: object = named
-    if kind == "frame":
+    if kind == "frame" and len(body[-1]) == len(body[0]) and not body[-1][0].isalpha():
         data = polars.DataFrame(named, strict=False)
+    elif kind.startswith("frame"):  # polars makes nothing of texts among numbers
+        import pandas
+
+        data = pandas.DataFrame(named)
     if kind == "records":
         data = [dict(zip(named, row, strict=True)) for row in cells]
-    return Case(data, f"{kind}, {shape}{', decimal commas' if has_texts else ''}", values, others)
+    how = f"{kind}, {content.shape}{', decimal commas' if has_texts else ''}"
+    return Case(data, how, content.values, content.others)
 
 
 def _arrays(draw: np.random.Generator, folder: Path, rows: int, values: Mapping[str, FloatArray]) -> Case:

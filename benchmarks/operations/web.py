@@ -6,6 +6,7 @@ fetching progress as often as the page does.
     python -m benchmarks.operations.web                  # first view, 100 pages on one job
     python -m benchmarks.operations.web --islands 1024   # the same of a job with so many islands
     python -m benchmarks.operations.web --fuzz 1000000   # requests at random
+    python -m benchmarks.operations.web --fuzz 1000000 --jobs 30000   # the same against so many stored jobs
 """
 
 import asyncio
@@ -22,14 +23,16 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, get_args
 
 from atoll.client.client import Client
 from atoll.client.over_http import TOKEN
 from atoll.terminal.output import note, say
 from atoll_core.config import EvolutionConfig
 from atoll_core.errors import AtollError
-from atoll_core.wire.messages.views import FINAL_STATES
+from atoll_core.wire.messages.views import FINAL_STATES, JobState
 from benchmarks.harness.accounts import processor_seconds, status
 from benchmarks.harness.command_line import OUT, option, positive, program, whole
 from benchmarks.harness.jobs import configured
@@ -37,6 +40,7 @@ from benchmarks.harness.record import Record, load
 from benchmarks.harness.service import COORDINATOR, Machines, running, wait_until
 from benchmarks.harness.systems import table_of, trajectories
 from benchmarks.harness.tables import Columns
+from benchmarks.operations.many_jobs import filled
 from benchmarks.operations.scale import ENDLESS
 
 JOB: Final = "watched"
@@ -53,6 +57,9 @@ GOALS: Final = (0.05, 0.30)
 
 _ANSWER_LIMIT_S: Final = 2.0
 """How long an answer to what may be no whole request is waited for."""
+
+_WHOLE: Final = 0.25
+"""Share of the requests that ask for something of a stored job, or for a list of jobs, as a page does."""
 
 _PACE: Final = 1_000.0
 """Bytes a second, at most, that a page fetches of progress."""
@@ -71,9 +78,22 @@ class Watched:
 
 
 @contextmanager
-def served(islands: int, **settings: Any) -> Iterator[tuple[Machines, int]]:
-    """Run all programs, with a job without an end; yield the port of the web process. `settings` are of `Machines`."""
-    with running(1, **settings) as (machines, client):
+def served(islands: int, jobs: int = 0, **settings: Any) -> Iterator[tuple[Machines, int]]:
+    """Run all programs, with a job without an end and `jobs` ended ones; yield the port of the web process.
+
+    `settings` are those of `Machines`.
+    """
+    with TemporaryDirectory(prefix="atoll-benchmark-") as made:
+        if jobs:
+            note(f"filling a store with {jobs} jobs")
+            filled(Path(made) / "state", jobs)
+        with _served(islands, Path(made), **settings) as both:
+            yield both
+
+
+@contextmanager
+def _served(islands: int, folder: Path, **settings: Any) -> Iterator[tuple[Machines, int]]:
+    with running(1, folder, **settings) as (machines, client):
         port = _start_web(machines)
         config = configured(0, budget=ENDLESS)
         config = config.model_copy(update={"evolution": config.evolution.model_copy(update={"islands": islands})})
@@ -187,11 +207,40 @@ _PATHS: Final = (
 _BODIES: Final = (b"{}", b"[[[[", b"null", b'"', b" ", b"\r\n", b"t,x\n1,2\n", b"\xff\x00")
 
 
-def _fuzzed(draw: random.Random) -> bytes:
+_OF_A_JOB: Final = (
+    "", "/result", "/progress", "/islands", "/islands?of=x", "/simulation", "/report", "/exports", "/exports/python",
+    "/exports/sbml", "/logs", "/logs?limit=1000", "/logs?after=2",
+)  # fmt: skip
+_TO_A_JOB: Final = (
+    ("POST", "/cancel"), ("POST", "/pause"), ("POST", "/resume"), ("PUT", "/priority"), ("PUT", "/sharing"),
+    ("DELETE", ""),
+)  # fmt: skip
+_OF_THE_SERVICE: Final = ("health", "metrics", "workers", "coordinator", "logs", "session", "options", "openapi.json")
+
+
+def _whole_request(draw: random.Random, jobs: int) -> tuple[bytes, bytes]:
+    """Return method and path of a request as a page makes it; one in twenty changes or deletes a stored job."""
+    job, kind = f"/api/v1/jobs/job-{draw.randrange(jobs):06d}", draw.random()
+    if kind < 0.05:
+        method, path = draw.choice(_TO_A_JOB)
+        return method.encode(), (job + path).encode()
+    if kind < 0.5:
+        return b"GET", (job + draw.choice(_OF_A_JOB)).encode()
+    if kind < 0.7:
+        return b"GET", f"/api/v1/{draw.choice(_OF_THE_SERVICE)}".encode()
+    state = draw.choice(("", *get_args(JobState), "none"))
+    words = [f"limit={draw.choice((1, 20, 50, 100, 10**9))}", f"state={state}" if state else ""]
+    words += [f"cursor={draw.randrange(2 * jobs)}", f"prefix=job-{draw.randrange(jobs):06d}"[: draw.randint(8, 17)]]
+    return b"GET", f"/api/v1/jobs?{'&'.join(draw.sample(words, draw.randint(1, 4)))}".encode()
+
+
+def _fuzzed(draw: random.Random, jobs: int) -> bytes:
     """Return one request, which may be none; a quarter of them are refused by their host or lack the token."""
     method = draw.choice(_METHODS)
     path = b"".join(draw.choices(_PATHS, k=draw.randint(1, 3)))
     path = path if path.startswith(b"/") else b"/api/v1/jobs" + path
+    if jobs and draw.random() < _WHOLE:
+        method, path = _whole_request(draw, jobs)
     body = draw.randbytes(draw.randint(0, 200)) if draw.random() < 0.3 else b"".join(draw.choices(_BODIES, k=3))
     host = b"127.0.0.1" if draw.random() < 0.9 else b"evil.example"
     token = SECRET.encode() if draw.random() < 0.85 else draw.randbytes(4).hex().encode()
@@ -206,7 +255,7 @@ def _fuzzed(draw: random.Random) -> bytes:
     return request
 
 
-async def _fuzz(port: int, number: int, seed: int) -> Counter[str]:
+async def _fuzz(port: int, number: int, seed: int, jobs: int) -> Counter[str]:
     """Send so many requests over connections that are kept; return how often each status was answered."""
     draw, counts = random.Random(seed), Counter[str]()
     reader = writer = None
@@ -214,7 +263,7 @@ async def _fuzz(port: int, number: int, seed: int) -> Counter[str]:
         if writer is None:
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
         assert reader is not None
-        request = _fuzzed(draw)
+        request = _fuzzed(draw, jobs)
         try:
             writer.write(request)
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _ANSWER_LIMIT_S)
@@ -236,23 +285,24 @@ async def _fuzz(port: int, number: int, seed: int) -> Counter[str]:
     return counts
 
 
-def fuzz(machines: Machines, port: int, number: int) -> int:
+def fuzz(machines: Machines, port: int, number: int, jobs: int) -> int:
     """Send requests at random; print what came back; return 1 where anything of ours broke."""
-    pid, began, lanes = machines.pid(WEB), time.monotonic(), 32
-    before = status(pid, "VmRSS")
+    began, lanes = time.monotonic(), 32
+    before = {name: status(machines.pid(name), "VmRSS") for name in (WEB, COORDINATOR)}
 
     async def go() -> Counter[str]:
-        parts = [_fuzz(port, number // lanes, seed) for seed in range(lanes)]
+        parts = [_fuzz(port, number // lanes, seed, jobs) for seed in range(lanes)]
         return sum(await asyncio.gather(*parts), Counter())
 
     counts = asyncio.run(go())
-    after, most = status(pid, "VmRSS"), status(pid, "VmHWM")
     seconds = time.monotonic() - began
     say(
         f"{counts.total():,} answers to {number:,} requests in {seconds:.0f} s: "
         + ", ".join(f"{count:,} x {name}" for name, count in sorted(counts.items()) if count)
-        + f"; memory {before / 1e6:.0f} MB before, {after / 1e6:.0f} after, {most / 1e6:.0f} at most"
     )
+    for name, first in before.items():
+        after, most = (status(machines.pid(name), field) for field in ("VmRSS", "VmHWM"))
+        say(f"memory of {name}: {first / 1e6:.0f} MB before, {after / 1e6:.0f} after, {most / 1e6:.0f} at most")
     return int(any(name.startswith("5") and name != "503" for name in counts))
 
 
@@ -326,6 +376,7 @@ def _wait_for(port: int) -> None:
     option("--seconds", type=positive, default=30.0, help="length of each of two measurements (%(default)g)"),
     option("--islands", type=whole, default=EvolutionConfig().islands, help="of the job, each equation (%(default)s)"),
     option("--fuzz", type=whole, default=0, help="send so many requests at random instead"),
+    option("--jobs", type=whole, default=0, help="ended jobs that the store holds before (%(default)s)"),
     option("--searches", type=whole, default=0, help="search so many times with the pages and without instead"),
     OUT,
 )
@@ -334,9 +385,9 @@ def main(options: Namespace) -> int:
     if options.searches:
         return searches(options.pages, options.searches)
     record = Record("web", options.words, options.out)
-    with served(options.islands) as (machines, port):
+    with served(options.islands, options.jobs) as (machines, port):
         if options.fuzz:
-            return fuzz(machines, port, options.fuzz)
+            return fuzz(machines, port, options.fuzz, options.jobs)
         views = [first_view(port) for _ in range(5)]
         size, took = views[0][0], sorted(view[1] for view in views)[2]
         note("the first view is measured")

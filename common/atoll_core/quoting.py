@@ -1,6 +1,7 @@
 """Values that a person has given, as a sentence quotes them."""
 
 import re
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Final
@@ -32,6 +33,13 @@ def shown(value: object) -> str:
     """Return a value as one short line."""
     text = " ".join(repr(value).split())
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+
+
+def enumerated(names: Sequence[str], most: int | None = None) -> str:
+    """Return names as ``a, b and c``; of more than `most` the first ones and the number of the others."""
+    if most is not None and len(names) > most:
+        return f"{', '.join(names[:most])} and {len(names) - most} more"
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def first_lines(text: str, more: str) -> str:

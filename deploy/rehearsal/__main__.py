@@ -11,13 +11,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from deploy.rehearsal.adapting import rehearse_adapt, rehearse_sge
 from deploy.rehearsal.image import build_image, remove_containers
 from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError
 from deploy.rehearsal.manifests import check_compose, check_kubernetes
 from deploy.rehearsal.mistakes import rehearse_mistakes
-from deploy.rehearsal.services import rehearse_adapt, rehearse_containers, rehearse_slurm, rehearse_systemd
+from deploy.rehearsal.services import rehearse_containers, rehearse_systemd
+from deploy.rehearsal.slurm import rehearse_slurm
 
-SERVICES = ("containers", "slurm", "adapt", "systemd")
+SERVICES = ("containers", "slurm", "adapt", "sge", "systemd")
 """Steps whose services are ended with them."""
 STEPS: dict[str, Callable[[Machine], str]] = {
     "compose": check_compose,
@@ -27,6 +29,7 @@ STEPS: dict[str, Callable[[Machine], str]] = {
     "containers": rehearse_containers,
     "slurm": rehearse_slurm,
     "adapt": rehearse_adapt,
+    "sge": rehearse_sge,
     "systemd": rehearse_systemd,
 }
 

@@ -109,14 +109,22 @@ class Machine:
     def mark(self, name: str) -> str:
         return f"{self.id}/{name}"
 
-    def processes(self, name: str = "") -> list[int]:
-        """Return the processes that carry our mark with a name, or with any."""
+    def processes(self, name: str = "", setting: str = "") -> list[int]:
+        """Return the processes that carry our mark with a name, or with any, and have a variable set to a value."""
         wanted, marked = f"\0{MARK}={self.mark(name)}".encode() + b"\0" * bool(name), []
+        also = f"\0{setting}\0".encode() if setting else b""
         for folder in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
-                if wanted in b"\0" + (folder / "environ").read_bytes():
+                environment = b"\0" + (folder / "environ").read_bytes()
+                if wanted in environment and also in environment:
                     marked.append(int(folder.name))
         return marked
+
+    def kill(self, setting: str) -> None:
+        """Send SIGKILL to the processes of ours that have a variable set to a value, such as ``JOB_ID=3``."""
+        for pid in self.processes("", setting):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
 
     def end_all(self, grace: float = 10.0) -> int:
         """End every process that was started, after `grace` seconds by SIGKILL; return how many were still there."""

@@ -23,8 +23,6 @@ from atoll_core.wire.messages.views import FINAL_STATES
 from tests.certificates import HAS_OPENSSL, Lab
 from tests.programs import done, serving, started, until
 
-pytest.importorskip("uvicorn", reason="no uvicorn; pip install 'atoll[web]'")
-
 TOKEN = "a-token-that-tests-know"
 CSV = b"t,x\n" + b"".join(b"%.17g,%.17g\n" % (0.1 * row, math.exp(-0.05 * row)) for row in range(120))
 

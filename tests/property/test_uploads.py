@@ -104,14 +104,14 @@ class Users:
     def check(self) -> None:
         for user in ("ann", "bob"):
             for table in TABLES:
-                if self.uploads.has(digest_of(table), user, Viewer(user)):
+                if self.uploads.has(digest_of(table), user, Viewer(user), ""):
                     own = self.sent.get((user, None), set())
                     assert all(piece in own for piece in chunks_of(table)), (user, table)
-        pending = Counter({user: self.uploads.pending_bytes(user, "")[0] for user in USERS})
+        pending = Counter({user: self.uploads.pending_bytes(user, "", "")[0] for user in USERS})
         sizes = "SELECT digest, sum(length(data)) FROM chunks GROUP BY digest"
         stored = dict(self.store._connection.execute(sizes).fetchall())
         assert self.store.blob_bytes() == sum(stored.values())
-        assert self.uploads.pending_bytes(None, "")[1] == pending.total()
+        assert self.uploads.pending_bytes(None, "", "")[1] == pending.total()
         for own in self.uploads._uploads.values():
             name = own.digest if own.is_whole else own.key
             size = stored.get(name, own.shown)  # a table whose last job was deleted may be gone

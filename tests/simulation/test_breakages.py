@@ -78,7 +78,7 @@ HANDLERS: list[tuple[type, str]] = [
     (PullBudget, "mark_written"),
     (Store, "has_blob"),
     (Store, "put_chunk"),
-    (Store, "begin_search"),
+    (Store, "keep_prepared"),
     (Store, "add_job"),
     (Store, "commit_cuts"),
     (Store, "commit_checkpoint"),

@@ -160,7 +160,7 @@ def test_a_worker_killed_again_and_again_never_brings_the_search_back_to_the_sta
 def test_no_checkpoint_is_taken_of_a_search_that_ends_before_it() -> None:
     world = world_of(workers=2, seed=1)
     written: list[object] = []
-    world.service.controller._writer.write = lambda *arguments: written.append(arguments)  # type: ignore[method-assign, assignment]
+    world.service.controller._background.write_checkpoint = lambda *arguments: written.append(arguments)  # type: ignore[method-assign, assignment]
     world.run(config(max_epochs=8))
     assert written == []
 
@@ -168,7 +168,7 @@ def test_no_checkpoint_is_taken_of_a_search_that_ends_before_it() -> None:
 def test_a_checkpoint_is_taken_of_a_search_that_goes_on_after_it() -> None:
     world = world_of(workers=2, seed=1)
     written: list[object] = []
-    world.service.controller._writer.write = lambda *arguments: written.append(arguments)  # type: ignore[method-assign, assignment]
+    world.service.controller._background.write_checkpoint = lambda *arguments: written.append(arguments)  # type: ignore[method-assign, assignment]
     world.run(config(max_epochs=14), "x")
     assert len(written) == 1
 

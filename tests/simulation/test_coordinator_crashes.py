@@ -34,7 +34,7 @@ def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
         store = disk.open(lambda seconds: None)
         network = SimulatedNetwork(0, None)
         bus = network.bus("coordinator", is_router=True)
-        dependencies = Dependencies(writer=lambda work: work())  # no other thread is in the store when it dies
+        dependencies = Dependencies(background=lambda work: work())  # no other thread is in the store when it dies
         service = Service(bus, store, dependencies=dependencies, role_bindings=RoleBindings({"ann": "submitter"}))
         service._requests.answer(Query(topics.client(store.cluster, "ann-1"), UPLOAD, None))
         disk.die_at(commits, before)

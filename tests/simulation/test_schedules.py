@@ -310,7 +310,7 @@ def test_whatever_else_the_store_does_needs_room() -> None:
     methods = {**vars(OpenFile), **vars(Store)}
     public = {name for name, method in methods.items() if not name.startswith("_") and isfunction(method)}
     assert public - READS == {
-        "keep_served", "add_job", "update_job", "begin_search", "commit_result", "delete_job", "begin_terms",
+        "keep_served", "add_job", "update_job", "keep_prepared", "commit_result", "delete_job", "begin_terms",
         "commit_cuts", "add_deaths", "take_back_deaths", "add_events", "commit_checkpoint", "put_blob", "put_chunk",
         "delete_unused_blobs", "keep_views", "share_job", "cordon", "add_usage", "pause_queue",
     }  # fmt: skip

@@ -14,6 +14,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from atoll_core.data.notes import notes_of
+
 FloatArray = npt.NDArray[np.float64]
 AnyArray = npt.NDArray[Any]
 """An array of numbers or texts of any type."""
@@ -85,8 +87,8 @@ class Dataset:
     """All regression problems of a job over the same rows.
 
     `names` are the V symbols used in expressions, in the order of the rows of `inputs`; `symbols` maps each column name
-    of the user's file to its symbol; `warnings` are sentences for the user about how the data were treated; `groups`
-    are as in `Problem`.
+    of the user's file to its symbol; `warnings` are sentences for the user about how the data were treated, `notes`
+    those among them that are no warnings; `groups` are as in `Problem`.
     """
 
     names: tuple[str, ...]
@@ -95,6 +97,11 @@ class Dataset:
     symbols: dict[str, str]
     warnings: tuple[str, ...] = ()
     groups: IntArray | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Keep which of the warnings are notes: what is read of bytes does not tell."""
+        object.__setattr__(self, "notes", tuple(dict.fromkeys((*self.notes, *notes_of(self.warnings)))))
 
     @property
     def variables(self) -> tuple[str, ...]:

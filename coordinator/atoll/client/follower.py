@@ -6,7 +6,6 @@ from typing import Final, Self
 
 from atoll.client.client import Client
 from atoll.client.subscription import Subscription
-from atoll_coordinator.result.notes import with_kind
 from atoll_core.errors import UnreachableError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
@@ -83,7 +82,7 @@ class Follower:
         for warning in self._view.warnings:
             if warning not in self._warned:
                 self._warned.add(warning)
-                self._display.print_note(self._reword(with_kind(warning)))
+                self._display.print_note(f"note: {self._reword(warning)}")
         if self._seen_at is not None:
             self.phases[phase(self._view, self._workforce)] += now - self._seen_at
         self._seen_at = now

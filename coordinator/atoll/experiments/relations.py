@@ -17,6 +17,7 @@ from atoll.experiments.determination import Direction
 from atoll.experiments.profiles import Profile
 from atoll.experiments.systems import Fitted
 from atoll_core.data.dataset import FloatArray
+from atoll_core.quoting import enumerated
 
 SLOPPY: Final = 1.0
 """Quantiles of the error along a direction, over the constants themselves, from which it is not determined: then they
@@ -55,7 +56,7 @@ def _words(vector: FloatArray, profiles: Sequence[Profile], names: Sequence[str]
     is_open = any(any(profiles[index].is_open) for index in part)
     if len(part) == 1:
         return f"{names[part[0]]} is not determined" if is_open else ""
-    listed = " and ".join([", ".join(names[index] for index in part[:-1]), names[part[-1]]])
+    listed = enumerated([names[index] for index in part])
     lead = max(part, key=lambda index: abs(float(vector[index])))
     inside = profiles[lead].path[profiles[lead].deviances <= quantile**2][:, part] * signs[part]
     relation = relation_of(inside, (names[part[0]], names[part[1]])) if len(part) == 2 else None

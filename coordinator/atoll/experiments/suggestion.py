@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 from atoll.analysis.plain_data import attributes, plain
 from atoll.experiments.odds import certainty_text, which_of_two
 from atoll_core.data.frames import FrameLibrary, frame_of
-from atoll_core.quoting import first_lines
+from atoll_core.quoting import enumerated, first_lines
 
 if TYPE_CHECKING:
     import polars
@@ -26,12 +26,6 @@ _SURE: Final = 0.95
 _WEIGHTS: Final = (
     "weights are by how well the data are described alone (Akaike); the result also counts how long equations are"
 )
-
-
-def _listed(numbers: list[int]) -> str:
-    """Return ``2, 3 and 5``."""
-    *most, last = map(str, numbers)
-    return f"{', '.join(most)} and {last}" if most else last
 
 
 def equations_text(equations: Mapping[str, str]) -> str:
@@ -100,11 +94,11 @@ class Suggestion:
         parts = []
         if apart:
             least = min(self.certainties[place - 2] for place in apart)
-            parts.append(
-                f"tells 1 from {_listed(apart)} with {certainty_text(least)} certainty{' each' * (len(apart) > 1)}"
-            )
+            each = " each" if len(apart) > 1 else ""
+            named = enumerated([*map(str, apart)])
+            parts.append(f"tells 1 from {named} with {certainty_text(least)} certainty{each}")
         if rest:
-            parts.append(f"does not surely tell 1 from {_listed(rest)}")
+            parts.append(f"does not surely tell 1 from {enumerated([*map(str, rest)])}")
         return ", ".join(parts)
 
     @property

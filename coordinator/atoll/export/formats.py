@@ -9,6 +9,7 @@ from atoll.export.language import Language
 from atoll.model.beginnings import Given
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
+from atoll_core.quoting import enumerated
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
@@ -52,8 +53,8 @@ def write(model: Description, language: Language) -> str:
 def require_holds(model: Description, language: Language) -> None:
     """Raise UsageError where a process would lose its noise, a regression its function, or an input its table."""
     if model.covariance and not language.has_noise:
-        *others, last = (name for name, other in LANGUAGES.items() if other.has_noise)
-        raise UsageError(f"{language.name} cannot hold the noise of a process; {', '.join(others)} and {last} can")
+        able = enumerated([name for name, other in LANGUAGES.items() if other.has_noise])
+        raise UsageError(f"{language.name} cannot hold the noise of a process; {able} can")
     if not model.states and not language.regression:
         able = ", ".join([name for name, other in LANGUAGES.items() if other.regression])
         raise UsageError(

@@ -11,7 +11,6 @@ from atoll.report.markup import Element, element, facts, number, paragraph, pars
 from atoll.text.conclusion import conclusion
 from atoll.text.tables import checks_text, constants_line
 from atoll_coordinator.result.equations import Check, Equation
-from atoll_coordinator.result.notes import is_note
 
 MEANINGS: Final = {
     "exact": "the data single this equation out, to all of their digits",
@@ -25,8 +24,8 @@ def overview(findings: Findings) -> Element:
     """Return the section: equations with verdicts, then what was asked."""
     result = findings.result
     equations = [_equation(equation, findings) for equation in result.equations]
-    warned = _list("Warnings", [text for text in result.warnings if not is_note(text)])
-    noted = _list("Notes", [text for text in result.warnings if is_note(text)])
+    warned = _list("Warnings", result.proper_warnings)
+    noted = _list("Notes", result.notes)
     of_noise = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time." if result.process else ""
     remarks = map(paragraph, filter(None, [remark_on_groups(result), of_noise]))
     verdicts = dict.fromkeys(equation.verdict or "" for equation in result.equations)

@@ -5,6 +5,7 @@ from typing import Final
 
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.result import Result
+from atoll_core.quoting import enumerated
 
 _MEANINGS: Final = {
     "exact": "The data leave no other equation: {it} reproduce{s} them to all of their digits",
@@ -32,19 +33,20 @@ def conclusion(result: Result) -> str:
 def _aim(result: Result) -> str:
     variables = [equation.variable for equation in result.equations]
     if result.kind == "regression":
-        return f"a formula that gives {variables[0]} from {_list(result.names)}"
+        return f"a formula that gives {variables[0]} from {enumerated(result.names, _MOST_NAMES)}"
     states = result.columns.states or variables
     noise = " and how large its noise is" if result.process else ""
     if len(states) == 1:
         return f"an equation that says how fast {states[0]} changes{noise}"
-    return f"equations that say how fast {_list(states)} change{noise.replace('its', 'their')}"
+    return f"equations that say how fast {enumerated(states, _MOST_NAMES)} change{noise.replace('its', 'their')}"
 
 
 def _source(result: Result) -> str:
     data = result.data
     if data is None or not data.rows:
         return ""
-    return f" in {data.rows:,} rows of {_list(data.files)}" if data.files else f" in {data.rows:,} rows"
+    files = f" of {enumerated(data.files, _MOST_NAMES)}" if data.files else ""
+    return f" in {data.rows:,} rows{files}"
 
 
 def _explain(result: Result, equation: Equation) -> str:
@@ -73,15 +75,8 @@ def _trust(equations: Sequence[Equation]) -> str:
         named = [equation.lhs for equation in equations if equation.verdict == verdict]
         if named:
             is_one = len(named) == 1
-            it = f"the equation of {named[0]}" if is_one else f"the equations of {_list(named)}"
+            it = f"the equation of {named[0]}" if is_one else f"the equations of {enumerated(named, _MOST_NAMES)}"
             if len(named) == len(equations):
                 it = "this equation" if is_one else "these equations"
             sentences.append(_MEANINGS[verdict].format(it=it, s="s" if is_one else ""))
     return "".join(f"{sentence}. " for sentence in sentences).rstrip()
-
-
-def _list(names: Sequence[str]) -> str:
-    """Return names as ``a, b and c``; of many the first and their number."""
-    if len(names) > _MOST_NAMES:
-        return f"{', '.join(names[:_MOST_NAMES])} and {len(names) - _MOST_NAMES} more"
-    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))

@@ -14,7 +14,6 @@ from atoll.model.parameters import constant_names
 from atoll.text import tables
 from atoll.text.process import process_lines
 from atoll_coordinator.result.equations import Equation, Member
-from atoll_coordinator.result.notes import with_kind
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
@@ -99,7 +98,7 @@ def render_text(result: Result, *, fronts: bool = False) -> str:
         blocks += tables.summary(result)
     blocks += _shared_lines(result)
     blocks += process_lines(result)
-    blocks += map(with_kind, result.warnings)
+    blocks += [f"{'note' if warning in result.notes else 'warning'}: {warning}" for warning in result.warnings]
     cost = f"{_count(result.point_evaluations or 0)} point evaluations in {number_text(result.search_seconds)} s"
     blocks.append(f"{cost} of search, seed {result.seed}")
     return "\n".join(blocks)

@@ -12,7 +12,6 @@ from atoll.model.parameters import r2_text
 from atoll.text.conclusion import conclusion
 from atoll.text.tables import constants_line
 from atoll_coordinator.result.equations import Candidate, Convergence, Equation, Member
-from atoll_coordinator.result.notes import is_note
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError
 
@@ -31,8 +30,8 @@ def progress(result: Result) -> dict[str, Any]:
         "config": result.config,
         "files": list(result.data.files) if result.data is not None else [],
         "conclusion": conclusion(result),
-        "warnings": [sentence for sentence in result.warnings if not is_note(sentence)],
-        "notes": [sentence for sentence in result.warnings if is_note(sentence)],
+        "warnings": list(result.proper_warnings),
+        "notes": list(result.notes),
         "equations": [_equation(equation, result.names, points) for equation in result.equations],
     }
 

@@ -13,6 +13,7 @@ from atoll_coordinator.stochastic.densities import StationaryDensity
 from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_coordinator.stochastic.paths import Ensemble
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.notes import notes_of
 from atoll_core.expression.program import MAX_NODES, Program
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll_core.expression.writing.expansion import Shape
@@ -396,7 +397,10 @@ class ProcessFindings:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """Everything that refining a job gives; `equations` lacks variables of which the front has nothing better."""
+    """Everything that refining a job gives; `equations` lacks variables of which the front has nothing better.
+
+    `notes` are those among the `warnings` that are none.
+    """
 
     equations: Mapping[str, Refined] = field(default_factory=dict)
     simulation: Simulation | None = None
@@ -409,6 +413,11 @@ class Refinement:
     covariance: Covariance | None = None
     by_group: tuple[GroupCovariance, ...] = ()
     end: RefiningEnd = "finished"
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Keep which of the warnings are notes: what is read of bytes does not tell."""
+        object.__setattr__(self, "notes", tuple(dict.fromkeys((*self.notes, *notes_of(self.warnings)))))
 
 
 def may_be_shown(program: Program, largest: int | None) -> bool:

@@ -41,6 +41,7 @@ UNTIMED: Final = -1.0
 class Result(Part):
     """What a job has found, and what is known of it; see docs/result.md.
 
+    `notes` are the sentences among the `warnings` that report what was done by rule, and ask nothing of the reader.
     `group` is set in the result of the model of one group of trajectories, `command` where a command wrote it.
     """
 
@@ -67,6 +68,7 @@ class Result(Part):
     config: dict[Text, JsonValue] = Field(default_factory=dict)
     refining: Text | None = None
     warnings: tuple[Text, ...] = ()
+    notes: tuple[Text, ...] = ()
     point_evaluations: Count | None = None
     search_seconds: Number = None
     seconds: Number = None
@@ -108,6 +110,11 @@ class Result(Part):
     def to_json(self) -> str:
         """Return the content of ``result.json`` on one line."""
         return json_of(self.as_dict())
+
+    @property
+    def proper_warnings(self) -> tuple[str, ...]:
+        """The warnings that are no notes."""
+        return tuple(sentence for sentence in self.warnings if sentence not in self.notes)
 
     @property
     def columns(self) -> System:

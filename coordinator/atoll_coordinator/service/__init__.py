@@ -13,5 +13,5 @@ A report: `service_loop` -> `job_controller.add_report` -> `jobs.job` -> `search
 A worker's death: `workers.worker_controller` -> `workers.membership` (expire) -> `workers.lease_backoff`,
 `workers.crash_loops` -> `workers.quarantine`, `workers.scheduling` -> a placement under a new term.
 A commit: heartbeat with snapshots -> `search.pull_budget` (pulls) -> `search.checkpoint_gathering` ->
-`tasks.writer` -> `job_controller.commit_checkpoint` -> `workers.channel`.
+`tasks.background` -> `job_controller.commit_checkpoint` -> `workers.channel`.
 """

@@ -42,8 +42,10 @@ from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.analyses import Analysis
+from atoll_coordinator.service.tasks.background import Background
+from atoll_coordinator.service.tasks.outcomes import JobPrepared
+from atoll_coordinator.service.tasks.results import ResultRead
 from atoll_coordinator.service.tasks.task_controller import TaskController
-from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.worker_controller import WorkerController
 from atoll_coordinator.tasks.preparing import Prepared
@@ -69,12 +71,12 @@ class JobController:
     """All live jobs, and the workers that compute them; `shown` are the views of these jobs and of those that ended."""
 
     def __init__(
-        self, store: Store, channel: WorkerChannel, writer: CheckpointWriter, post: Callable[[object], None],
+        self, store: Store, channel: WorkerChannel, background: Background, post: Callable[[object], None],
         clock: Callable[[], str], expected_workers: int = 1,
     ) -> None:  # fmt: skip
         """Set up the jobs of a store; no island is placed before the expected workers are ready.
 
-        `writer` makes checkpoints durable, `post` hands outcomes to the loop, `clock` gives the time of day as text.
+        `background` works on large values, `post` hands outcomes to the loop, `clock` gives the time of day as text.
         """
         self.jobs: dict[str, Job] = {}
         self.begun: Final[dict[str, Job]] = {}
@@ -96,10 +98,17 @@ class JobController:
         self._store = store
         self._turns: Final = TaskTurns()
         self.tasks: Final = TaskController(
-            channel, self.workers.membership, post, self._order, self._may_follow, self._charge, self._turns.forget
+            channel,
+            self.workers.membership,
+            post,
+            background.read_result,
+            self._order,
+            self._may_follow,
+            self._charge,
+            self._turns.forget,
         )
         self._channel = channel
-        self._writer = writer
+        self._background = background
         self._clock = clock
 
     # ------------------------------------------------------------------------------------------- jobs
@@ -135,7 +144,9 @@ class JobController:
         if not self._store.is_sound(record.dataset_digest):  # workers would ask for one that is damaged for ever
             return
         try:
-            prepared = self.tasks.take_prepared(record.id, self._store.get_blob(record.prepared_digest))
+            prepared = self.tasks.take_prepared(
+                record.id, record.prepared_digest, self._store.get_blob(record.prepared_digest)
+            )
         except (KeyError, RemoteProtocolError):  # damaged, or of another version: its data are prepared again
             return
         self._change(record.id, "taking over a job", now, lambda job: self._go_on(job, record, prepared, now))
@@ -145,7 +156,7 @@ class JobController:
         job.start_preparing()
         self.begun[job.id] = job
         self.queue.take_over(job.id)
-        actions = self._set_up(job, record, prepared, now)
+        actions = self._set_up(job, record.dataset_digest, prepared, now)
         if not job.has_ended:
             job.hold(job.state == "running")
             self.events.record("resumed", "the coordinator was started again; it goes on from what is stored", job.id)
@@ -325,40 +336,39 @@ class JobController:
         """Take in that the process that prepares a job is loaded: its time counts from now on."""
         self._change(job_id, "having a job prepared", now, lambda job: job.start_clock(now))
 
-    def start_search(self, job_id: str, prepared: Prepared, data: bytes, now: float) -> None:
-        """Begin the search of a job whose data are prepared, its dataset as bytes: announce it and place its islands.
-
-        A job that has ended meanwhile leaves nothing behind.
-        """
-        self._change(job_id, "beginning the search", now, lambda job: self._start(job, prepared, data, now))
+    def start_search(self, made: JobPrepared, now: float) -> None:
+        """Begin the search of a job whose data are prepared, and in the store: announce it and place its islands."""
+        self._change(made.job, "beginning the search", now, lambda job: self._start(job, made, now))
         self._place(now)
 
-    def _start(self, job: Job, prepared: Prepared, data: bytes, now: float) -> Sequence[JobAction]:
-        record = self._store.job(job.id)
-        if record is None or job.state != "preparing":
+    def _start(self, job: Job, made: JobPrepared, now: float) -> Sequence[JobAction]:
+        if job.state != "preparing":
             return ()
-        unknown = checks.epoch_limit_reason(job.config, prepared)
-        if unknown is not None:
-            return job.fail("data", unknown)
-        actions = self._set_up(job, record, prepared, now)
+        actions = self._set_up(job, made.former, made.prepared, now)
         if job.has_ended:
             return actions
         self.queue.search(job.id)
         job.hold(self.queue.is_held(job.id))
-        self._store.begin_search(job.id, data, self.tasks.encoded(job.id))
+        self._store.update_job(job.id, state="running")
         self.events.record_preparation(job)
         self._channel.publish(job.announcement())
         return actions
 
-    def _set_up(self, job: Job, record: JobRecord, prepared: Prepared, now: float) -> Sequence[JobAction]:
-        """Set up the search of a job whose data are prepared, from what the store has of it; it may fail."""
+    def _set_up(self, job: Job, dataset: str | None, prepared: Prepared, now: float) -> Sequence[JobAction]:
+        """Set up the search of a job whose data are prepared, from what the store has of it; it may fail.
+
+        `dataset` is the digest of what its data were before, if they were prepared before.
+        """
+        unknown = checks.epoch_limit_reason(job.config, prepared)
+        if unknown is not None:
+            return job.fail("data", unknown)
         try:
             cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job.id).items()}
             stored = self._stored_checkpoints(job, prepared)
             resumed = {name: decode(data, StoredSearchState) for name, (_, data) in stored.items() if name not in cuts}
         except RemoteProtocolError as error:  # nobody else has written it: it is of another version of ours
             return job.fail("internal", checks.stored_search_reason(error))
-        reason = checks.resume_reason(prepared, record.dataset_digest, bool(cuts), resumed)
+        reason = checks.resume_reason(prepared, dataset, bool(cuts), resumed)
         if reason is not None:
             return job.fail("internal", reason)
         return job.start(prepared, cuts, now, resumed)
@@ -467,6 +477,11 @@ class JobController:
         task = self.tasks.table.get(report.body.task)
         with self.guarded(task.job if task is not None else "", "taking in what came of a task", now, by_peer=True):
             self.tasks.add_report(worker, report, now)
+
+    def take_result(self, read: ResultRead, now: float) -> None:
+        """Take in that the result of a task was read; raises RemoteProtocolError when it was damaged on its way."""
+        with self.guarded(read.result.job, "taking in what came of a task", now, by_peer=True):
+            self.tasks.take_result(read, now)
 
     def _may_follow(self, job_id: str) -> bool:
         """Tell whether a task of a job may be wanted soon: after a restart its data are prepared first."""
@@ -627,7 +642,7 @@ class JobController:
             checkpoint = self.checkpoints.take_complete_checkpoint(archipelago)
             if checkpoint is not None:
                 search_state = encode(checkpoint.stored_search_state(job.search_seconds(now)))
-                self._writer.write(checkpoint, search_state, now - job.submitted_at)
+                self._background.write_checkpoint(checkpoint, search_state, now - job.submitted_at)
 
     # --------------------------------------------------------------------------------------- what breaks
 
@@ -790,7 +805,7 @@ class JobController:
         self.begun[job_id] = waiting
         self.queue.begin(job_id)
         self.changed(waiting.id)
-        self._writer.check_table(waiting.id, waiting.table)
+        self._background.check_table(waiting.id, waiting.table)
 
     def prepare_checked(self, job_id: str, is_sound: bool, error: Exception | None, now: float) -> None:
         """Have a job prepared whose table was checked; raises the `error` of a store that cannot be read."""

@@ -24,6 +24,7 @@ from atoll_coordinator.service.requests.handshake import Handshake
 from atoll_coordinator.service.requests.question_queue import QuestionQueue
 from atoll_coordinator.service.scheduling.limits import Limits
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks.background import Background
 from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_coordinator.service.tasks.outcomes import (
     CheckpointWritten,
@@ -34,7 +35,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     RefiningFailed,
     TableChecked,
 )
-from atoll_coordinator.service.tasks.writer import CheckpointWriter
+from atoll_coordinator.service.tasks.results import ResultRead
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
 from atoll_coordinator.service.workers.worker_logs import WorkerLogs
@@ -121,12 +122,12 @@ class Service:
         self._store = store
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
-        self._questions: QuestionQueue[Query] = QuestionQueue()
+        self._questions: QuestionQueue[tuple[Query, str]] = QuestionQueue()
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
-        writer = CheckpointWriter(dependencies.writer, store, self._bus.post)
+        background = Background(dependencies.background, store, self._bus.post)
         self.controller: Final = JobController(
-            store, self._workers, writer, self._bus.post, dependencies.clock, expected_workers
+            store, self._workers, background, self._bus.post, dependencies.clock, expected_workers
         )
         self._authorization = authorization = Authorization(role_bindings, store)
         self._worker_logs = WorkerLogs(self.controller.events)
@@ -335,11 +336,13 @@ class Service:
             case TableChecked():
                 with self.controller.guarded(item.job, "having a job prepared", now):
                     self.controller.prepare_checked(item.job, item.is_sound, item.error, now)
+            case ResultRead():
+                self._take_result(item, now)
             case PreparationBegun():
                 self.controller.begin_preparing(item.job, now)
             case JobPrepared():
                 with self.controller.guarded(item.job, "beginning the search", now):
-                    self.controller.start_search(item.job, item.prepared, item.data, now)
+                    self.controller.start_search(item, now)
             case PreparationFailed():
                 with self.controller.guarded(item.job, "ending", now):
                     self.controller.fail_job(item.job, item.fault, item.sentence, now)
@@ -352,6 +355,12 @@ class Service:
             case CheckpointWritten():
                 with self.controller.guarded(item.checkpoint.job, "committing a checkpoint", now):
                     self.controller.commit_checkpoint(item.checkpoint, now, item.error)
+
+    def _take_result(self, item: ResultRead, now: float) -> None:
+        try:
+            self.controller.take_result(item, now)
+        except RemoteProtocolError as error:
+            self.rejects.count("result", error)
 
     def _check_time(self, now: float) -> None:
         """Let time pass, now that everything has been taken in that had come before."""
@@ -452,11 +461,15 @@ class Service:
             self._bus.reply(event, None)
             raise
         if not isinstance(key, topics.ClientKey):
-            self._answer(event)
-        elif not self._questions.add(self._party(key.client, event), key.client, event, len(event.payload)):
+            self._answer(event, event.session)
+        elif not self._add_question(key.client, event):
             self._bus.reply(event, None)
         elif len(self._questions) == 1:
             self._bus.post(_Turn())
+
+    def _add_question(self, client: str, event: Query) -> bool:
+        party = self._party(client, event)
+        return self._questions.add(party, client, (event, party), len(event.payload))
 
     def _party(self, client: str, event: Query) -> str:
         """Return who takes turns with others: a user, without certificates a session."""
@@ -469,16 +482,16 @@ class Service:
             self._bus.post(_Turn())
         if question is not None:
             try:
-                self._answer(question)
+                self._answer(*question)
             except RemoteProtocolError as error:
-                self.rejects.count(question.key, error)
+                self.rejects.count(question[0].key, error)
 
-    def _answer(self, event: Query) -> None:
+    def _answer(self, event: Query, party: str) -> None:
         try:
             answer = self._requests.answer(event)
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
-        self._bus.reply(event, answer)
+        self._bus.reply(event, answer, party)
         if self._requests.store_error is not None:  # the client has its answer; the coordinator ends
             raise self._requests.store_error

@@ -132,7 +132,7 @@ class SimulatedBus:
         self._network.ask(self, question, key, payload)
         return question.token
 
-    def reply(self, query: Query, payload: bytes | None) -> None:
+    def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
         """See `Bus.reply`."""
         check_payload(query.key, payload or b"")
         if not self.closed:

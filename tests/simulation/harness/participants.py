@@ -91,8 +91,8 @@ class Participants(Programs):
             return
         bus = self.buses["coordinator"] = self.coordinator_bus()
         store = self._store = self.disk.open(bus.spend, bus.now)
-        writer = partial(self._write_later, bus, store)
-        dependencies = Dependencies(self._time_of_day, RETENTION, writer)
+        background = partial(self._write_later, bus, store)
+        dependencies = Dependencies(self._time_of_day, RETENTION, background)
         service = self.service = self.serve(bus, store, dependencies)
         self._watch_reports(service)
         self.note(f"the coordinator starts, incarnation {store.incarnation}")
@@ -107,7 +107,7 @@ class Participants(Programs):
         self.broken = service.controller.breakages.total
 
     def _write_later(self, bus: SimulatedBus, store: DiskStore, work: Callable[[], None]) -> None:
-        """Do what one incarnation's writer is given, one piece after the other; the disk keeps nobody else busy."""
+        """Do what one incarnation's background thread does, piece by piece; the disk keeps nobody else busy."""
 
         def write() -> None:
             if not store.is_dead:

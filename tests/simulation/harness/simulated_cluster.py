@@ -198,7 +198,7 @@ class World(Programs):
         return f"2026-01-01T00:00:{self.network.now:09.3f}"
 
     def start_service(self) -> Service:
-        dependencies = Dependencies(self.clock, writer=lambda work: work())
+        dependencies = Dependencies(self.clock, background=lambda work: work())
         service = self.serve(self.coordinator_bus(), self.store, dependencies)
         service.start()
         return service

@@ -16,7 +16,7 @@ from atoll_core.wire.codec import encode
 
 READS: Final = frozenset({
     "job", "jobs", "open_jobs", "views", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts",
-    "checkpoints", "state", "whole_checkpoints", "events", "has_blob", "is_sound", "get_blob", "get_chunk",
+    "checkpoints", "state", "whole_checkpoints", "events", "has_blob", "is_begun", "is_sound", "get_blob", "get_chunk",
     "blob_bytes", "deaths", "oldest_ended_job", "is_seen", "uses_table", "uses_table_of", "blob_size", "stored_bytes",
     "all_stored_bytes", "is_queue_paused", "cordons", "usage", "held", "held_for_all",
     "count_holders", "first_to_go", "has_search", "unused_blobs", "timing", "check", "close",

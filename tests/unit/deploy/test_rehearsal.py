@@ -1,6 +1,7 @@
 """The rehearsal's own promises: every process is ended, what is missing is named, every step is described."""
 
 import json
+import signal
 import sys
 from pathlib import Path
 
@@ -28,6 +29,16 @@ def test_processes_are_ended_also_when_their_parent_has_left_them_and_they_ignor
     )
     assert machine.end_all(grace=0.5) == 1
     assert machine.processes() == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found in /proc")
+def test_the_processes_of_one_task_are_killed_by_a_variable_of_theirs(machine: Machine) -> None:
+    first, second = (machine.start(f"task-{number}", "env", f"TASK={number}", "sleep", "1000") for number in (1, 11))
+    wait_until("both sleep", lambda: len(machine.processes("", "TASK=1") + machine.processes("", "TASK=11")) == 2)
+    machine.kill("TASK=1")
+    assert first.wait(30) == -signal.SIGKILL
+    assert machine.processes("", "TASK=11") == [second.pid]
+    machine.end_all(grace=5)
 
 
 def test_a_missing_program_is_named_with_its_package(machine: Machine) -> None:

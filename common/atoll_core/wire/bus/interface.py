@@ -116,8 +116,12 @@ class Bus(Protocol):
         """Ask for `key`; return a token, unique for this bus, under which the one Reply event will come."""
         ...
 
-    def reply(self, query: Query, payload: bytes | None) -> None:
-        """Answer `query`; None means refused (the asker gets a Reply with None at once)."""
+    def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
+        """Answer `query`; None means refused (the asker gets a Reply with None at once).
+
+        `party` is who asks, as far as that is known better than by `query.session`: parties take turns where answers
+        have to wait, and a party of which too many wait is refused more.
+        """
 
     def announce(self, key: str) -> None:
         """Show presence under `key` until close."""

@@ -62,10 +62,10 @@ class MeteredBus:
         self._asked[token] = kind
         return token
 
-    def reply(self, query: Query, payload: bytes | None) -> None:
+    def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
         """See `Bus.reply`."""
         self._count(kind_of(query.key), 2, len(payload or b""))
-        self._bus.reply(query, payload)
+        self._bus.reply(query, payload, party)
 
     def _count(self, kind: str, place: int, size: int) -> None:
         counts = self._counts.setdefault(kind, [0, 0, 0, 0])

@@ -15,7 +15,6 @@ import json
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Any, Final, Self, cast
 
@@ -40,6 +39,7 @@ from atoll_core.wire.bus.interface import (
     check_key,
     check_payload,
 )
+from atoll_core.wire.bus.large_answers import LargeAnswers
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.security.access_control import access_control
 from atoll_core.wire.security.role_bindings import RoleBindings
@@ -56,13 +56,6 @@ _FREE_PORT_ATTEMPTS: Final = 20
 _LARGE: Final = 256 * 1024
 """An answer of so many bytes may not fit the queue of a slow line: it is sent by a thread of its own, for which the
 owner does not wait."""
-
-_SENDERS: Final = 4
-"""Threads that send large answers."""
-
-_MOST_LARGE: Final = 64
-"""Large answers on their way or waiting for a thread, a quarter of a gigabyte; who asks for one more is told to ask
-again: the owner waits for nobody who takes nothing."""
 
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
@@ -167,8 +160,7 @@ class ZenohBus:
         self._timers = Timers()
         self._tokens = itertools.count(1)
         self._kept: list[object] = []  # liveliness tokens vanish with their Python objects
-        self._large = threading.BoundedSemaphore(_MOST_LARGE)
-        self._senders = ThreadPoolExecutor(_SENDERS, "sending large answers")  # has no thread before its first task
+        self._large = LargeAnswers()
         if not is_router:
             session.info.declare_transport_events_listener(_directly(self._on_transport))
             if not session.info.routers_zid():  # lost between opening and listening
@@ -225,17 +217,17 @@ class ZenohBus:
             finish(None)
         return token
 
-    def reply(self, query: Query, payload: bytes | None) -> None:
+    def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
         """See `Bus.reply`."""
         handle = cast(zenoh.Query, query.handle)  # see `_on_query`
         if payload is not None:
             check_payload(query.key, payload)
         if payload is None or len(payload) < _LARGE:
             self._reply(handle, query.key, payload)
-        elif not self._large.acquire(blocking=False):
+            return
+        party = party if party is not None else query.session
+        if not self._large.add(party, len(payload), lambda: self._reply(handle, query.key, payload)):
             self._reply(handle, query.key, None)
-        else:
-            self._senders.submit(self._reply_large, handle, query.key, payload)
 
     def _reply(self, handle: zenoh.Query, key: str, payload: bytes | None) -> None:
         if payload is not None:
@@ -243,12 +235,6 @@ class ZenohBus:
         else:
             self._call(lambda: handle.reply_err(b""))
         self._call(handle.drop)
-
-    def _reply_large(self, handle: zenoh.Query, key: str, payload: bytes) -> None:
-        try:
-            self._reply(handle, key, payload)
-        finally:
-            self._large.release()
 
     def announce(self, key: str) -> None:
         """See `Bus.announce`."""

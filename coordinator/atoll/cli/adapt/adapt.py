@@ -6,7 +6,7 @@ import shlex
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from atoll.cli.adapt.adapt_policy import AdaptPolicy, Decision, Limits, Need
@@ -101,12 +101,18 @@ class Adapting:
             job = self._batch.submit()
             self._has_submitted = True
             _LOG.info("submitted", extra=fields(batch_job=job, workers_wanted=need.workers))
-        for job in decision.take_back:
-            self._batch.take_back(job)
-            _LOG.info("taken back", extra=fields(batch_job=job, workers_wanted=need.workers))
-        for job in decision.drain:
-            self._batch.drain(job)
-            _LOG.info("told to drain", extra=fields(batch_job=job, workers_wanted=need.workers))
+        self._end(decision.take_back, self._batch.take_back, "taken back", need)
+        self._end(decision.drain, self._batch.drain, "told to drain", need)
+
+    def _end(self, jobs: Sequence[str], end: Callable[[str], None], done: str, need: Need) -> None:
+        """End each of these jobs. One that fails has usually just ended by itself; if not, it is decided on again."""
+        for job in jobs:
+            try:
+                end(job)
+                _LOG.info(done, extra=fields(batch_job=job, workers_wanted=need.workers))
+            except BatchError as error:
+                self._policy.forget(job)
+                _LOG.warning("not ended", extra=fields(batch_job=job, reason=str(error)))
 
     def _tolerate(self, error: UnreachableError | BatchError, now: float) -> None:
         """Take in a failure; raise it when it lasts, or when the system has never accepted a job with these options."""

@@ -13,7 +13,8 @@ from atoll_core.errors import AtollError
 MOST_FAILURES: Final = 3
 """Jobs that may end one after the other without that a worker of theirs has joined: one or two may meet a bad node."""
 
-BatchState = Literal["pending", "running", "ending"]
+BatchState = Literal["pending", "running", "ending", "failed"]
+"""`failed`: the system could not start the job and keeps it until it is deleted, as Grid Engine does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,7 @@ class Need:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What is to be done: so many jobs submitted; these, which wait, taken back; these, which run, drained."""
+    """What is to be done: so many jobs submitted; these, which do not run, taken back; these, which run, drained."""
 
     submit: int = 0
     take_back: tuple[str, ...] = ()
@@ -57,13 +58,15 @@ class Decision:
 
 
 class AdaptPolicy:
-    """Decides at each look. It remembers what was needed lately, whom it has told to end, and who has joined."""
+    """Decides at each look. It remembers what was needed lately, which jobs it has told to end, in which state they
+    were, and which have joined.
+    """
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._began_at: float | None = None
         self._needs: list[tuple[float, int]] = []
-        self._told: set[str] = set()
+        self._told: dict[str, BatchState] = {}
         self._waited_for: set[str] = set()
         self._failures = 0
 
@@ -75,16 +78,20 @@ class AdaptPolicy:
         """
         self._watch(need.islands.keys(), jobs)
         target = self._target(now, self._needed(need))
-        kept = [job for job in jobs if job.state != "ending" and job.id not in self._told]
-        if len(kept) < target.least:
-            return Decision(submit=target.least - len(kept))
+        failed = [job for job in jobs if job.state == "failed" and job.id not in self._told]
+        kept = [job for job in jobs if job.state in ("pending", "running") and job.id not in self._told]
         ends = sorted(kept, key=lambda job: self._order(job, need))[: max(0, len(kept) - target.most)]
-        self._told |= {job.id for job in ends}
-        self._waited_for -= self._told
+        self._told |= {job.id: job.state for job in (*failed, *ends)}
+        self._waited_for -= {job.id for job in ends}
         return Decision(
-            take_back=tuple(job.id for job in ends if job.state == "pending"),
+            submit=max(0, target.least - len(kept)),
+            take_back=tuple(job.id for job in (*failed, *ends) if job.state != "running"),
             drain=tuple(job.id for job in ends if job.state == "running"),
         )
+
+    def forget(self, job: str) -> None:
+        """Take in that a job could not be told to end; it is decided on again."""
+        self._told.pop(job, None)
 
     def _needed(self, need: Need) -> int:
         workers = max(0, need.workers - need.others)
@@ -112,16 +119,21 @@ class AdaptPolicy:
 
     def _watch(self, joined: Collection[str], jobs: Sequence[BatchJob]) -> None:
         """Count jobs that ended by themselves before a worker of theirs had joined."""
-        here = {job.id for job in jobs}
+        here = {job.id: job.state for job in jobs}
         if self._waited_for & set(joined):
             self._failures = 0
         self._waited_for -= set(joined)
-        gone = self._waited_for - here
+        gone = self._waited_for - here.keys()
         self._failures += len(gone)
         self._waited_for = (self._waited_for - gone) | {
             job.id for job in jobs if job.state != "ending" and job.id not in self._told and job.id not in joined
         }
-        self._told &= here
+        # A job that was to be taken back may have begun meanwhile.
+        self._told = {
+            job: state
+            for job, state in self._told.items()
+            if job in here and (state, here[job]) != ("pending", "running")
+        }
         if self._failures >= MOST_FAILURES:
             raise AtollError(
                 f"{self._failures} jobs one after the other ended before a worker of theirs had joined, the last of "

@@ -93,6 +93,7 @@ class Batch:
         if done.returncode != 0:
             if self._system.nothing.search(done.stderr):
                 return ""
-            said = (done.stderr.strip() or done.stdout.strip() or "it said nothing").splitlines()[-1]
+            lines = (done.stderr.strip() or done.stdout.strip() or "it said nothing").splitlines()
+            said = lines[-2] if lines[-1] == "Exiting." and len(lines) > 1 else lines[-1]  # so ends Grid Engine
             raise BatchError(f"{words[0]} failed ({said}); the command was: {shlex.join(words)}")
         return done.stdout

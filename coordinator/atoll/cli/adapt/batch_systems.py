@@ -76,7 +76,7 @@ _NUMBER: Final = re.compile(r"(\d+)")
 
 
 def _grid_engine(text: str, name: str) -> Pairs:
-    """Read ``qstat -xml`` of Grid Engine, whose tables cut names off; its states are letters, such as qw and dr."""
+    """Read ``qstat -xml`` of Grid Engine, whose tables cut names off; its states are letters: qw, r, dr, Eqw."""
     try:
         jobs = ElementTree.fromstring(text).iter("job_list")
     except ElementTree.ParseError as error:
@@ -84,11 +84,9 @@ def _grid_engine(text: str, name: str) -> Pairs:
     pairs = []
     for job in jobs:
         if job.findtext("JB_name") == name:
-            letters = job.findtext("state") or ""
-            ended = "d" in letters
-            pairs.append(
-                (job.findtext("JB_job_number") or "", "d" if ended else "r" if set("rtsST") & set(letters) else "q")
-            )
+            letters = set(job.findtext("state") or "")
+            state = "d" if "d" in letters else "E" if "E" in letters else "r" if letters & set("rtsST") else "q"
+            pairs.append((job.findtext("JB_job_number") or "", state))
     return pairs
 
 
@@ -155,7 +153,7 @@ _SGE: Final = BatchSystem(
     take_back=("qdel", "{job}"),
     drain=("qdel", "{job}"),
     how_to_end="qdel {name}",
-    states={"r": "running", "d": "ending"},
+    states={"r": "running", "d": "ending", "E": "failed"},
     parallel=("-pe", "smp", "{cores}"),
     script=_SIGNALLED,
 )

@@ -13,7 +13,6 @@ from atoll.client.follower import Display, Follower
 from atoll.client.over_http import Whereabouts
 from atoll.terminal.output import as_json, clipped, count, duration, say, table
 from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
-from atoll_coordinator.result.notes import with_kind
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
@@ -103,7 +102,7 @@ def _json(views: object) -> str:
 
 def _status_text(view: JobView, workforce: Workforce, hint: str) -> str:
     notes = [f"  stands still: {stall}" for stall in view.stalls]
-    notes += [f"  {with_kind(warning)}" for warning in view.warnings]
+    notes += [f"  note: {warning}" for warning in view.warnings]
     return "\n".join([*plain_lines(view, workforce, hint), *notes])
 
 

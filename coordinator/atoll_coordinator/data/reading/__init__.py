@@ -2,7 +2,8 @@
 
 - `encodings`, `layout`: bytes -> text -> `RawTable` of cells: separators, comments, header, row of units
 - `parquet`, `workbooks`, `arrays`, `matlab`, `hdf5`, `records`: other formats -> `RawTable`
-- `preamble`, `header`: where the table begins in rows of text and of workbooks, and what its columns are called
+- `preamble`, `header`, `footer`: where the table begins in rows of text and of workbooks, what its columns are called,
+  and where it ends
 - `times_as_columns`, `calendar_columns`, `long_tables`: `RawTable` -> one with a row for each time
 - `columns`: `RawTable` -> columns of numbers and of dates: `numerals`, `date_columns`, `dates`
 - `empty_columns`, `even_times`: what of the joined table is left out, and times that only options tell

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.data.reading.cells import cell_of
+from atoll_coordinator.data.reading.cells import NumberCell, cell_of
 from atoll_coordinator.data.reading.header import named_by_place
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit
@@ -89,7 +89,6 @@ def table_of_arrays(
     headers: list[str] = []
     columns: list[list[str]] = []
     column_units: list[str] = []
-    numeric: set[str] = set()
     left_out = [name for name in arrays if name not in vectors]
     for name, array in vectors.items():
         if array.ndim > 2 or count not in array.shape:
@@ -99,13 +98,12 @@ def table_of_arrays(
         for number, part in enumerate(parts):
             cells, unit = _cells(file, name, part)
             headers.append(name if len(parts) == 1 else f"{name}{number + first}")
-            if array.dtype.kind in "biufm":
-                numeric.add(split_unit(headers[-1])[0])
             columns.append(cells)
             column_units.append((units or {}).get(name, unit))
     _check_left_out(file, {name: given[name] for name in left_out}, headers, count, config)
     others = (f"left out: {', '.join(left_out)}",) if left_out else ()
-    return replace(with_breaks(headers, columns, remarks, column_units), left_out=others, numeric=frozenset(numeric))
+    raw = with_breaks(headers, columns, remarks, column_units)
+    return replace(raw, left_out=(*raw.left_out, *others))
 
 
 def _squeezed(array: AnyArray) -> AnyArray:
@@ -165,4 +163,4 @@ def _cells(file: str, name: str, values: AnyArray) -> tuple[list[str], str]:
 
 
 def _texts(values: AnyArray) -> list[str]:
-    return [str(value) for value in values.tolist()]
+    return [NumberCell(value) for value in values.tolist()]

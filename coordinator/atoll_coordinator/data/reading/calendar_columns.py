@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from atoll_coordinator.data.reading.cells import is_missing, on_one_line
+from atoll_coordinator.data.reading.cells import NumberCell, is_missing, on_one_line
+from atoll_coordinator.data.reading.dates import MONTHS
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
@@ -44,11 +45,6 @@ _KINDS: Final = (
 """Parts that are a time together; the first that are all there are taken."""
 _FINER: Final = ("day", "hour", "minute", "second")
 """Parts without which a time that has them is another."""
-_NAMES: Final = "january february march april may june july august september october november december"
-MONTHS: Final = {
-    name: number for number, month in enumerate(_NAMES.split(), start=1) for name in (month, month[:3], month[:4])
-}
-"""The number of a month by its name, in lower case, or the first three or four letters of it."""
 _YEAR: Final = re.compile(r"1\d{3}|2[01]\d\d")
 _QUARTER: Final = re.compile(r"(?P<year>1\d{3}|2[01]\d\d)[ -]?Q(?P<n>[1-4])|Q(?P<m>[1-4])[ -/](?P<at>1\d{3}|2[01]\d\d)")
 
@@ -104,7 +100,6 @@ def _replaced(
         columns=[cells, *(raw.columns[place] for place in kept)],
         units=("", *(raw.units[place] for place in kept)) if raw.units else (),
         remarks=(*raw.remarks, f"time from {told}"),
-        numeric=raw.numeric | {config.time or TIME},
     )
 
 
@@ -116,7 +111,7 @@ def _quarters(cells: Sequence[str]) -> list[str] | None:
     if any(match is None and not is_missing(cell) for cell, match in zip(cells, matches, strict=True)):
         return None
     return [
-        "" if match is None else repr(int(match["year"] or match["at"]) + (int(match["n"] or match["m"]) - 1) / 4.0)
+        "" if match is None else _in_years(int(match["year"] or match["at"]), int(match["n"] or match["m"]), 4)
         for match in matches
     ]
 
@@ -151,13 +146,18 @@ def _value(part: str, cell: str) -> int | None:
 def _time(parts: Mapping[str, int]) -> str:
     """Return the time that parts tell, in years or as a date; raises ValueError where there is no such date."""
     if "quarter" in parts:
-        return repr(parts["year"] + (_counted(parts["quarter"]) - 1) / 4.0)
+        return _in_years(parts["year"], _counted(parts["quarter"]), 4)
     if "month" in parts and "day" not in parts:
-        return repr(parts["year"] + (_counted(parts["month"]) - 1) / 12.0)
+        return _in_years(parts["year"], _counted(parts["month"]), 12)
     day = datetime.datetime(parts["year"], parts.get("month", 1), parts.get("day", 1))
     day += datetime.timedelta(days=_counted(parts.get("yearday", 1)) - 1, hours=parts.get("hour", 0),
                               minutes=parts.get("minute", 0), seconds=parts.get("second", 0))  # fmt: skip
     return day.isoformat() if "hour" in parts else day.date().isoformat()
+
+
+def _in_years(year: int, number: int, parts: int) -> NumberCell:
+    """Return the beginning of a part of a year, counted from 1, in years: 2020.25 of the second of four."""
+    return NumberCell(year + (number - 1) / parts)
 
 
 def _counted(number: int) -> int:

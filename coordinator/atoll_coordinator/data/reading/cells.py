@@ -1,8 +1,10 @@
 """One cell of a file: whether it is missing, a number, or text. Pure."""
 
 import datetime
+import decimal
 import fractions
 import math
+import numbers
 import re
 import textwrap
 from collections.abc import Sequence
@@ -23,6 +25,19 @@ WITH_COMMA: Final = re.compile(
 """A number with a decimal comma, or with separators of thousands that go with one."""
 _OF_FORTRAN: Final = re.compile(r"\s*[+-]?(?=\.?\d)\d*\.\d*[dD][+-]?\d+\s*")
 """A number of double precision as Fortran writes it; its point tells it from a label such as 1D2."""
+
+
+class NumberCell(str):
+    """The text of a cell that its format holds as a number: its point is a decimal point in every country.
+
+    It says nothing about how other cells of its column, which hold text, are written.
+    """
+
+    __slots__ = ()
+
+    def strip(self, chars: str | None = None, /) -> "NumberCell":
+        """Return the cell itself: a number has no spaces around it."""
+        return self
 
 
 def is_missing(cell: str) -> bool:
@@ -57,14 +72,18 @@ def is_text(cells: Sequence[str]) -> bool:
 
 
 def cell_of(value: object) -> str:
-    """Return a value that a format or a program holds as a cell: nothing for None and what is no date, 1 and 0 for what
-    is true and false, dates with a time zone in UTC.
+    """Return a value that a format or a program holds as a cell.
+
+    That is nothing for None and what is no date, a `NumberCell` for a number, 1 and 0 for what is true and false; dates
+    with a time zone are in UTC.
     """
     if value is None or value != value:  # NaN, and NaT of pandas
         return ""
     match value:
         case bool():
-            return str(int(value))
+            return NumberCell(int(value))
+        case int() | float() | decimal.Decimal():
+            return NumberCell(value)
         case bytes():
             return value.decode("utf-8", "replace")
         case datetime.datetime() if value.tzinfo is not None:
@@ -72,7 +91,9 @@ def cell_of(value: object) -> str:
         case datetime.datetime():
             return value.isoformat()
         case fractions.Fraction():
-            return str(float(value))
+            return NumberCell(float(value))
+        case numbers.Real():  # NumPy's
+            return NumberCell(value)
     return str(value)
 
 

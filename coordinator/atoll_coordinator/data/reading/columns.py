@@ -79,9 +79,7 @@ def columns_of(file: str, raw: RawTable, config: DataConfig) -> Columns:
     called = {name: dates.renamed.get(name, name) for name in names if name in kept}
     if texts and not assigned([*called.values()], config, trajectory).equations:
         raise _nothing_left(file, {name: cells[name] for name in texts if name not in dates.values}, raw.lines)
-    written = {name: column for name, column in plain.items() if name not in raw.numeric}
-    numbers, remarks = read_numbers(file, written, raw.lines, raw.separator)
-    numbers |= read_numbers(file, {name: plain[name] for name in plain if name not in written}, raw.lines, ".")[0]
+    numbers, remarks = read_numbers(file, plain, raw.lines, raw.separator)
     read = cast(dict[str, FloatArray | Dates], {**runs, **read_dates, **numbers})
     skipped = (*_unnamed(raw), *(name for name in texts if name not in read and name != dates.absorbed))
     renamed = (f"column '{old}' is the {new}" for old, new in dates.renamed.items())

@@ -36,10 +36,11 @@ _CALLED: Final = {
 _SINCE: Final = re.compile(r"\s*(?P<unit>\w+)\s+since\s+(?P<origin>\S.*)", re.IGNORECASE)
 _FINER: Final = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 _EPOCH: Final = datetime.date(1970, 1, 1).toordinal()
-_MONTHS: Final = "january february march april may june july august september october november december"
-_MONTHS_BY_NAME: Final = {
-    name: number for number, month in enumerate(_MONTHS.split(), start=1) for name in (month, month[:3], month[:4])
+_NAMES: Final = "january february march april may june july august september october november december"
+MONTHS: Final = {
+    name: number for number, month in enumerate(_NAMES.split(), start=1) for name in (month, month[:3], month[:4])
 }
+"""The number of a month by its name, in lower case, or the first three or four letters of it."""
 _CLOCK: Final = (
     r"(?:(?P<days>\d+) days?,? )?(?P<hour>\d{1,4}):(?P<minute>\d\d)(?::(?P<second>\d\d))?(?:[.,](?P<part>\d+))?"
     r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
@@ -109,7 +110,7 @@ def is_clock(cell: str) -> bool:
 def _form(text: str) -> tuple[str, re.Pattern[str]] | None:
     for form, pattern in _FORMS:
         match = pattern.fullmatch(text)
-        if match is not None and match.groupdict().get("name", "may").lower() in _MONTHS_BY_NAME:
+        if match is not None and match.groupdict().get("name", "may").lower() in MONTHS:
             return form, pattern
     return None
 
@@ -189,7 +190,7 @@ def _date(match: _Match, form: str) -> int:
     else:
         day, month = match["day"] or "1", parts.get("month")
     # no month is number 0, for which there is no date
-    number = int(month) if month is not None else _MONTHS_BY_NAME.get(match["name"].lower(), 0)
+    number = int(month) if month is not None else MONTHS.get(match["name"].lower(), 0)
     year = int(match["year"])
     if len(match["year"]) == 2:  # by the rule of POSIX from 1969 to 2068
         year += 1900 if year >= 69 else 2000

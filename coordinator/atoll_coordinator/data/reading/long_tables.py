@@ -65,7 +65,7 @@ def widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     if not may_be_long(raw.headers):
         return raw
     headers = [split_unit(on_one_line(header))[0] for header in raw.headers]
-    cells = {name: [*map(str.strip, column)] for name, column in zip(headers, raw.columns, strict=True) if name}
+    cells = {name: [cell.strip() for cell in column] for name, column in zip(headers, raw.columns, strict=True) if name}
     if len(cells) < sum(map(bool, headers)):
         return raw
     config = strip_units(config, cells)

@@ -1,11 +1,12 @@
 """Cells -> numbers, in whatever way a country writes them: decimal commas or points, separators of thousands. Pure.
 
 Each column is read in one way. Where its own cells leave open whether ``1,234`` is 1.234 or 1234, the other columns of
-the file decide, then what separates its cells; else the file is refused.
+the file decide, then what separates its cells; else the file is refused. Cells that their format holds as numbers are
+these numbers, and tell nothing of the others.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from atoll_coordinator.data.reading.cells import (
     SPACES,
     WITH_COMMA,
     WITH_POINT,
+    NumberCell,
     is_missing,
     number,
     on_one_line,
@@ -89,6 +91,8 @@ def _ways(file: str, name: str, cells: Sequence[str], lines: Sequence[int]) -> s
 
 
 def _ways_of(cell: str) -> set[Decimal]:
+    if isinstance(cell, NumberCell):
+        return {"point", "comma"}
     if number(cell) is not None:
         return {"point"} if _has_decimals([cell]) else {"point", "comma"}
     forms: dict[Decimal, re.Pattern[str]] = {"point": WITH_POINT, "comma": WITH_COMMA}
@@ -96,18 +100,23 @@ def _ways_of(cell: str) -> set[Decimal]:
 
 
 def _has_decimals(cells: Sequence[str]) -> bool:
-    """Tell whether a point in a column is none that separates thousands."""
-    return any("." in cell and not _THOUSANDS.fullmatch(cell) for cell in cells)
+    """Tell whether a point in the texts of a column is none that separates thousands."""
+    return any("." in cell and not _THOUSANDS.fullmatch(cell) for cell in _texts(cells))
 
 
 def _has_thousands(cells: Sequence[str]) -> bool:
-    """Tell whether all points in a column separate thousands."""
-    return any("." in cell for cell in cells) and not _has_decimals(cells)
+    """Tell whether all points in the texts of a column separate thousands."""
+    return any("." in cell for cell in _texts(cells)) and not _has_decimals(cells)
+
+
+def _texts(cells: Sequence[str]) -> Iterator[str]:
+    """Yield the cells that are text in their format."""
+    return (cell for cell in cells if not isinstance(cell, NumberCell))
 
 
 def _only(file: str, name: str, cells: Sequence[str], ways: set[Decimal]) -> Decimal:
     """Return the only way, or either where both give the same numbers."""
-    cell = next((cell for cell in cells if "," in cell or (number(cell) is not None and "." in cell)), None)
+    cell = next((cell for cell in _texts(cells) if "," in cell or (number(cell) is not None and "." in cell)), None)
     if len(ways) == 1 or cell is None:
         return next(iter(ways))
     readings = " or ".join(f"{_number(cell, way):g}" for way in ("point", "comma"))
@@ -117,6 +126,8 @@ def _only(file: str, name: str, cells: Sequence[str], ways: set[Decimal]) -> Dec
 
 
 def _number(cell: str, way: Decimal) -> float:
+    if isinstance(cell, NumberCell):
+        return float(cell)
     if is_missing(cell):
         return float("nan")
     text = cell.strip().translate(_GROUPS)
@@ -131,7 +142,8 @@ def _number(cell: str, way: Decimal) -> float:
 
 def _is_grouped(cell: str, way: Decimal) -> bool:
     separators = ("," if way == "point" else ".", *SPACES)
-    return not is_missing(cell) and any(separator in cell.strip() for separator in separators)
+    is_text = not isinstance(cell, NumberCell) and not is_missing(cell)
+    return is_text and any(separator in cell.strip() for separator in separators)
 
 
 def place(lines: Sequence[int], row: int) -> str:

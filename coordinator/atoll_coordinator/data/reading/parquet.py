@@ -1,12 +1,10 @@
 """Parquet files -> `RawTable`, by polars."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from atoll_coordinator.data.reading.cells import cell_of
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
-from atoll_coordinator.data.roles.column_options import split_unit
 from atoll_core.errors import DataError
 
 if TYPE_CHECKING:
@@ -22,9 +20,7 @@ def read_parquet(path: Path) -> RawTable:
     except (polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
         raise DataError(f"{path.name} is not a Parquet file that can be read; write it anew, or as CSV") from error
     read = [_cells(path.name, series) for series in frame.get_columns()]
-    numeric = frozenset(split_unit(series.name)[0] for series in frame.get_columns() if series.dtype.is_numeric())
-    raw = with_breaks(frame.columns, [cells for cells, _ in read], ("Parquet",), [unit for _, unit in read])
-    return replace(raw, numeric=numeric)
+    return with_breaks(frame.columns, [cells for cells, _ in read], ("Parquet",), [unit for _, unit in read])
 
 
 def _cells(file: str, series: "polars.Series") -> tuple[list[str], str]:

@@ -10,6 +10,7 @@ from typing import Final
 
 from atoll_coordinator.data.reading.cells import is_missing
 from atoll_coordinator.data.reading.dates import is_datum
+from atoll_coordinator.data.reading.footer import footer_length
 from atoll_coordinator.data.reading.header import Record, are_groups
 from atoll_coordinator.data.reading.raw_table import is_units_row
 from atoll_coordinator.data.reading.times_as_columns import has_times
@@ -85,7 +86,11 @@ def _begins(rows: Sequence[Record]) -> bool:
     """
     alike = [cells for _, cells in rows[:_ALIKE]]
     width = len(alike[0])
-    if width < 2 or any(len(cells) != width for cells in alike) or not any(map(is_datum, alike[0])):
+    if width < 2 or not any(map(is_datum, alike[0])):
+        return False
+    if len(rows) <= 2 * _ALIKE:  # else a footer is no part of these
+        alike = alike[: len(rows) - footer_length([cells for _, cells in rows])]
+    if any(len(cells) != width for cells in alike):
         return False
     columns = [[cell for cell in column if not is_missing(cell)] for column in zip(*alike, strict=True)]
     numbers = [place for place, column in enumerate(columns) if column and all(map(is_datum, column))]

@@ -8,6 +8,7 @@ from typing import Final
 
 from atoll_coordinator.data.reading.cells import is_missing, is_numeral, is_text, on_one_line
 from atoll_coordinator.data.reading.dates import ascends
+from atoll_coordinator.data.reading.footer import footer_below, footer_length, footer_phrase
 from atoll_coordinator.data.roles.column_options import split_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_coordinator.data.roles.unit_texts import are_units
@@ -26,10 +27,11 @@ _FORM_OF_DATES: Final = re.compile(
 class RawTable:
     """Cells of one file as text: `columns[i]` are the cells under `headers[i]`; `lines` their line numbers, or 0.
 
+    What the format holds as a number is a `NumberCell`.
+
     `units` are those that a row of their own or the format gives, "" where there is none; `starts` are the rows at
     which trajectories begin; `remarks` say how the file was read; `separator` is what stands between cells, "" where
     the format has none. `left_out` says what of the file is no part of the table, for a warning.
-    `numeric` are columns that were no text, so that they do not tell how others are written.
     """
 
     headers: tuple[str, ...]
@@ -40,7 +42,6 @@ class RawTable:
     units: tuple[str, ...] = ()
     separator: str = ""
     left_out: tuple[str, ...] = ()
-    numeric: frozenset[str] = frozenset()
 
 
 def table_of_records(
@@ -50,7 +51,7 @@ def table_of_records(
     has_row_names: bool = False,
     may_have_commas: bool = False,
 ) -> RawTable:
-    """Return the rows of line numbers and cells; blank records become starts of trajectories.
+    """Return the rows of line numbers and cells; blank records become starts of trajectories, footers are left out.
 
     `has_row_names` says whether rows may begin with a name for which the header has no cell, `may_have_commas` whether
     more cells than those of the header may come of decimal commas. Raises DataError where a record has more or fewer
@@ -66,6 +67,9 @@ def table_of_records(
             lines.append(line)
         else:
             starts.append(len(lines))
+    length = footer_length(kept)
+    below, lines_below = kept[len(kept) - length :], lines[len(lines) - length :]
+    kept, lines = kept[: len(kept) - length], lines[: len(lines) - length]
     headers, kept = _with_unnamed(headers, kept, starts, has_row_names, may_have_commas)
     for line, record in zip(lines, kept, strict=True):
         if len(record) != len(headers):
@@ -73,7 +77,8 @@ def table_of_records(
             raise DataError(f"line {line} of {file} has {count} where the header has {len(headers)}; correct it")
     columns = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in headers]
     starts = sorted({start for start in starts if start < max(len(lines), 1)})
-    return take_units(RawTable(tuple(headers), columns, lines, starts, ()))
+    left_out = (footer_phrase(lines_below, below),) if below else ()
+    return take_units(RawTable(tuple(headers), columns, lines, starts, (), left_out=left_out))
 
 
 def _with_unnamed(
@@ -145,10 +150,17 @@ def plain_unit(cell: str) -> str:
 def with_breaks(
     headers: Sequence[str], columns: list[list[str]], remarks: tuple[str, ...], units: Sequence[str] = ()
 ) -> RawTable:
-    """Return the rows of a format without lines; those that are missing in every column separate trajectories."""
+    """Return the rows of a format without lines; those that are missing in every column separate trajectories.
+
+    A footer is left out, as of text.
+    """
     count = len(columns[0]) if columns else 0
     blank = [all(is_missing(cell) for cell in row) for row in zip(*columns, strict=True)]
     kept = [row for row in range(count) if not blank[row]]
+    length = footer_below(len(kept), lambda place: [column[kept[place]] for column in columns])
+    kept, below = kept[: len(kept) - length], kept[len(kept) - length :]
     starts = [0] + [place for place, (row, after) in enumerate(pairwise(kept), start=1) if after != row + 1]
     taken = columns if len(kept) == count else [[column[row] for row in kept] for column in columns]
-    return RawTable(tuple(headers), taken, [0] * len(kept), starts, remarks, tuple(units))
+    rows_below = [[column[row] for column in columns] for row in below]
+    left_out = (footer_phrase([row + 1 for row in below], rows_below, "row"),) if below else ()
+    return RawTable(tuple(headers), taken, [0] * len(kept), starts, remarks, tuple(units), left_out=left_out)

@@ -2,14 +2,12 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from atoll_coordinator.data.reading.cells import cell_of
 from atoll_coordinator.data.reading.encodings import decode
 from atoll_coordinator.data.reading.raw_table import RawTable, with_breaks
-from atoll_coordinator.data.roles.column_options import split_unit
 from atoll_core.errors import DataError
 
 _EXPECTED = 'a list of records such as [{"t": 0, "x": 1}] is expected'
@@ -27,12 +25,7 @@ def table_of_document(name: str, document: object, remark: str) -> RawTable:
     """Return the table of records, or of columns by name; `name` is for messages, which DataError has."""
     headers, columns = _columns(name, document)
     cells = [[_cell(name, header, value) for value in column] for header, column in zip(headers, columns, strict=True)]
-    numeric = [
-        split_unit(header)[0]
-        for header, column in zip(headers, columns, strict=True)
-        if all(value is None or isinstance(value, (int, float)) for value in column)
-    ]
-    return replace(with_breaks(headers, cells, (remark,)), numeric=frozenset(numeric))
+    return with_breaks(headers, cells, (remark,))
 
 
 def _parsed(name: str, text: str) -> tuple[Any, str]:

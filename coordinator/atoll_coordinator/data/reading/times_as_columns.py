@@ -9,9 +9,9 @@ from dataclasses import replace
 from itertools import combinations, pairwise, zip_longest
 from typing import Final
 
-from atoll_coordinator.data.reading.calendar_columns import MONTHS, year_of
-from atoll_coordinator.data.reading.cells import is_missing, is_numeral, number, on_one_line
-from atoll_coordinator.data.reading.dates import is_date, is_datum
+from atoll_coordinator.data.reading.calendar_columns import year_of
+from atoll_coordinator.data.reading.cells import NumberCell, is_missing, is_numeral, number, on_one_line
+from atoll_coordinator.data.reading.dates import MONTHS, is_date, is_datum
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.roles.column_options import named_columns, split_unit, strip_units
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
@@ -154,8 +154,8 @@ def _of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
     beside = [place for place in range(len(raw.headers)) if place not in (years, *months)]
     others = [place for place in beside if _are_names(raw.columns[place])]  # means of years are no states of months
     left_out = [raw.headers[place] or f"column {place + 1}" for place in beside if place not in others]
-    columns = [
-        [repr(float(raw.columns[years][row]) + month / 12.0) for row, month in rows],
+    columns: list[list[str]] = [
+        [NumberCell(float(raw.columns[years][row]) + month / 12.0) for row, month in rows],
         [raw.columns[months[month]][row] for row, month in rows],
         *([raw.columns[place][row] for row, _ in rows] for place in others),
     ]
@@ -169,5 +169,4 @@ def _of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
         units=(),
         remarks=(*raw.remarks, f"a row for each month, whose values are called '{VALUE}'"),
         left_out=(*raw.left_out, *([f"left out: {', '.join(left_out)}"] if left_out else [])),
-        numeric=raw.numeric | {TIME},
     )

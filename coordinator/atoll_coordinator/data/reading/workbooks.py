@@ -39,7 +39,8 @@ def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
     title = title or max(tables, key=lambda title: _numbers(tables[title]))
     others = [other for other, records in sheets.items() if other != title and records]
     left_out = (f"other sheets left out: {', '.join(others)}",) if others else ()
-    return replace(tables[title], remarks=(f"Excel, sheet '{title}'", *tables[title].remarks), left_out=left_out)
+    raw = tables[title]
+    return replace(raw, remarks=(f"Excel, sheet '{title}'", *raw.remarks), left_out=(*raw.left_out, *left_out))
 
 
 def check_sheet(files: Sequence[Path], sheet: str | None) -> None:

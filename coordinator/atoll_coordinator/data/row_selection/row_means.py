@@ -21,6 +21,7 @@ from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, IntArray
+from atoll_core.data.notes import Note
 
 LIMITS = SETTINGS.rows
 _LEAST_BLOCKS: Final = SETTINGS.smoothing.least_bins_in_span // 2
@@ -266,7 +267,7 @@ def _averaged(
             [part.means(weights[slice(*place)]) * part.sizes for part, place in parts]
         )
     ends = np.cumsum([0, *(len(part.ranges) for part in blocks)]).tolist()
-    sentence = (
+    sentence = Note(
         f"States change little from row to row: means of {count} rows stand for the {measurements.row_count} rows, "
         f"{len(rows)} in all. Noise and residuals are those of means."
     )

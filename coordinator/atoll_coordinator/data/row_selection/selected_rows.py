@@ -20,6 +20,7 @@ from atoll_coordinator.data.row_selection.excluded_rows import explain_excluded_
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.notes import Note
 
 LIMITS = SETTINGS.rows
 FAR_OUT = LIMITS.over_median_uncertainty
@@ -72,10 +73,10 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
 
 def _sentences(searched: int, inner: int, certain: int, selected: int) -> list[str]:
     """Return what the user is told, from how many rows were left after each step."""
-    sentences = []
+    sentences: list[str] = []
     if inner < searched:
         rows = f"{END_ROWS} rows at each end of a trajectory"
-        sentences.append(f"Data without noise are interpolated, not smoothed; {rows} are left out.")
+        sentences.append(Note(f"Data without noise are interpolated, not smoothed; {rows} are left out."))
     if certain < inner:
         sentences.append(f"{inner - certain} of {inner} rows change too fast for the sampling step and are left out.")
     if selected < certain:
@@ -153,7 +154,7 @@ def thin_searched_rows(selected: SelectedRows, states: Sequence[FloatArray], mos
     numbers = np.floor(place * ((most - 1) / (len(states) + 1)))
     is_kept = np.diff(numbers, prepend=-1.0) > 0.0
     kept = [row for row, keep in zip(rows, is_kept.tolist(), strict=True) if keep]
-    sentence = f"The search sees {len(kept)} of {len(rows)} rows, spread evenly; models are judged by all."
+    sentence = Note(f"The search sees {len(kept)} of {len(rows)} rows, spread evenly; models are judged by all.")
     return replace(selected, searched=kept, warnings=(*selected.warnings, sentence))
 
 

@@ -119,6 +119,8 @@ def build_result(
         refinement: what belongs to the model as a whole; what belongs to one equation is in its outcome.
     """
     dataset, model, recording = preparation.dataset, refinement or Refinement(), preparation.recording
+    warnings = (*dataset.warnings, *model.warnings, *_of_groups(preparation, model, account.state))
+    notes = {*dataset.notes, *model.notes}
     return Result(
         job=job,
         seed=config.seed,
@@ -141,7 +143,8 @@ def build_result(
         data=data(preparation, has_trajectories=account.state in FINAL_STATES),
         config=settings(config),
         refining=model.end if account.state in ("done", "cancelled") else None,
-        warnings=(*dataset.warnings, *model.warnings, *_of_groups(preparation, model, account.state)),
+        warnings=tuple(map(str, warnings)),
+        notes=tuple(sentence for sentence in dict.fromkeys(map(str, warnings)) if sentence in notes),
         point_evaluations=sum(_total(outcome) for outcome in outcomes),
         search_seconds=finite(account.search_seconds),
         seconds=finite(account.seconds),

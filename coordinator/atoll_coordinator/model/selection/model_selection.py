@@ -47,6 +47,7 @@ from atoll_coordinator.model.selection.solver_errors import solved_exactly
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS
+from atoll_core.data.notes import Note
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program, structure
 
@@ -289,9 +290,9 @@ def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> 
     taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]
     begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
     if taken:
-        yield f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter."
+        yield Note(f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter.")
     elif programs and selection.comparison.has_room(selection.model):
-        yield (
+        yield Note(
             f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
             "description shorter."
         )

@@ -99,7 +99,9 @@ def job_view(
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
-    variables = tuple(_variable_view(job.prepared, outcome, job.state) for outcome in outcomes) if job.prepared else ()
+    # Equations of a result that is made are shown as they are there: judging them looks at every row of the data.
+    prepared = job.prepared if job.result_text is None else None
+    variables = tuple(_variable_view(prepared, outcome, job.state) for outcome in outcomes) if prepared else ()
     return JobView(
         job=job.id,
         name=job.name,

@@ -144,7 +144,7 @@ class ClientRequests:
             case Pause() | SetPriority() | Share():
                 return self._change(body)
             case Analyse():
-                return self._analyse(body, submitter, viewer)
+                return self._analyse(client, body, submitter, viewer)
             case SetWorker():
                 self._controller.set_worker(body.worker, body.service, self._now())
                 return self._workers(Workers(prefix=body.worker, limit=1), viewer)
@@ -170,11 +170,11 @@ class ClientRequests:
         self.uploads.end(body.table, submitter, client)
         return self._status(body.job)
 
-    def _analyse(self, body: Analyse, user: str | None, viewer: Viewer | None) -> Body:
+    def _analyse(self, client: str, body: Analyse, user: str | None, viewer: Viewer | None) -> Body:
         """Answer a question about the result of a job, or say that its answer is not there yet."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
-        if body.table is not None and not self.uploads.has(body.table, user, viewer):
+        if body.table is not None and not self.uploads.has(body.table, user, viewer, client):
             raise TableMissingError("the table of the question has not been uploaded; upload it, then ask again")
         if body.table is not None:
             self.uploads.renew(body.table)

@@ -72,9 +72,7 @@ class Uploads:
         self._shown: Counter[str | None] = Counter()
         self._keys: set[str] = set()
 
-    def take(
-        self, upload: Upload, user: str | None = None, viewer: Viewer | None = None, session: str = ""
-    ) -> Uploaded:
+    def take(self, upload: Upload, user: str | None, viewer: Viewer | None, session: str) -> Uploaded:
         """Keep a chunk that is the next one, or only tell which are missing.
 
         A `viewer` that sees no job with this table is told that all of it is missing that its `user` has not shown:
@@ -134,9 +132,9 @@ class Uploads:
         return own
 
     def _begin(self, who: tuple[str, str | None, str], upload: Upload) -> _Upload:
-        """Begin an upload, under a name of its own where somebody else is uploading the same."""
+        """Begin an upload, under a name of its own where somebody else is uploading the same, or it is there."""
         digest, user, session = who
-        key = f"{digest} {user or session}" if digest in self._keys or self._store.has_blob(digest) else digest
+        key = f"{digest} {user or session}" if digest in self._keys or self._store.is_begun(digest) else digest
         own = self._uploads[who] = _Upload(user, digest, upload.size, key, self._now())
         self._keys.add(key)
         return own
@@ -162,16 +160,16 @@ class Uploads:
         """Take in that somebody still wants a table that no job uses."""
         self._heard[digest] = self._now()
 
-    def has(self, digest: str, user: str | None, viewer: Viewer | None, session: str = "") -> bool:
+    def has(self, digest: str, user: str | None, viewer: Viewer | None, session: str) -> bool:
         """Tell whether somebody has a table: has shown all of it, or sees a job with it; all do without a viewer."""
         own = self._uploads.get(self._who(digest, user, session))
         return viewer is None or (own is not None and own.is_whole) or self._store.uses_table(digest, viewer)
 
-    def end(self, digest: str, user: str | None, session: str = "") -> None:
+    def end(self, digest: str, user: str | None, session: str) -> None:
         """Take in that a job of a user has a table: it is no upload any more."""
         self._forget(self._who(digest, user, session))
 
-    def pending_bytes(self, user: str | None, but: str, session: str = "") -> tuple[int, int]:
+    def pending_bytes(self, user: str | None, but: str, session: str) -> tuple[int, int]:
         """Return how many bytes a user, and all together, have uploaded and not submitted yet, but for the user's table
         `but`."""
         own = self._uploads.get(self._who(but, user, session))

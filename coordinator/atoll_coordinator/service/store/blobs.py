@@ -21,6 +21,42 @@ def add(sql: sqlite3.Connection, digest: str, data: bytes) -> None:
     sql.executemany("INSERT INTO chunks VALUES (?, ?, ?)", pieces)
 
 
+def is_begun(sql: sqlite3.Connection, digest: str) -> bool:
+    """Return whether there is a blob or an upload of this name, whole or not."""
+    return sql.execute("SELECT 1 FROM blobs WHERE digest = ?", (digest,)).fetchone() is not None
+
+
+def begin(sql: sqlite3.Connection, digest: str) -> None:
+    """Begin to write a blob that is not there, in place of an upload of that name that has not come to its end.
+
+    It is no upload: neither clients add to it, nor is it deleted while it is written.
+    """
+    if not is_complete(sql, digest):
+        _delete(sql, digest)
+        sql.execute("INSERT INTO blobs VALUES (?, 0, 0)", (digest,))
+
+
+def append(sql: sqlite3.Connection, digest: str, index: int, data: bytes) -> None:
+    """Add the next chunk of a blob that `begin` began; without effect where that was deleted meanwhile."""
+    if is_begun(sql, digest) and not _is_upload(sql, digest) and _has_chunks(sql, digest, index):
+        _add_chunk(sql, digest, index, data)
+
+
+def finish(sql: sqlite3.Connection, digest: str, size: int) -> bool:
+    """Return whether a blob of `size` bytes is there; when all of it was written, it is whole from now on, and used."""
+    if not is_complete(sql, digest):
+        is_written = is_begun(sql, digest) and not _is_upload(sql, digest)
+        if not is_written or not _has_chunks(sql, digest, chunk_count(size)):
+            return False
+        sql.execute("UPDATE blobs SET complete = 1 WHERE digest = ?", (digest,))
+    take(sql, digest)
+    return True
+
+
+def _is_upload(sql: sqlite3.Connection, digest: str) -> bool:
+    return sql.execute("SELECT 1 FROM uploads WHERE digest = ?", (digest,)).fetchone() is not None
+
+
 def take(sql: sqlite3.Connection, digest: str) -> None:
     """Take in that a job uses a blob from now on."""
     sql.execute("DELETE FROM uploads WHERE digest = ?", (digest,))
@@ -80,14 +116,18 @@ def put_chunk(sql: sqlite3.Connection, upload: str, index: int, data: bytes, dig
         _delete(sql, upload)
         sql.execute("INSERT INTO blobs VALUES (?, 0, 0)", (upload,))
         sql.execute("INSERT INTO uploads VALUES (?)", (upload,))
-    elif not _has_chunks(sql, upload, index):
+    elif not _is_upload(sql, upload) or not _has_chunks(sql, upload, index):
         return False
-    sql.execute("INSERT INTO chunks VALUES (?, ?, ?)", (upload, index, data))
-    sql.execute("UPDATE blobs SET size = size + ? WHERE digest = ?", (len(data), upload))
-    _count(sql, len(data))
+    _add_chunk(sql, upload, index, data)
     if digest is not None:
         _finish(sql, upload, digest)
     return True
+
+
+def _add_chunk(sql: sqlite3.Connection, digest: str, index: int, data: bytes) -> None:
+    sql.execute("INSERT INTO chunks VALUES (?, ?, ?)", (digest, index, data))
+    sql.execute("UPDATE blobs SET size = size + ? WHERE digest = ?", (len(data), digest))
+    _count(sql, len(data))
 
 
 def _has_chunks(sql: sqlite3.Connection, upload: str, count: int) -> bool:

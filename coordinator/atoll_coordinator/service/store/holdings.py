@@ -1,7 +1,8 @@
 """The store's tables of what is held for whom: bytes of each user's jobs, kept as they change, so that nobody adds up.
 
-A blob counts once for a user, however many jobs use it, and once for all users together (`ALL`). It is *live* while a
-job uses it that has not ended, and *freeable* when only ended jobs do: these can be deleted. Every function is part of
+A blob counts once for a user, however many jobs use it, and once for all users together (`ALL`). It is *live* for a
+user while a job of the user uses it that has not ended. It is *freeable* for all users whose ended jobs use it when no
+job that has not ended does, whoever submitted that: only then deleting ended jobs frees it. Every function is part of
 the caller's transaction.
 """
 
@@ -21,7 +22,7 @@ class Held:
     """Bytes that are held for a user, or for all together.
 
     `stored` are those of tables and results, which limits count; `live` those of blobs of jobs that have not ended;
-    `freeable` those of blobs that only ended jobs use, and of results.
+    `freeable` those that deleting ended jobs frees: of blobs that only ended jobs use, of any user, and of results.
     """
 
     stored: int = 0
@@ -55,7 +56,9 @@ def owners(sql: sqlite3.Connection) -> int:
 
 def use(sql: sqlite3.Connection, owner: str | None, digest: str, kind: Kind, *, live: int = 0, ended: int = 0) -> None:
     """Take in how many jobs more, or fewer, of a user use a blob: those that have not ended, and those that have."""
-    for whose in (owner or "", ALL):
+    owners = (owner or "", ALL)
+    _count_freeable(sql, digest, kind, -1)
+    for whose in owners:
         row = sql.execute("SELECT size, live, ended FROM uses WHERE owner = ? AND digest = ? AND kind = ?",
                           (whose, digest, kind)).fetchone()  # fmt: skip
         size, was_live, was_ended = row or (_size(sql, digest), 0, 0)
@@ -70,14 +73,30 @@ def use(sql: sqlite3.Connection, owner: str | None, digest: str, kind: Kind, *, 
             sql, whose,
             tables=size * counted * (bool(now_live or now_ended) - bool(was_live or was_ended)),
             live=size * (bool(now_live) - bool(was_live)),
-            freeable=size * ((not now_live and now_ended > 0) - (not was_live and was_ended > 0)),
         )  # fmt: skip
+    _count_freeable(sql, digest, kind, 1)
+    _forget_empty(sql, owners)
 
 
 def add_result(sql: sqlite3.Connection, owner: str | None, size: int) -> None:
     """Take in that the results of a user have so many bytes more, or fewer."""
-    for whose in (owner or "", ALL):
+    owners = (owner or "", ALL)
+    for whose in owners:
         _add(sql, whose, results=size)
+    _forget_empty(sql, owners)
+
+
+def _count_freeable(sql: sqlite3.Connection, digest: str, kind: Kind, sign: int) -> None:
+    """Add a blob to what is freeable of all whose ended jobs use it, or (-1) take it from there: as its uses are now.
+
+    It costs as much as users use the same blob.
+    """
+    sql.execute(
+        "INSERT INTO holdings SELECT owner, 0, 0, 0, ? * size FROM uses WHERE digest = ? AND kind = ? AND ended > 0 "
+        "AND NOT EXISTS (SELECT 1 FROM uses WHERE owner = ? AND digest = ? AND kind = ? AND live > 0) "
+        "ON CONFLICT DO UPDATE SET freeable = freeable + excluded.freeable",
+        (sign, digest, kind, ALL, digest, kind),
+    )
 
 
 def _size(sql: sqlite3.Connection, digest: str) -> int:
@@ -85,15 +104,15 @@ def _size(sql: sqlite3.Connection, digest: str) -> int:
     return int(row[0]) if row is not None else 0
 
 
-def _add(
-    sql: sqlite3.Connection, owner: str, *, tables: int = 0, results: int = 0, live: int = 0, freeable: int = 0
-) -> None:  # fmt: skip
-    changes = (tables, results, live, freeable)
-    if not any(changes):
-        return
-    sql.execute(
-        "INSERT INTO holdings VALUES (?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET tables = tables + excluded.tables, "
-        "results = results + excluded.results, live = live + excluded.live, freeable = freeable + excluded.freeable",
-        (owner, *changes),
-    )
-    sql.execute("DELETE FROM holdings WHERE owner = ? AND NOT (tables OR results OR live OR freeable)", (owner,))
+def _add(sql: sqlite3.Connection, owner: str, *, tables: int = 0, results: int = 0, live: int = 0) -> None:
+    changes = (tables, results, live)
+    if any(changes):
+        sql.execute(
+            "INSERT INTO holdings VALUES (?, ?, ?, ?, 0) ON CONFLICT DO UPDATE SET tables = tables + excluded.tables, "
+            "results = results + excluded.results, live = live + excluded.live",
+            (owner, *changes),
+        )
+
+
+def _forget_empty(sql: sqlite3.Connection, owners: tuple[str, str]) -> None:
+    sql.execute("DELETE FROM holdings WHERE owner IN (?, ?) AND NOT (tables OR results OR live OR freeable)", owners)

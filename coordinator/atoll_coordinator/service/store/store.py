@@ -20,7 +20,7 @@ from atoll_coordinator.service.store.holdings import Held, Kind
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.open_file import OpenFile
 from atoll_core.errors import LocalProtocolError
-from atoll_core.wire.messages.limits import chunk_count
+from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
 from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.state_pieces import State
 
@@ -136,27 +136,49 @@ class Store(OpenFile):
             job_table.share_view(sql, job, is_shared)
             event_table.share(sql, job, is_shared)
 
-    def begin_search(self, job: str, dataset: bytes, prepared: bytes = b"") -> None:
-        """Keep the dataset of a job, which is searched from now on; one without the other would be nobody's.
+    def keep_prepared(self, job: str, dataset: bytes, prepared: bytes) -> str | None:
+        """Keep what preparing a job gave: its dataset, and the rest of it until the job ends; without the rest nobody
+        could show or finish after a restart what has been found.
 
-        `prepared` is what preparing gave beside it, kept until the job ends: without it nobody could show or finish
-        after a restart what has been found.
+        Return the digest of the dataset that was kept of the job before, if one was; where that is another one and
+        something of the search is durable, it stays. Without effect where the job has ended. Each chunk is a
+        transaction: others, who wait for no more than that, call it in a thread.
         """
-        digests = {
-            "dataset_digest": hashlib.sha256(dataset).hexdigest(),
-            "prepared_digest": hashlib.sha256(prepared).hexdigest() if prepared else None,
-        }
+        made = {hashlib.sha256(data).hexdigest(): data for data in (dataset, prepared)}
+        digests = (next(iter(made)), next(reversed(made)))
+        while True:
+            for digest, data in made.items():
+                self._write_blob(digest, data)
+            with self._transaction() as sql:
+                record = job_table.find(sql, job)
+                if record is None or record.state in FINAL_STATES:
+                    blob_table.delete_unused(sql, made)
+                    return None
+                former = record.dataset_digest
+                if former not in (None, digests[0]) and _has_search(sql, job):
+                    blob_table.delete_unused(sql, made)
+                    return former
+                # Another job with the same data may have been deleted meanwhile, and the data with it: once more.
+                if all(blob_table.finish(sql, digest, len(data)) for digest, data in made.items()):
+                    self._use_made(sql, record, *digests)
+                    return former
+
+    def _write_blob(self, digest: str, data: bytes) -> None:
+        """Write a blob that is not there; it is whole when `blobs.finish` has said so, in the caller's transaction."""
+        if self.has_blob(digest) and self.is_sound(digest):
+            return
         with self._transaction() as sql:
-            record = job_table.require(sql, job)
-            former = (record.dataset_digest, record.prepared_digest)
-            for digest, data in zip(digests.values(), (dataset, prepared), strict=True):
-                if digest is not None:
-                    blob_table.add(sql, digest, data)
-                    blob_table.take(sql, digest)
-            job_table.update(sql, job, {"state": "running", **digests})
-            for digest in filter(None, digests.values()):
-                holdings.use(sql, record.submitter, digest, "made", live=1)
-            self._forget_made(sql, record.submitter, former)
+            blob_table.begin(sql, digest)
+        for index in range(chunk_count(len(data))):
+            with self._transaction() as sql:
+                blob_table.append(sql, digest, index, data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE])
+
+    def _use_made(self, sql: sqlite3.Connection, job: JobRecord, dataset: str, prepared: str) -> None:
+        """Take in that a job uses what was made of its table, and no more what was made of it before."""
+        job_table.update(sql, job.id, {"dataset_digest": dataset, "prepared_digest": prepared})
+        for digest in (dataset, prepared):
+            holdings.use(sql, job.submitter, digest, "made", live=1)
+        self._forget_made(sql, job.submitter, (job.dataset_digest, job.prepared_digest))
 
     def _forget_made(self, sql: sqlite3.Connection, submitter: str | None, digests: Iterable[str | None]) -> None:
         """Take in that a job that has not ended does not use any more what was made of its table."""
@@ -285,7 +307,7 @@ class Store(OpenFile):
     def has_search(self, job: str) -> bool:
         """Tell whether anything of the search of a job is durable."""
         with self._reading() as sql:
-            return bool(archipelago_table.cuts(sql, job) or checkpoint_table.last(sql, job))
+            return _has_search(sql, job)
 
     # deaths
 
@@ -401,6 +423,11 @@ class Store(OpenFile):
         with self._reading() as sql:
             return blob_table.is_complete(sql, digest)
 
+    def is_begun(self, digest: str) -> bool:
+        """Return whether there is a blob or an upload of this name, whole or not."""
+        with self._reading() as sql:
+            return blob_table.is_begun(sql, digest)
+
     def is_sound(self, digest: str) -> bool:
         """Tell whether a blob is there, whole and undamaged; one that is damaged is forgotten.
 
@@ -452,6 +479,10 @@ class Store(OpenFile):
         """Delete those of these blobs, finished or not, that no job uses."""
         with self._transaction() as sql:
             blob_table.delete_unused(sql, digests)
+
+
+def _has_search(sql: sqlite3.Connection, job: str) -> bool:
+    return bool(archipelago_table.cuts(sql, job) or checkpoint_table.last(sql, job))
 
 
 def _used(job: JobRecord) -> tuple[tuple[str, Kind], ...]:

@@ -2,9 +2,9 @@
 
 ``task_table`` has the tasks and their states (pure), ``dispatch`` says which task goes to which worker and who helps
 with which (pure), ``task_controller`` sends leases, takes in what workers say of them, and posts outcomes to the
-service's loop. ``outcomes`` are these. ``writer`` makes checkpoints durable, on a thread of its own. ``dependencies``
-names all that a test puts in the place of clock and thread.
+service's loop. ``outcomes`` are these, and ``results`` reads them. ``background`` works on large values, on a thread of
+its own. ``dependencies`` names all that a test puts in the place of clock and thread.
 
 A job is to be prepared -> `task_controller.TaskController.prepare` -> `dispatch.plan` -> Lease -> a worker's result ->
-`JobPrepared` is posted.
+`background.Background.read_result` -> `task_controller.TaskController.take_result` -> `JobPrepared` is posted.
 """

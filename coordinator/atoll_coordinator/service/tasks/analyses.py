@@ -92,10 +92,10 @@ class Analyses:
         """Take in a question that is new."""
         self._by_id[analysis.id] = self._by_key[analysis.key] = analysis
 
-    def finish(self, task: str, answer: bytes) -> None:
-        """Take in an answer; where too much is kept, those go that were asked for least recently."""
+    def finish(self, task: str, answer: bytes, digest: str) -> None:
+        """Take in an answer with its SHA-256; where too much is kept, those go that were asked for least recently."""
         analysis = self._by_id[task]
-        analysis.answer, analysis.digest = answer, hashlib.sha256(answer).hexdigest()
+        analysis.answer, analysis.digest = answer, digest
         self._drop_beyond(MAX_KEPT)
 
     def fail(self, task: str, sentence: str) -> None:

@@ -1,4 +1,4 @@
-"""What the service needs from outside itself, beside bus and store: a writer, the time of day, what is kept."""
+"""What the service needs from outside itself, next to bus and store: a background thread, the time, what is kept."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -17,12 +17,12 @@ def iso_now() -> str:
 class Dependencies:
     """The outside world of a service, beside its bus and its store.
 
-    `writer` does what it is given in the order in which it came, one piece at a time, and `clock` gives the time of day
-    as ISO text; `retention` says which ended jobs are kept.
+    `background` does what it is given in the order in which it came, one piece at a time, and `clock` gives the time
+    of day as ISO text; `retention` says which ended jobs are kept.
     """
 
     clock: Callable[[], str] = iso_now
     retention: Retention = KEEP_ALL
-    writer: Callable[[Callable[[], None]], object] = field(
-        default_factory=lambda: ThreadPoolExecutor(1, "writing checkpoints").submit
+    background: Callable[[Callable[[], None]], object] = field(
+        default_factory=lambda: ThreadPoolExecutor(1, "background").submit
     )

@@ -26,11 +26,18 @@ class PreparationBegun:
 
 @dataclass(frozen=True, slots=True)
 class JobPrepared:
-    """A job is prepared: its dataset, also as bytes."""
+    """A job is prepared. `encoded` is what was prepared, as bytes with the SHA-256 `digest`, `data` its dataset.
+
+    When it is posted, both are in the store, and `data` is left out; `former` is the digest of the dataset that the
+    store had of the job before, None: it had none.
+    """
 
     job: str
     prepared: Prepared
-    data: bytes
+    encoded: bytes
+    digest: str
+    data: bytes = b""
+    former: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

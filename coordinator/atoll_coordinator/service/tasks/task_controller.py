@@ -5,7 +5,6 @@ workers still have of the same tasks.
 """
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -16,16 +15,15 @@ from atoll_coordinator.service.tasks.analyses import MAX_KEPT, Analyses, Analysi
 from atoll_coordinator.service.tasks.dispatch import Slot, plan
 from atoll_coordinator.service.tasks.outcomes import (
     JobPrepared,
-    JobRefined,
     PreparationBegun,
-    PreparationFailed,
     preparation_failed,
     refinement_failed,
 )
+from atoll_coordinator.service.tasks.results import ResultRead, TaskResult
 from atoll_coordinator.service.tasks.task_table import Task, TaskTable, task_id
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import Membership
-from atoll_coordinator.tasks.preparing import PreparationOutcome, Prepared
+from atoll_coordinator.tasks.preparing import Prepared
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
@@ -70,6 +68,7 @@ class TaskController:
 
     def __init__(  # noqa: PLR0913  # what decides whose turn it is
         self, channel: WorkerChannel, membership: Membership, post: Callable[[object], None],
+        read: Callable[[TaskResult], object],
         order: Callable[[Collection[str], Collection[str]], Sequence[str]] = lambda waiting, _: tuple(waiting),
         may_follow: Callable[[str], bool] = lambda job: False,
         charge: Callable[[str, float], object] = lambda turn, seconds: None,
@@ -80,6 +79,7 @@ class TaskController:
         Args:
             channel: reaches the workers that `membership` knows.
             post: hands outcomes to the loop.
+            read: reads a result in the background; what it reads is for `take_result`.
             order: is given those whose turn tasks wait for (`Task.turn`), in the order in which they came, and those of
                 tasks that run; returns those that may be leased one, the next one first.
             may_follow: tells whether a job may soon want a task that is not known: a worker that has one keeps it.
@@ -92,13 +92,14 @@ class TaskController:
         self._channel = channel
         self._membership = membership
         self.post: Final = post
+        self._read = read
         self._order = order
         self._may_follow = may_follow
         self._charge = charge
         self._forget = forget
         self._configs: dict[str, JobConfig] = {}
         self._blobs: dict[str, _Blob] = {}
-        self._prepared: dict[str, bytes] = {}
+        self._prepared: dict[str, tuple[str, bytes]] = {}
         self._near: dict[str, str] = {}
         self._keeping: set[str] = set()
 
@@ -116,7 +117,7 @@ class TaskController:
         `JobRefined` or `RefiningFailed` is posted.
         """
         job = searched.job
-        inputs = (self._input(job, self._prepared[job]), self._input(job, searched.to_bytes()))
+        inputs = (self._keep_input(job, *self._prepared[job]), self._input(job, searched.to_bytes()))
         self._add(job, "refine", inputs, seconds, now, config)
 
     def analyse(self, asked: Analyse, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
@@ -143,12 +144,12 @@ class TaskController:
 
     def encoded(self, job: str) -> bytes:
         """Return what preparing a job gave, as bytes; none before it has."""
-        return self._prepared.get(job, b"")
+        return self._prepared.get(job, ("", b""))[1]
 
-    def take_prepared(self, job: str, encoded: bytes) -> Prepared:
+    def take_prepared(self, job: str, digest: str, encoded: bytes) -> Prepared:
         """Take what preparing a job gave before a restart, and return it; raises RemoteProtocolError."""
         prepared = decode_value(encoded, Prepared)
-        self._prepared[job] = encoded
+        self._prepared[job] = digest, encoded
         return prepared
 
     def cancel(self, job: str) -> None:
@@ -193,7 +194,11 @@ class TaskController:
         return held.data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE] if held is not None else None
 
     def _input(self, job: str, data: bytes) -> TaskInput:
-        digest, size = hashlib.sha256(data).hexdigest(), len(data)
+        return self._keep_input(job, hashlib.sha256(data).hexdigest(), data)
+
+    def _keep_input(self, job: str, digest: str, data: bytes) -> TaskInput:
+        """Keep an input whose digest is known, unless it travels with the lease."""
+        size = len(data)
         if size <= INLINE:
             return TaskInput(digest=digest, size=size, data=data)
         self._blobs.setdefault(digest, _Blob(data, set())).jobs.add(job)
@@ -324,7 +329,7 @@ class TaskController:
             task.compared = held.compared
             if self.table.begin(task, now) and task.function == "prepare":
                 self.post(PreparationBegun(task.job))
-        elif held.state in ("done", "failed") and now - task.said_at > SETTLED_S:
+        elif held.state in ("done", "failed") and not task.is_read and now - task.said_at > SETTLED_S:
             self._say_again(task, worker, now)  # its report was lost, or the lease that has it tried again
 
     def _let_keep(self, worker: str, held: TaskStatus) -> None:
@@ -351,7 +356,7 @@ class TaskController:
     def _correct(self, worker: str, shown: Collection[str], now: float) -> None:
         """Say again what a worker has missed."""
         for task in self.table:
-            if task.worker == worker and task.id not in shown and now - task.said_at > SETTLED_S:
+            if task.worker == worker and task.id not in shown and not task.is_read and now - task.said_at > SETTLED_S:
                 self._say_again(task, worker, now)
             if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
                 del task.helpers[worker]
@@ -388,48 +393,50 @@ class TaskController:
                 most = _most_bytes(task) / 1024**2
                 sentence = f"its result has {body.size / 1024**2:,.0f} MB, and {most:,.0f} are taken in at most"
                 self._fail(task, "error", sentence, now)
-            case TaskChunk():
-                task.said_at = now
-                if body.offset == 0:
-                    task.result.clear()
-                if body.offset != len(task.result) or body.offset + len(body.data) > body.size:
-                    raise RemoteProtocolError(f"bytes {body.offset} to come of a task came out of order")
-                task.result += body.data
-                if len(task.result) == body.size:
-                    self._finish(task, body, now)
+            case TaskChunk() if not task.is_read:
+                self._add_chunk(task, body, now)
 
-    def _finish(self, task: Task, last: TaskChunk, now: float) -> None:
-        result = bytes(task.result)
-        if hashlib.sha256(result).hexdigest() != last.digest:
-            task.result.clear()
+    def _add_chunk(self, task: Task, body: TaskChunk, now: float) -> None:
+        """Take in a part of a result; when all have come, have it read."""
+        task.said_at = now
+        if body.offset == 0:
+            task.drop_result()
+        if body.offset != task.received or body.offset + len(body.data) > body.size:
+            raise RemoteProtocolError(f"bytes {body.offset} to come of a task came out of order")
+        task.parts.append(body.data)
+        task.received += len(body.data)
+        if task.received == body.size:
+            parts, task.parts, task.is_read = tuple(task.parts), [], True
+            self._read(TaskResult(task.id, task.term, task.job, task.function, parts, body.digest, body.seconds))
+
+    def take_result(self, read: ResultRead, now: float) -> None:
+        """Take in that the result of a task was read; without effect where the task ended, or was lost, meanwhile.
+
+        Raises:
+            RemoteProtocolError: it was damaged on its way; its worker sends it again.
+        """
+        result = read.result
+        task = self.table.get(result.task)
+        if task is None or not task.is_read or task.term != result.term:
+            return
+        task.drop_result()
+        if read.error is not None:
+            raise read.error
+        if read.is_damaged:
             raise RemoteProtocolError("the result of a task was damaged on its way")
-        try:
-            outcome = self._outcome(task, result)
-        except RemoteProtocolError as error:
-            self._fail(task, "error", f"its result cannot be read: {error}", now)
+        if read.unreadable is not None:
+            self._fail(task, "error", read.unreadable, now)
             return
         # What it ran before its first heartbeat told so; what a coordinator before us has counted is left out.
-        self._charge(task.turn, max(0.0, min(last.seconds, now - task.leased_at) - task.charged))
+        self._charge(task.turn, max(0.0, min(result.seconds, now - task.leased_at) - task.charged))
         self._end(task)
-        if task.is_analysis:
-            self.analyses.finish(task.id, result)
+        if isinstance(read.outcome, JobPrepared):
+            self._prepared[task.job] = read.outcome.digest, read.outcome.encoded
+        if isinstance(read.outcome, bytes):
+            self.analyses.finish(task.id, read.outcome, result.digest)
         else:
-            self.post(outcome)
+            self.post(read.outcome)
         self.dispatch(now)
-
-    def _outcome(self, task: Task, result: bytes) -> object:
-        if task.is_analysis:
-            return None
-        if task.function == "refine":
-            return JobRefined(task.job, _result_text(task.job, result))
-        made = decode_value(result, PreparationOutcome)
-        if not made.is_prepared:
-            return PreparationFailed(task.job, "data", made.sentence)
-        prepared = made.prepared
-        if hashlib.sha256(made.data).hexdigest() != prepared.blob or len(made.data) != prepared.size:
-            raise RemoteProtocolError("its dataset is not the one that it names")  # workers would ask for that for ever
-        self._prepared[task.job] = made.encoded
-        return JobPrepared(task.job, prepared, made.data)
 
     def _fail(self, task: Task, failure: Failure, sentence: str, now: float) -> None:
         """Take in that a task failed on its worker; it is tried again, or its job learns why not."""
@@ -476,15 +483,3 @@ def _has(status: WorkerStatus, task: Task) -> bool:
 def _most_bytes(task: Task) -> int:
     """Return how long a result may be: an answer as all that are kept, a job's result as the message that gives it."""
     return MAX_KEPT if task.is_analysis else MAX_RESULT if task.function == "prepare" else MAX_MESSAGE
-
-
-def _result_text(job: str, result: bytes) -> str:
-    """Return a job's result as text; raises RemoteProtocolError where it is no JSON, or that of another job."""
-    try:
-        text = result.decode()
-        content = json.loads(text)
-    except ValueError as error:
-        raise RemoteProtocolError(f"it is no JSON ({error})") from error
-    if not isinstance(content, dict) or content.get("job") != job:
-        raise RemoteProtocolError("it is not that of its job")
-    return text

@@ -49,7 +49,8 @@ class Task:
     `is_alone`: memory ran out with it, so that it is tried once more where nothing else runs. `term` counts its
     leases, `threads` is how many it may use there. `waiting_since`, `leased_at` and `said_at`, when its worker was last
     told, are the bus's seconds. `compared` counts the candidates that its worker has compared. `charged` is for how
-    many seconds since `began_at` its user has been charged.
+    many seconds since `began_at` its user has been charged. `parts` of its result have come, `received` bytes; when all
+    have, the result `is_read` in the background.
     """
 
     id: str
@@ -71,7 +72,9 @@ class Task:
     losses: int = 0
     failures: list[Failure] = field(default_factory=list)
     is_alone: bool = False
-    result: bytearray = field(default_factory=bytearray)
+    parts: list[bytes] = field(default_factory=list)
+    received: int = 0
+    is_read: bool = False
 
     @property
     def is_analysis(self) -> bool:
@@ -89,6 +92,10 @@ class Task:
             task=self.id, term=self.term, job=self.job, function=self.function, inputs=self.inputs,
             seconds=self.seconds, threads=self.threads,
         )  # fmt: skip
+
+    def drop_result(self) -> None:
+        """Forget what has come of its result."""
+        self.parts, self.received, self.is_read = [], 0, False
 
     @property
     def limit_s(self) -> float:
@@ -183,7 +190,7 @@ class TaskTable:
 
     def overdue(self, now: float) -> list[Task]:
         """Return the tasks that have taken too long."""
-        held = (task for task in self._tasks.values() if task.worker is not None)
+        held = (task for task in self._tasks.values() if task.worker is not None and not task.is_read)
         return [task for task in held if now - task.leased_at > task.limit_s]
 
     def end(self, task: Task) -> None:
@@ -205,4 +212,4 @@ class TaskTable:
         task.step(step)
         task.worker, task.began_at, task.waiting_since = None, None, now
         task.helpers.clear()
-        task.result.clear()
+        task.drop_result()

@@ -73,7 +73,8 @@ def test_dates_beside_a_time_are_left_out_and_named() -> None:
 
 
 def test_an_index_of_a_pandas_frame_is_a_column_where_it_says_something() -> None:
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     frame = pandas.DataFrame({"x": [1.0, 2.0, 3.0]}, index=pandas.DatetimeIndex(DAYS))
     assert table_of(frame, DataConfig()).columns.tolist() == [[0.0, 1.0, 3.0], [1.0, 2.0, 3.0]]
     assert table_of(frame.tz_localize("Europe/Berlin"), DataConfig()).names == ("time", "x")
@@ -193,7 +194,9 @@ def _written(path: Path) -> object:
 
 
 def _pandas(_: Path) -> object:
-    return pytest.importorskip("pandas").DataFrame(PEOPLE)
+    import pandas
+
+    return pandas.DataFrame(PEOPLE)
 
 
 ENTRANCES = {
@@ -228,7 +231,8 @@ def test_what_was_left_out_is_a_warning_of_the_result() -> None:
 
 
 def test_levels_of_an_index_with_a_name_are_columns() -> None:
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     index = pandas.MultiIndex.from_product([["hill", "lake"], [2001, 2002, 2003]], names=["site", "year"])
     frame = pandas.DataFrame({"x": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]}, index=index)
     table = table_of(frame, DataConfig(time="year", trajectory="site"))
@@ -239,14 +243,16 @@ def test_levels_of_an_index_with_a_name_are_columns() -> None:
 
 
 def test_an_index_of_names_or_of_numbers_without_a_name_is_not_lost_silently() -> None:
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     for index in (["a", "b", "c"], [0.0, 0.5, 1.0]):
         table = table_of(pandas.DataFrame({"t": [0, 1, 2], "x": [1, 2, 3]}, index=index), DataConfig())
         assert (table.names, table.skipped) == (("t", "x"), ("column 1",))
 
 
 def test_levels_of_columns_name_columns_where_one_does_not() -> None:
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     columns = pandas.MultiIndex.from_tuples([("", "t"), ("ball 1", "x"), ("ball 2", "x"), ("ball 2", "y")])
     frame = pandas.DataFrame([[0, 1, 2, 3], [1, 2, 3, 5]], columns=columns)
     assert table_of(frame, DataConfig()).names == ("t", "ball 1 x", "ball 2 x", "y")

@@ -1,13 +1,12 @@
-"""Pictures of a model show what its result has; they need matplotlib, and are tested where it is installed."""
+"""Pictures of a model show what its result has."""
 
+import matplotlib
 import numpy as np
 import pytest
 
 from atoll.model.model import Model
 from atoll_core.errors import UsageError
 from tests.unit.library.model.results import result
-
-matplotlib = pytest.importorskip("matplotlib")
 
 
 @pytest.fixture

@@ -101,7 +101,8 @@ def test_values_are_frames(model: Model) -> None:
 
 
 def test_a_frame_of_pandas_where_it_is_installed(model: Model) -> None:
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     assert isinstance(model.simulate().to_frame("pandas"), pandas.DataFrame)
 
 

@@ -303,7 +303,8 @@ def test_a_constant_on_its_bound_has_its_ends_and_no_other_level() -> None:
 
 
 def test_the_index_of_a_pandas_frame_is_a_column_by_its_name() -> None:
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     frame = pandas.DataFrame({"x": 3.0 * np.exp(-2.0 * TIMES)}, index=pandas.Index(TIMES, name="t"))
     assert Model(decay()).score(frame) == pytest.approx(1.0)
 

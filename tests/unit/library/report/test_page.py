@@ -365,7 +365,7 @@ def test_a_rate_is_said_in_words_of_its_time(time, unit, words) -> None:
 
 def test_what_was_found_has_its_errors_its_checks_as_a_list_and_notes_apart_from_warnings() -> None:
     note = "The search sees 8 of 80 rows, spread evenly; models are judged by all."
-    contents = dynamics(warnings=["Some measurements look like outliers.", note])
+    contents = dynamics(warnings=["Some measurements look like outliers.", note], notes=[note])
     contents["equations"][0]["checks"] = [
         {"name": "time", "outcome": "passed", "reason": "nothing was stopped"},
         {"name": "poles", "outcome": "failed", "reason": "it passes 2"},

@@ -69,7 +69,8 @@ class Evil:
 
 def book(sheet: str, text: str = "") -> bytes:
     """Return a workbook with this XML as rows of its sheet, and a text."""
-    openpyxl = pytest.importorskip("openpyxl")
+    import openpyxl
+
     written, made = io.BytesIO(), io.BytesIO()
     openpyxl.Workbook().save(written)
     main = 'xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"'

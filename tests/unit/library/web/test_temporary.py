@@ -1,5 +1,6 @@
 """What was sent to a process that was killed is removed by the next one, and nothing else."""
 
+import fcntl
 import subprocess
 import sys
 import tempfile
@@ -28,3 +29,21 @@ def test_what_a_killed_process_has_left_is_removed(tmp_path: Path, monkeypatch: 
     with held(used):
         remove_left()
         assert (left.exists(), used.exists(), other.exists(), making.exists()) == (False, True, True, True)
+
+
+def test_a_folder_that_is_being_made_is_not_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another process looks for what was left just when the lock is there and not held yet."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    lock, looked = fcntl.flock, list[bool]()
+
+    def interrupted(descriptor: int, operation: int) -> None:
+        if not looked:
+            looked.append(True)
+            remove_left()
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", interrupted)
+    with tempfile.TemporaryDirectory(prefix=PREFIX) as folder, held(Path(folder)):
+        remove_left()
+        assert looked
+        assert Path(folder).exists()

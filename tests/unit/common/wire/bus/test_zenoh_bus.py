@@ -14,7 +14,7 @@ import pytest
 
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.wire.addresses import bindable, own_address, parse_address
-from atoll_core.wire.bus import zenoh_bus
+from atoll_core.wire.bus import large_answers, zenoh_bus
 from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Presence, Query, Reply
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 
@@ -276,29 +276,45 @@ def test_none_of_several_addresses_is_said_with_all_of_them() -> None:
 def test_the_owner_waits_for_nobody_who_takes_no_large_answer(
     router: ZenohBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Clients that were stopped keep all threads; who asks for more is told to ask again, and small answers go out."""
-    are_taken, owner = threading.Event(), threading.get_ident()
+    """A client that was stopped keeps one thread; when it asks for too much it is told to ask again. Small answers go
+    out, and those of other clients."""
+    is_asked, is_taken, owner = threading.Event(), threading.Event(), threading.get_ident()
     send = router._reply
 
     def reply(handle: object, key: str, payload: bytes | None) -> None:
         if payload is not None and len(payload) >= zenoh_bus._LARGE:
             assert threading.get_ident() != owner
-            are_taken.wait(LIMIT_S)
+            if key.startswith("asked/stopped"):
+                is_asked.set()
+                is_taken.wait(LIMIT_S)
         send(handle, key, payload)  # type: ignore[arg-type]
 
     monkeypatch.setattr(router, "_reply", reply)
-    monkeypatch.setattr(router, "_large", threading.BoundedSemaphore(6))
-    router.serve("asked/*")
-    with open_client(router.endpoint, wait_s=LIMIT_S) as client:
-        answers = dict[int, bytes | None]()
-        tokens = [client.get(f"asked/{number}", timeout_s=LIMIT_S) for number in range(9)]
-        for number in range(9):
-            router.reply(first(router, Query), b"small" if number == 8 else bytes(zenoh_bus._LARGE))  # type: ignore[arg-type]
-        for _ in range(3):
-            answer = first(client, Reply)
-            assert isinstance(answer, Reply)
-            answers[answer.token] = answer.payload
-        assert [answers[token] for token in tokens[6:]] == [None, None, b"small"]
-        are_taken.set()
-        for _ in range(6):
-            assert len(first(client, Reply).payload or b"") == zenoh_bus._LARGE  # type: ignore[attr-defined]
+    router.serve("asked/*/*")
+    most = large_answers.MAX_OF_PARTY + 1
+    with open_client(router.endpoint, wait_s=LIMIT_S) as stopped, open_client(router.endpoint, wait_s=LIMIT_S) as other:
+
+        def answers(client: ZenohBus, count: int) -> dict[int, int | None]:
+            """Return the sizes of the next answers by their tokens."""
+            replies = [first(client, Reply) for _ in range(count)]
+            return {
+                reply.token: None if reply.payload is None else len(reply.payload)
+                for reply in replies
+                if isinstance(reply, Reply)
+            }
+
+        def ask(client: ZenohBus, name: str, size: int) -> int:
+            token = client.get(f"asked/{name}/0", timeout_s=LIMIT_S)
+            router.reply(first(router, Query), bytes(size))  # type: ignore[arg-type]
+            return token
+
+        first_one = ask(stopped, "stopped", zenoh_bus._LARGE)
+        assert is_asked.wait(LIMIT_S)
+        waiting = [ask(stopped, "stopped", zenoh_bus._LARGE) for _ in range(most)]
+        small = ask(stopped, "stopped", 5)
+        assert answers(stopped, 2) == {waiting[-1]: None, small: 5}
+        for _ in range(2 * most):
+            token = ask(other, "other", zenoh_bus._LARGE)
+            assert answers(other, 1) == {token: zenoh_bus._LARGE}
+        is_taken.set()
+        assert answers(stopped, most) == dict.fromkeys([first_one, *waiting[:-1]], zenoh_bus._LARGE)

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.known import known_entries, with_remarks
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
 from atoll_core.config import EvolutionConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset, Target
+from atoll_core.data.notes import Note
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.result.plain import render_text
 
@@ -92,3 +94,17 @@ def test_people_read_that_it_was_known():
     assert "dy/dt = -0.1*x" in lines
     assert "    known: error 0.02 of the target's deviation" in lines
     assert "    known: error ? of the target's deviation" in render_text(result("log(x)")[0]).split("\n")
+
+
+def test_notes_are_told_by_where_they_were_written():
+    """Notes were told by phrases of five sentences, which another sentence could hold as well."""
+    note, warning = "Rows are averaged.", "States change little from row to row: means of 3 rows are noisy."
+    outcome = VariableOutcome("y", (entries(y="-x/10")["y"],), 0, why=KNOWN)
+    dataset = replace(DATASET, warnings=(Note(note), warning))
+    model = Refinement(warnings=(Note("Operators were tried."), warning))
+    built = build_result(
+        "j", JobConfig(), Preparation(dataset, None), [outcome], Account("done", 1.0, 1.0), model
+    ).as_dict()
+    assert built["warnings"] == [note, warning, "Operators were tried.", warning]
+    assert built["notes"] == [note, "Operators were tried."]
+    assert f"note: {note}" in render_text(built)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.selection.model_selection import operator_remarks, with_further_operators
-from atoll_coordinator.result.notes import is_note
 from atoll_core.config import BASE_OPERATORS, JobConfig, SpaceConfig
+from atoll_core.data.notes import Note
 from tests.unit.coordinator.model.selection.begun import selected
 from tests.unit.coordinator.model.shooting.made import Known
 
@@ -27,7 +27,7 @@ def test_a_function_that_makes_the_description_shorter_is_taken_and_named(noise)
     assert found.comparison.is_exact(found.model) == (noise == 0.0)
     (sentence,) = remarks(found)
     assert "with sqrt the description is shorter" in sentence
-    assert is_note(sentence)
+    assert isinstance(sentence, Note)
 
 
 @pytest.mark.parametrize("begun", ["0.4 - 0.9*h", "0.3 - 0.1*h*h"])
@@ -62,4 +62,4 @@ def test_that_they_were_tried_in_vain_is_said_where_something_is_left():
     assert remarks(selection) == []
     (sentence,) = remarks(replace(selection, widened=["h"]))
     assert "exp, log, sqrt, abs, tanh, pow were tried as well" in sentence
-    assert is_note(sentence)
+    assert isinstance(sentence, Note)

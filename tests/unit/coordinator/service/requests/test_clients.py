@@ -18,6 +18,7 @@ from atoll_coordinator.service.scheduling.limits import Limits, Total
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_coordinator.service.tasks.analyses import Analyses
+from atoll_coordinator.service.tasks.outcomes import JobPrepared
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, StoreError
 from atoll_core.wire.codec import decode, encode
@@ -54,7 +55,7 @@ BLOB = hashlib.sha256(TABLE).hexdigest()
 
 
 class Tasks:
-    """Takes the place of channel, writer and tasks, and records what is started, cancelled and sent."""
+    """Takes the place of channel, background and tasks, and records what is started, cancelled and sent."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[object, ...]] = []
@@ -271,7 +272,8 @@ def test_the_dataset_of_a_job_that_ended_while_it_was_prepared_is_not_kept(
         clients.answer("ann", Request(body=Delete(job="j")))
     controller, store = clients._controller, clients._store
     before = store.blob_bytes()
-    controller.start_search("j", None, b"its dataset", 6.0)  # type: ignore[arg-type]
+    store.keep_prepared("j", b"its dataset", b"the rest")
+    controller.start_search(JobPrepared("j", None, b"", ""), 6.0)  # type: ignore[arg-type]
     assert store.blob_bytes() == before
     assert not store.has_blob(hashlib.sha256(b"its dataset").hexdigest())
     assert controller.jobs == {}
@@ -447,7 +449,7 @@ def test_half_uploads_end_no_coordinator_on_a_small_disk(tmp_path: Path, monkeyp
                 blob=f"{number:064}", size=2 * CHUNK_SIZE, index=0, sha256=hashlib.sha256(data).hexdigest(), data=data
             )
             try:
-                uploads.take(half)
+                uploads.take(half, None, None, "")
             except RefusedError:
                 refused += 1
             store.put_blob(bytes([number]) * (MB // 2))

@@ -131,6 +131,21 @@ def test_the_user_who_holds_most_loses_first(store: Store) -> None:
     assert store.job("his-3") is not None
 
 
+def test_tables_that_jobs_of_others_need_count_for_nobody(store: Store) -> None:
+    """Deleting all of one user's results would free nothing of a table that another user's job waits with."""
+    table = store.put_blob(bytes(3_000_000))
+    for name, owner in (("mine", "ann"), ("waits", "bob")):
+        store.add_job(JobRecord(name, name, "{}", table, "2026", submitter=owner))
+    store.commit_result("mine", "done", "{}")
+    for number, finished in enumerate(("10", "11")):
+        add(store, f"his-{number}", finished, "bob")
+    assert store.held("ann").freeable == len("{}")
+    assert deleted_in_turn(store, Retention(size_bytes=700_000)) == ["his-0"]
+    store.commit_result("waits", "cancelled", None)
+    assert store.held("ann").freeable == 3_000_000 + len("{}")
+    assert store.held("bob").freeable == 3_000_000 + 500_000 + len("{}")
+
+
 def test_a_clock_that_is_set_to_another_year_deletes_nothing(store: Store) -> None:
     """Neither while the coordinator runs, nor at the next start; what is left of the age is what it served."""
     add(store, "mine", "01")

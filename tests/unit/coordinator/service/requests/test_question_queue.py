@@ -53,3 +53,12 @@ def test_the_bytes_of_a_party_and_of_all_are_bounded() -> None:
     assert queue.add("q", "c", 9, 10)
     assert (queue.take(), queue.add("r", "c", 9, 11)) == (0, True)
     assert queue.refused == 2
+
+
+def test_a_party_that_is_busy_is_passed_over_and_keeps_its_turn() -> None:
+    queue = QuestionQueue[int]()
+    for party, number in (("ann", 1), ("bob", 2), ("ann", 3)):
+        queue.add(party, party, number)
+    assert queue.take_of({"ann"}) == ("bob", 2)
+    assert queue.take_of({"ann"}) == ("", None)
+    assert [queue.take(), queue.take(), len(queue)] == [1, 3, 0]

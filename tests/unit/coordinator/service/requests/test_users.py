@@ -244,10 +244,26 @@ def test_the_size_that_was_announced_first_gives_nobody_a_table(lab: Lab) -> Non
     lab.ask("ann", messages.Submit(job="mine", name="", config=JobConfig(), table=digest))
     lab.ask("bob", messages.Upload(blob=digest, size=3))
     assert lab.ask("bob", part(table, 0)) == messages.Uploaded(blob=digest, missing=(1,))
-    assert not lab.clients.uploads.has(digest, "bob", Viewer("bob"))
+    assert not lab.clients.uploads.has(digest, "bob", Viewer("bob"), "bob-1")
     stolen = lab.ask("bob", messages.Submit(job="his", name="", config=JobConfig(), table=digest))
     assert isinstance(stolen, Failure)
     assert stolen.failure == "no-table"
+
+
+def test_a_question_is_not_about_a_table_that_another_session_uploaded(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no name is proved, a table that no job uses yet belongs to the session that has shown all of it."""
+    lab.submit("ann", "mine")
+    lab.fail("mine")
+    monkeypatch.setattr(lab.authorization, "submitter", lambda client: None)
+    lab.upload("ann", b"private")
+    question = messages.Analyse(
+        job="mine", function="analyse", question=b"q", table=hashlib.sha256(b"private").hexdigest()
+    )  # fmt: skip
+    monkeypatch.setattr(lab.authorization, "hides", lambda client, request: None)
+    assert "has not been uploaded" in said(lab.ask("bob", question))
+    assert "ended without a result" in said(lab.ask("ann", question))
 
 
 def test_wrong_bytes_of_one_user_keep_no_other_from_uploading(lab: Lab) -> None:
@@ -275,7 +291,7 @@ def test_what_is_announced_takes_no_room_and_what_is_stored_counts(lab: Lab, mon
     table = bytes(CHUNK_SIZE + 50)
     lab.ask("eve", messages.Upload(blob=part(table, 0).blob, size=3))
     lab.ask("eve", part(table, 0))
-    assert lab.clients.uploads.pending_bytes("eve", "")[0] == lab.store.blob_bytes() - 3 == CHUNK_SIZE
+    assert lab.clients.uploads.pending_bytes("eve", "", "eve-1")[0] == lab.store.blob_bytes() - 3 == CHUNK_SIZE
     assert "are over the" in said(lab.upload("eve", bytes(91)))
 
 

@@ -12,7 +12,7 @@ import pytest
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.holdings import Held
 from atoll_coordinator.service.store.jobs import MAX_COUNTED, JobRecord, Viewer
-from atoll_coordinator.service.store.schema import _LAYOUTS, SCHEMA_VERSION
+from atoll_coordinator.service.store.schema import _LAYOUTS
 from atoll_coordinator.service.store.store import Store
 
 ANN = Viewer("ann")
@@ -106,7 +106,7 @@ def test_a_change_takes_no_longer_with_all_that_is_stored(stores: tuple[Store, S
 
     def change(store: Store) -> None:
         store.add_job(JobRecord("new", "n", "{}", store.put_blob(table), "2026", submitter="ann"))
-        store.begin_search("new", b"dataset", b"prepared")
+        store.keep_prepared("new", b"dataset", b"prepared")
         store.share_job("new", True)
         store.commit_result("new", "done", "{}")
         store.delete_job("new")
@@ -152,6 +152,11 @@ def check_sums(store: Store, owners: Sequence[str] = ("ann", "bob")) -> None:
         assert store.stored_bytes(owner) == added_up(used.format("table_digest", mine, "1", "FALSE")) + added_up(
             results.format(mine)
         )
+        freeable = sum(
+            added_up(used.format(digest, f"{mine} AND {ended}", f"coalesce({digest}, '')", live))
+            for digest in ("table_digest", "dataset_digest", "prepared_digest")
+        )
+        assert store.held(owner).freeable == freeable + added_up(results.format(mine))
     held, digests = store.held_for_all(), ("table_digest", "dataset_digest", "prepared_digest")
     assert store.blob_bytes() == added_up("SELECT sum(size) FROM blobs")
     assert held.live == sum(added_up(used.format(digest, live, "1", "FALSE")) for digest in digests)
@@ -175,7 +180,7 @@ def test_sums_hold_whatever_becomes_of_jobs(seed: int) -> None:
                     store.add_job(JobRecord(live[-1], "n", "{}", table, "2026", submitter=owner))
                 case "search" if live:
                     data = (bytes([random.randrange(3)]) * random.randrange(10, 14) for _ in range(2))
-                    store.begin_search(random.choice(live), next(data), b"p" + next(data))
+                    store.keep_prepared(random.choice(live), next(data), b"p" + next(data))
                 case "end" if live:
                     ended.append(live.pop(random.randrange(len(live))))
                     result = random.choice((None, "{}", "{...}"))
@@ -192,15 +197,19 @@ def test_sums_hold_whatever_becomes_of_jobs(seed: int) -> None:
         assert (store.held_for_all(), store.blob_bytes(), store.count_holders()) == (Held(), 0, 0)
 
 
-def test_a_store_of_the_version_before_adds_up_once_when_it_is_opened() -> None:
+def test_a_store_of_layout_7_adds_up_once_when_it_is_opened() -> None:
     with filled(FEW) as store:
+        for name, owner in (("hers", "ann"), ("his", "bob")):
+            store.add_job(JobRecord(name, name, "{}", store.put_blob(b"of both"), "2026", submitter=owner))
+        store.commit_result("hers", "done", "{}")
         expected = [store.held(owner) for owner in ("ann", "bob", "*")], store.blob_bytes()
         sql = store._connection
         statements = [
-            "DROP TABLE uses", "DROP TABLE holdings", "ALTER TABLE realm DROP COLUMN blob_bytes",
+            "DROP INDEX uses_of_blob", "DROP TABLE uses", "DROP TABLE holdings",
+            "ALTER TABLE realm DROP COLUMN blob_bytes",
             *(f"DROP INDEX {name}" for (name,) in sql.execute(
                 "SELECT name FROM sqlite_master WHERE type = 'index' AND sql IS NOT NULL AND name <> 'events_of_job'"
-            ).fetchall() if f" {name} " in _LAYOUTS[-1]),
+            ).fetchall() if f" {name} " in _LAYOUTS[7]),
             "ALTER TABLE jobs DROP COLUMN prepared_digest", "ALTER TABLE jobs DROP COLUMN submitted_s",
             "ALTER TABLE events DROP COLUMN owner", "ALTER TABLE events DROP COLUMN shared",
             "CREATE INDEX jobs_by_submitter ON jobs (submitter, table_digest, result_bytes)",
@@ -208,7 +217,7 @@ def test_a_store_of_the_version_before_adds_up_once_when_it_is_opened() -> None:
         ]  # fmt: skip
         for statement in statements:
             sql.execute(statement)
-        for statement in filter(str.strip, _LAYOUTS[SCHEMA_VERSION - 1].split(";")):
+        for statement in filter(str.strip, ";".join(_LAYOUTS[7:]).split(";")):
             sql.execute(statement)
         assert ([store.held(owner) for owner in ("ann", "bob", "*")], store.blob_bytes()) == expected
         assert len(store.events(None, 0, 200, ANN)) == 21

@@ -45,7 +45,8 @@ def begin_term(store: Store, job: str, variable: str) -> int:
 def test_a_job_is_kept_as_it_was_given_and_changed_as_told(store: Store) -> None:
     assert store.add_job(JOB)
     assert store.job("j1") == JOB
-    store.begin_search("j1", b"dataset", b"prepared")
+    store.keep_prepared("j1", b"dataset", b"prepared")
+    store.update_job("j1", state="running")
     store.update_job("j1", state="refining", elapsed=1.5)
     changed = store.job("j1")
     assert changed is not None
@@ -532,7 +533,7 @@ def test_a_coordinator_whose_store_was_opened_by_another_writes_nothing_more(tmp
 def ended(store: Store, name: str, finished: str | None, table: bytes, dataset: bytes) -> None:
     """Add a job that has been searched and has ended."""
     store.add_job(JobRecord(name, name, "{}", store.put_blob(table), "2026-01-01T00:00:00", submitter="ann"))
-    store.begin_search(name, dataset, b"what preparing gave of " + name.encode())
+    store.keep_prepared(name, dataset, b"what preparing gave of " + name.encode())
     begin_term(store, name, "x")
     store.commit_checkpoint(name, "x", 8, b"progress", states_of(8), 1.0)
     store.commit_cuts(name, {"x": b"cut"})
@@ -624,3 +625,49 @@ def test_uploads_that_no_job_uses_are_deleted(store: Store) -> None:
     assert store.held_for_all() == Held(stored=len(b"table{}"), live=0, freeable=len(b"tabledataset{}"))
     store.delete_unused_blobs(["0" * 64, hashlib.sha256(b"table").hexdigest()])
     assert store.blob_bytes() == len(b"tabledatasetwaits for its job")
+
+
+def test_what_was_prepared_is_written_again_where_another_job_took_it_along_when_it_was_deleted() -> None:
+    with Store.open(None) as store:
+        for name in ("j1", "j2"):
+            store.add_job(JobRecord(name, name, "{}", store.put_blob(b"table"), "2026"))
+        made = b"d" * (CHUNK_SIZE + 1)
+        store.keep_prepared("j1", made, b"rest")
+        store.commit_result("j1", "done", "{}")
+        write = store._write_blob
+
+        def delete(digest: str, data: bytes) -> None:
+            write(digest, data)
+            store.delete_job("j1")  # the second time there is none
+
+        store._write_blob = delete  # type: ignore[method-assign]
+        assert store.keep_prepared("j2", made, b"rest") is None
+        assert store.get_blob(hashlib.sha256(made).hexdigest()) == made
+        assert store.unused_blobs() == ()
+
+
+def test_another_dataset_does_not_replace_the_one_of_a_search_that_is_durable() -> None:
+    with Store.open(None) as store:
+        store.add_job(JobRecord("j", "j", "{}", store.put_blob(b"table"), "2026"))
+        first = hashlib.sha256(b"dataset").hexdigest()
+        assert store.keep_prepared("j", b"dataset", b"rest") is None
+        assert store.keep_prepared("j", b"dataset", b"rest") == first
+        store.begin_terms([("j", "x")], lambda index, term: b"")
+        store.commit_cuts("j", {"x": b"cut"})
+        assert store.keep_prepared("j", b"another", b"rest of it") == first
+        record = store.job("j")
+        assert record is not None
+        assert record.dataset_digest == first
+        assert not store.has_blob(hashlib.sha256(b"another").hexdigest())
+
+
+def test_no_upload_touches_what_is_being_written_and_what_was_not_finished_is_deleted_later(tmp_path: Path) -> None:
+    data = b"d" * (CHUNK_SIZE + 1)
+    digest = hashlib.sha256(data).hexdigest()
+    with Store.open(tmp_path) as store:
+        store._write_blob(digest, data)
+        assert store.is_begun(digest)
+        assert not store.put_chunk(digest, 2, b"foreign", digest)
+        assert store.unused_blobs() == ()
+    with Store.open(tmp_path) as store:
+        assert store.unused_blobs() == (digest,)

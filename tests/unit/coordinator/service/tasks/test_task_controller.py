@@ -12,6 +12,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     PreparationFailed,
     RefiningFailed,
 )
+from atoll_coordinator.service.tasks.results import ResultRead, TaskResult, read_result
 from atoll_coordinator.service.tasks.task_controller import HELP_AFTER_S, INLINE, SETTLED_S, TaskController
 from atoll_coordinator.service.tasks.task_table import LIMIT_S, MAX_LOSSES
 from atoll_coordinator.service.workers.membership import Membership
@@ -55,12 +56,14 @@ class Scene:
         self.forgotten: list[str] = []
         self.following: set[str] = set()
         self.now = 0.0
+        self.read_of: list[TaskResult] = []
         self._ended: dict[str, str] = {}
         self.membership = Membership()
         self.controller = TaskController(
             self,
             self.membership,
             self.posted.append,
+            self.read,
             lambda waiting, running: sorted(
                 (job for job in waiting if job not in self.paused), key=lambda job: (ranks or {}).get(job, 0.0)
             ),
@@ -71,6 +74,10 @@ class Scene:
         self.controller.help_after_s = 0.0  # type: ignore[arg-type]
         for worker in workers:
             self.join(worker)
+
+    def read(self, result: TaskResult) -> None:
+        self.read_of.append(result)
+        self.controller.take_result(read_result(result), self.now)
 
     def send(self, worker: str, body: ControlBody) -> None:
         self.sent.append((worker, body))
@@ -761,3 +768,46 @@ def test_answers_beyond_what_is_kept_go_first_asked_first_gone(monkeypatch: pyte
         scene.chunk("w0", "ended", b"12345")
     scene.controller.tick(scene.now)
     assert [analysis.asked_at for analysis in scene.controller.analyses] == [1.0, 2.0]
+
+
+def test_a_result_that_is_read_in_the_background_is_neither_asked_for_again_nor_overdue() -> None:
+    scene = Scene("w1")
+    scene.prepare()
+    unread: list[TaskResult] = []
+    scene.controller._read = unread.append
+    scene.chunk("w1", "j", PREPARED)
+    scene.sent.clear()
+    scene.now += SETTLED_S + 1.0
+    scene.chunk("w1", "j", PREPARED)
+    scene.beat("w1", j="done")
+    scene.now += 2 * LIMIT_S
+    scene.controller.tick(scene.now)
+    assert (len(unread), scene.sent, scene.posted) == (1, [], [])
+    scene.controller.take_result(read_result(unread[0]), scene.now)
+    assert [type(item) for item in scene.posted] == [JobPrepared]
+    scene.controller.take_result(read_result(unread[0]), scene.now)
+    assert len(scene.posted) == 1
+
+
+def test_a_result_whose_worker_was_lost_while_it_was_read_is_computed_again() -> None:
+    scene = Scene("w1", "w2")
+    scene.prepare()
+    unread: list[TaskResult] = []
+    scene.controller._read = unread.append
+    scene.chunk("w1", "j", PREPARED)
+    scene.controller.lose("w1", scene.now)
+    scene.controller.take_result(read_result(unread[0]), scene.now)
+    assert scene.posted == []
+    (task,) = scene.controller.table
+    assert (task.state, task.term) == ("leased", 2)
+
+
+@pytest.mark.parametrize("error", [ValueError("ours"), None])
+def test_an_error_of_reading_passes_to_the_loop(error: Exception | None) -> None:
+    scene = Scene("w1")
+    scene.prepare()
+    unread: list[TaskResult] = []
+    scene.controller._read = unread.append
+    scene.chunk("w1", "j", PREPARED)
+    with pytest.raises(ValueError if error else RemoteProtocolError):
+        scene.controller.take_result(ResultRead(unread[0], is_damaged=not error, error=error), scene.now)

@@ -82,9 +82,9 @@ def test_a_task_whose_worker_is_lost_waits_again_until_it_has_cost_too_many() ->
     table = table_with(one, other)
     for number in range(1, MAX_LOSSES):
         table.lease(one, "w", 0.0)
-        one.helpers["x"], one.result[:] = 0.0, b"half"
+        one.helpers["x"], one.parts, one.received = 0.0, [b"half"], 4
         assert table.lose("w", float(number)) == [(one, None)]
-        assert (one.state, one.helpers, one.result) == ("waiting", {}, b"")
+        assert (one.state, one.helpers, one.parts, one.received) == ("waiting", {}, [], 0)
     table.lease(one, "w", 0.0)
     (lost,) = table.lose("w", 9.0)
     assert lost == (one, f"its worker was lost, {MAX_LOSSES} times")

@@ -150,6 +150,7 @@ GRID = """<?xml version='1.0'?>
   <job_list state="running"><JB_job_number>5</JB_job_number><JB_name>other</JB_name><state>r</state></job_list>
 </queue_info><job_info>
   <job_list state="pending"><JB_job_number>9</JB_job_number><JB_name>atoll-abc</JB_name><state>qw</state></job_list>
+  <job_list state="pending"><JB_job_number>10</JB_job_number><JB_name>atoll-abc</JB_name><state>Eqw</state></job_list>
 </job_info></job_info>
 """
 
@@ -158,9 +159,9 @@ def test_other_systems_list_their_jobs(programs: FakeBatch) -> None:
     programs.answer("bjobs", "7 RUN\n8 EXIT\n9 PEND\n")
     programs.answer("qstat", GRID)
     expected = {"7": "running", "8": "ending", "9": "pending"}
-    for system in ("lsf", "sge"):
+    for system, more in (("lsf", {}), ("sge", {"10": "failed"})):
         batch = Batch(SYSTEMS[system], "atoll-abc", ["island-worker"], 1, [])
-        assert {job.id: job.state for job in batch.jobs()} == expected
+        assert {job.id: job.state for job in batch.jobs()} == expected | more
     programs.called()
     programs.answer("qselect", "7.server\n")
     jobs = Batch(SYSTEMS["pbs"], "atoll-abc", ["island-worker"], 1, []).jobs()
@@ -214,6 +215,13 @@ def test_a_program_that_fails_is_quoted(slurm: Batch, programs: FakeBatch) -> No
         BatchError, match=r"sbatch failed \(sbatch: error: invalid partition\); the command was: sbatch"
     ):
         slurm.submit()
+
+
+def test_the_reason_of_grid_engine_is_quoted_and_not_only_its_last_word(programs: FakeBatch) -> None:
+    said = 'Unable to run job: job rejected: the requested parallel environment "smp" does not exist\\nExiting.'
+    (programs.folder / "qsub").write_text(f"#!/bin/sh\nprintf '{said}\\n' >&2; exit 1\n")
+    with pytest.raises(BatchError, match=r'qsub failed \(Unable to run job: .* environment "smp" does not exist\);'):
+        Batch(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 8, []).submit()
 
 
 def test_without_slurm_the_missing_program_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,9 +288,19 @@ class Breaking:
     def __init__(self) -> None:
         self.fails = False
         self.submitted = 0
+        self.gone: set[str] = set()
+        self.drained: list[str] = []
 
     def jobs(self) -> list[BatchJob]:
         return [BatchJob(str(number), number, "running") for number in range(self.submitted)]
+
+    def take_back(self, job: str) -> None:
+        raise AssertionError(f"job {job} runs")
+
+    def drain(self, job: str) -> None:
+        if self.fails or job in self.gone:
+            raise BatchError("denied: the job does not exist")
+        self.drained.append(job)
 
     def submit(self) -> str:
         if self.fails:
@@ -344,3 +362,19 @@ def test_slurm_or_the_coordinator_may_be_away_for_a_while(monkeypatch: pytest.Mo
     looks.is_away = True
     with pytest.raises(UnreachableError):
         looks.look(20)
+
+
+def test_a_job_that_cannot_be_drained_keeps_no_other_from_it_and_does_not_end_adapt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    slurm = Breaking()
+    slurm.submitted = 3  # by an adapt before this one
+    looks = Looks(monkeypatch, slurm, 100.0)
+    looks.wanted = 3
+    looks.look(1)
+    slurm.gone, looks.wanted, looks.now = {"0"}, 0, 60.0
+    looks.look(1)
+    assert slurm.drained == ["1", "2"]
+    slurm.gone = set()
+    looks.look(1)
+    assert slurm.drained == ["1", "2", "0"]

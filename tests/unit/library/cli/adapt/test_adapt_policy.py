@@ -70,6 +70,30 @@ def test_jobs_that_end_before_a_worker_has_joined_are_not_submitted_for_ever() -
         policy.decide(6.0, need(4), [])
 
 
+def test_a_job_in_error_is_cancelled_replaced_and_counts_as_a_failure() -> None:
+    policy = AdaptPolicy(LIMITS)
+    for number in range(MOST_FAILURES):
+        in_error = [BatchJob(str(number), number, "failed")]
+        assert policy.decide(number, need(4), in_error) == Decision(submit=1, take_back=(str(number),))
+        assert policy.decide(number + 0.3, need(4), in_error) == Decision(submit=1), "it is cancelled once"
+    with pytest.raises(AtollError, match="the last of them 2"):
+        policy.decide(9.0, need(4), [])
+
+
+def test_a_job_that_began_before_it_could_be_cancelled_is_drained() -> None:
+    policy = AdaptPolicy(Limits(0, 5, 4, 0.0))
+    assert policy.decide(0.0, need(0), batch("pending")) == Decision(take_back=("0",))
+    assert policy.decide(1.0, need(0), batch("running")) == Decision(drain=("0",))
+    assert policy.decide(2.0, need(0), batch("running")) == Decision()
+
+
+def test_a_job_that_could_not_be_told_is_told_again() -> None:
+    policy = AdaptPolicy(Limits(0, 5, 4, 0.0))
+    assert policy.decide(0.0, need(0), batch("running")).drain == ("0",)
+    policy.forget("0")
+    assert policy.decide(1.0, need(0), batch("running")).drain == ("0",)
+
+
 def test_one_that_has_joined_or_was_told_to_end_is_no_failure() -> None:
     policy = AdaptPolicy(Limits(0, 5, 4, 0.0))
     for number in range(10):
@@ -85,24 +109,27 @@ def test_the_bounds_hold_whatever_comes(seed: int) -> None:
     """A batch system that begins and ends jobs as it likes, and a queue that jumps: 500 looks."""
     draw = random.Random(seed)
     limits = Limits(draw.randint(0, 3), draw.randint(3, 8), draw.randint(1, 8), 60.0)
-    policy, jobs, number, drained = AdaptPolicy(limits), {}, 0, set()
+    policy, jobs, number, told, drained = AdaptPolicy(limits), {}, 0, set(), set()
     for look in range(500):
         workers = draw.choice([0, 1, 5, 30, 100])
         islands = {job.id: draw.randint(0, 9) for job in jobs.values() if job.state == "running"}
         decision = policy.decide(15.0 * look, Need(workers, draw.choice([0, 0, 3]), islands), list(jobs.values()))
         ends = {*decision.take_back, *decision.drain}
-        assert not ends & drained, "a second SIGTERM would end workers without handing over"
-        drained |= ends
+        assert not drained & {*decision.drain}, "a second SIGTERM would end workers without handing over"
+        assert not ends & told
+        told |= ends
+        drained |= {*decision.drain}
         assert not (decision.submit and ends)
         for _ in range(decision.submit):
             number += 1
             jobs[str(number)] = BatchJob(str(number), number, "pending")
-        kept = [job for job in jobs.values() if job.id not in drained]
+        kept = [job for job in jobs.values() if job.id not in told]
         assert limits.minimum <= len(kept) <= limits.maximum
         for job in list(jobs.values()):
-            if job.id in drained and draw.random() < 0.5:
+            if job.id in told and draw.random() < 0.5:
                 del jobs[job.id]
             elif job.state == "pending" and draw.random() < 0.5:
                 jobs[job.id] = BatchJob(job.id, job.number, "running")
+                told.discard(job.id)
             elif job.id in islands and draw.random() < 0.02:
                 del jobs[job.id]

@@ -4,9 +4,9 @@ import threading
 from typing import Any
 
 from atoll_coordinator.service.search.archipelago import Checkpoint
+from atoll_coordinator.service.tasks.background import Background
 from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_coordinator.service.tasks.outcomes import CheckpointWritten
-from atoll_coordinator.service.tasks.writer import CheckpointWriter
 from atoll_core.errors import StoreError
 
 LIMIT_S = 60.0
@@ -37,9 +37,9 @@ def test_checkpoints_are_written_in_order_on_one_thread_that_is_not_ours() -> No
         if len(posted) == 20:
             last.set()
 
-    writer = CheckpointWriter(Dependencies().writer, disk, post)  # type: ignore[arg-type]
+    background = Background(Dependencies().background, disk, post)  # type: ignore[arg-type]
     for epoch in range(20):
-        writer.write(checkpoint(epoch), b"", 1.0)
+        background.write_checkpoint(checkpoint(epoch), b"", 1.0)
     assert last.wait(LIMIT_S)
     assert [epoch for epoch, _ in disk.written] == list(range(20))
     assert len({thread for _, thread in disk.written} - {threading.get_ident()}) == 1
@@ -48,6 +48,6 @@ def test_checkpoints_are_written_in_order_on_one_thread_that_is_not_ours() -> No
 
 def test_a_checkpoint_that_cannot_be_written_is_posted_with_its_error() -> None:
     posted: list[Any] = []
-    writer = CheckpointWriter(lambda work: work(), Disk(full_from=8), posted.append)  # type: ignore[arg-type]
-    writer.write(checkpoint(8), b"", 1.0)
+    background = Background(lambda work: work(), Disk(full_from=8), posted.append)  # type: ignore[arg-type]
+    background.write_checkpoint(checkpoint(8), b"", 1.0)
     assert [str(item.error) for item in posted] == ["the disk is full"]
