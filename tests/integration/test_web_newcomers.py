@@ -138,6 +138,8 @@ def test_warnings_have_buttons_that_do_what_they_advise(stage: Stage) -> None:
         mending.get_by_role("button", name="Inputs: columns without an equation: voltage").click()
         tab.get_by_text("'sample no.' counts the rows", exact=False).wait_for()
         tab.get_by_text("--inputs voltage", exact=False).first.wait_for()
+        tab.locator("canvas").first.wait_for()
+        shoot(tab, "web-warnings")
         mending.get_by_role("button", name="Inputs that keep their value until the next row: voltage").click()
         tab.get_by_text("--inputs voltage --hold voltage", exact=False).or_(
             tab.get_by_text("--hold voltage --inputs voltage", exact=False)
