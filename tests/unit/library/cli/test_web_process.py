@@ -13,8 +13,6 @@ from atoll.cli import web_process as module
 from atoll.client.over_http import TOKEN
 from atoll_core.wire.security.credentials import Credentials
 
-pytest.importorskip("uvicorn", reason="no uvicorn; pip install 'atoll[web]'")
-
 LIMIT_S = 60.0
 
 
