@@ -71,7 +71,7 @@ NOT_RUN = {
     r"limit cycles as c3 varies": "minutes of another system: tests/unit/library/analysis/test_cycle_continuation.py",
     r"identifiability \(95 %": "of data that the page does not have: tests/unit/library/experiments",
     r"candidates, their constants": "of data that the page does not have: tests/unit/library/experiments",
-    r"dhare/dyear: another form": "of a result that the page does not have: tests/unit/library/experiments",
+    r"dhare/dyear: ": "of the run that examples/quotes.py makes: tests/integration/test_quotes.py",
     r"dx/dt = 0.534067": "of data that the page lacks: tests/unit/coordinator/model/inference/test_group_constants.py",
     r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/coordinator/test_units.py",
     r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
