@@ -63,7 +63,11 @@ class Uploads:
     """
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
-        """`now` gives the bus's seconds. What the store has already counts as heard of at the first look."""
+        """`now` gives the bus's seconds. Tables that the store has and no job uses are deleted.
+
+        Who had shown which bytes of them is not stored, so that nobody has them and they would count for nobody;
+        clients upload them again.
+        """
         self._store = store
         self._now = now
         self._heard: dict[str, float] = {}
@@ -71,6 +75,7 @@ class Uploads:
         self._uploads: dict[tuple[str, str | None, str], _Upload] = {}
         self._shown: Counter[str | None] = Counter()
         self._keys: set[str] = set()
+        self._delete_all()
 
     def take(self, upload: Upload, user: str | None, viewer: Viewer | None, session: str) -> Uploaded:
         """Keep a chunk that is the next one, or only tell which are missing.
