@@ -16,6 +16,7 @@ from atoll.web.api import Api
 from atoll_core.wire.messages.clients import Request
 from tests.http import ask
 from tests.unit.documents import ROOT
+from tests.unit.library.cli.test_verbs_of_others import ASKED, ASKS_NOTHING
 from tests.unit.library.web.made import AUTHORIZED, READERS, Asked, application
 
 RULES: Final = ("see", "change", "size", "rate", "quota", "escaping", "secrets", "durable")
@@ -37,6 +38,11 @@ _TURNS: Final = (
 _QUOTA: Final = "property/test_uploads.py::test_who_has_a_table_has_shown_all_of_it_and_quotas_are_what_is_stored"
 _PAGE: Final = "unit/library/report/test_page.py::test_no_text_of_a_result_is_taken_for_markup"
 _TERMINAL: Final = "unit/library/terminal/test_output.py::test_no_name_steers_a_terminal"
+_VERBS: Final = "unit/library/cli/test_verbs_of_others.py::"
+_LATER: Final = {
+    "see": f"{_USERS}test_after_a_restart_and_a_restore_each_job_is_seen_by_the_same_users",
+    "change": f"{_USERS}test_after_a_restart_and_a_restore_each_job_is_changed_by_the_same_users",
+}
 _CRASH: Final = "simulation/test_coordinator_crashes.py::test_a_job_that_is_kept_has_its_submitter"
 
 BUS: Final = {
@@ -64,22 +70,31 @@ PROCESS: Final = HTTP | {
     "secrets": "unit/common/test_redaction.py::test_a_page_shows_its_token_on_a_terminal_alone",
     "durable": f"{_WEB}test_temporary.py::test_what_a_killed_process_has_left_is_removed",
 }
-CLI: Final = BUS | {"escaping": _TERMINAL}
+CLI: Final = BUS | {
+    "see": f"{_VERBS}test_a_private_job_of_another_user_is_as_if_there_were_none",
+    "change": f"{_VERBS}test_what_another_user_shares_and_what_is_all_users_is_not_changed",
+    "escaping": _TERMINAL,
+}
 """Of verbs that ask a coordinator, which decides: see `BUS`."""
 PYTHON: Final = BUS | {
     "escaping": _PAGE,
     "secrets": "unit/common/test_redaction.py::test_an_address_with_a_token_shows_it_nowhere",
 }
-RESTART: Final = BUS | {
-    "change": f"{_USERS}test_a_paused_queue_stays_so_after_a_restart",
-    "rate": f"{_USERS}test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart",
-}
-RESTORE: Final = BUS | {
-    "see": f"{_STORE}test_backup.py::test_a_restored_store_has_the_jobs_and_a_name_of_its_own",
-    "change": f"{_STORE}test_backup.py::test_no_store_is_made_under_a_coordinator",
-    "size": f"{_STORE}test_backup.py::test_a_disk_that_is_full_is_one_sentence_and_leaves_nothing",
-    "durable": f"{_STORE}test_backup.py::test_damage_in_a_copy_is_found_and_nothing_is_made_of_it",
-}
+RESTART: Final = (
+    BUS
+    | _LATER
+    | {
+        "rate": f"{_USERS}test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart",
+    }
+)
+RESTORE: Final = (
+    BUS
+    | _LATER
+    | {
+        "size": f"{_STORE}test_backup.py::test_a_disk_that_is_full_is_one_sentence_and_leaves_nothing",
+        "durable": f"{_STORE}test_backup.py::test_damage_in_a_copy_is_found_and_nothing_is_made_of_it",
+    }
+)
 TABLE: Final = {
     "bus": BUS, "HTTP": HTTP, "web": PROCESS, "run --web": PROCESS, "serve --http": PROCESS, "CLI": CLI,
     "Python": PYTHON, "restart": RESTART, "restore": RESTORE,
@@ -109,6 +124,8 @@ def test_every_entrance_has_its_row() -> None:
     (bodies,) = (get_args(field.annotation) for field in [Request.model_fields["body"]])
     assert {kind.model_fields["kind"].default for kind in bodies} == QUESTIONS
     assert set(HANDLERS) == set().union(*VERBS.values())
+    assert VERBS["CLI"] == set(ASKED), "each is asked as another user"
+    assert VERBS["nothing is asked"] == set(ASKS_NOTHING), "each is run, and asks nothing"
     assert {name for name in atoll.__all__ if not name.isupper()} == FUNCTIONS
     assert set(VERBS) - {"nothing is asked"} <= set(TABLE)
 
