@@ -1,7 +1,8 @@
 """What pages say of the hares and lynxes: ``python -m examples.quotes`` runs the example and writes it into them.
 
-Lines that the run prints, in blocks of code, and numbers in sentences between ``<!-- hares: NAME -->`` and
-``<!-- end -->``. A test compares both with a run; read what moved, since sentences around a number may have to follow.
+Lines that the run prints, in blocks of code, and numbers in sentences, or a comparison with another candidate, between
+``<!-- hares: NAME -->`` and ``<!-- end -->``. A test compares both with a run; read what moved, since sentences around
+a number may have to follow.
 """
 
 import re
@@ -16,7 +17,7 @@ from atoll.model.constants import plus_minus
 from atoll.model.model import Model
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-PAGES: Final = ("README.md", "docs/tutorial.md", "docs/result.md")
+PAGES: Final = ("README.md", "docs/tutorial.md", "docs/result.md", "docs/analysis.md")
 EXAMPLE: Final = ("examples/lynx_hare.csv", "--time", "year")
 
 MARK: Final = re.compile(r"<!-- hares: (?P<name>[\w.]+) -->(?P<text>.*?)<!-- end -->", re.DOTALL)
@@ -77,7 +78,14 @@ def numbers_of(model: Model) -> dict[str, str]:
         "noise": " and ".join(f"{100.0 * share:.0f}" for share in noise) + " %",
         "floors": " and ".join(f"{equation.derivative_floor:.2f}" for equation in (hare, lynx)),
         "theirs.nats": f"{theirs.nats:.1f}",
+        "compare": compared_block(str(model.compare(model.candidates[1]))),
     }
+
+
+def compared_block(text: str) -> str:
+    """Return a comparison as a block of code, without the lines that name both models, and without equations."""
+    lines = [re.sub(r"( constants); .*", r"\1; …", line) for line in text.splitlines()]
+    return "\n".join(["", "```text", *(line for line in lines if not re.match(r"[AB] = ", line)), "```", ""])
 
 
 def requoted(page: str, lines: Lines, numbers: Mapping[str, str]) -> str:

@@ -5,7 +5,18 @@ from pathlib import Path
 
 import pytest
 
-from examples.quotes import MARK, PAGES, ROOT, QuoteError, numbers_of, printed_lines, requoted, run_example
+from atoll.experiments.odds import DECIDED, UNDECIDED
+from examples.quotes import (
+    MARK,
+    PAGES,
+    ROOT,
+    QuoteError,
+    compared_block,
+    numbers_of,
+    printed_lines,
+    requoted,
+    run_example,
+)
 
 TEXTS = {name: (ROOT / name).read_text("utf-8") for name in PAGES}
 
@@ -45,6 +56,15 @@ def test_what_the_example_does_not_have_is_named() -> None:
         requoted(PAGE, printed_lines(PRINTED), {"balance": "1"})
 
 
+def test_a_comparison_is_quoted_as_it_is_printed_but_for_equations() -> None:
+    """The numbers of the comparison in docs/analysis.md came of no program, and were those of an earlier version."""
+    text = "A = the first: dx/dt = x\nB = the second: dx/dt = 2*x\ndx/dt: another form\n  A: 5 constants; dx/dt = x"
+    assert compared_block(text) == "\n```text\ndx/dt: another form\n  A: 5 constants; …\n```\n"
+    (mark,) = MARK.finditer(TEXTS["docs/analysis.md"])
+    assert mark["name"] == "compare"
+    assert mark["text"].startswith("\n```text\ndhare/dyear: ")
+
+
 def test_pages_agree_with_each_other() -> None:
     said: dict[str, set[str]] = {}
     for text in TEXTS.values():
@@ -69,3 +89,8 @@ def test_pages_quote_what_the_example_prints_and_finds(tmp_path: Path) -> None:
     lines, numbers = printed_lines(text), numbers_of(model)
     changed = [name for name, page in TEXTS.items() if requoted(page, lines, numbers) != page]
     assert not changed, f"run python -m examples.quotes, and read what moved: {changed}"
+
+
+def test_the_odds_at_which_data_decide_are_those_of_the_code() -> None:
+    said = f"Data do not decide below odds of {UNDECIDED:.0f} to 1, and decide from {DECIDED:.0f} to 1 on."
+    assert said in TEXTS["docs/analysis.md"]

@@ -25,6 +25,7 @@ from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import Jobs, Request
 from atoll_core.wire.messages.handshake import Greeting, Hello
+from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
 from atoll_core.wire.security.credentials import Credentials, load
 from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
@@ -361,6 +362,13 @@ def test_a_router_drops_what_is_larger_than_its_key_allows() -> None:
         event = router.receive(LIMIT_S)
         assert isinstance(event, Message)
         assert len(event.payload) == 1000
+        asked = topics.client("r", "ann-1")
+        router.serve(asked)
+        for size in (MAX_MESSAGE + 1, 1000):
+            stranger.get(asked, bytes(size), timeout_s=LIMIT_S)
+        question = router.receive(LIMIT_S)
+        assert isinstance(question, Query)
+        assert len(question.payload) == 1000
 
 
 def test_role_bindings_need_certificates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -158,6 +158,43 @@ def test_a_job_by_http_ends_as_one_by_the_command_line_and_its_stream_survives_k
         assert process.wait(10.0) in (0, 143, -signal.SIGTERM)
 
 
+def test_the_token_of_an_address_is_in_no_output(service, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither in what commands print, nor in results, reports, exports, logs, tracebacks or the store."""
+    place, address = service
+    monkeypatch.setenv("XDG_STATE_HOME", str(place / "home"))  # of tracebacks
+    (place / "d.csv").write_bytes(CSV)
+    base = f"http://127.0.0.1:{free_port()}"
+    there = ("--connect", f"{base}/?token={TOKEN}")
+    said: list[tuple[tuple[str, ...], str]] = []
+
+    def do(*words: str) -> int:
+        ended = done(place, "coordinator", *words)
+        said.append((words, ended.stdout + ended.stderr))
+        return ended.returncode
+
+    with web(place, address, int(base.rpartition(":")[2])):
+        until(Page(base).is_up)
+        assert do("submit", "d.csv", "--max-epochs", "2", "--id", "j", "--out", "o", *there) == 0
+        for words in (
+            ("status", "j"), ("status", "j", "--json"), ("jobs",), ("workers",), ("logs", "j"), ("doctor",), ("ping",),
+            ("result", "j"), ("result", "j", "--json"), ("report", "j", "--output", "r.html"),
+            ("export", "j", "--format", "python", "--output", "m.py"), ("export", "j", "--format", "latex"),
+            ("share", "j"), ("delete", "j"), ("result", "j"),
+        ):  # fmt: skip
+            do(*words, *there)
+    for words in (
+        ("ping", *there), ("jobs", "--connect", f"{base}?x=1&token={TOKEN}"), ("jobs", "--connekt", there[1]),
+        ("jobs", there[1]), ("jobs", "--connect", f"htp://lab?token={TOKEN}"), ("adapt", *there),
+        ("serve", "--http", f"127.0.0.1:0?token={TOKEN}"), ("run", there[1]), ("submit", there[1], *there),
+    ):  # fmt: skip
+        assert do(*words) != 0
+    shown = [words for words, text in said if TOKEN in text]
+    files = [file for file in place.rglob("*") if file.is_file()]
+    assert {"result.json", "r.html", "m.py", "coordinator.log", "atoll.sqlite3"} <= {file.name for file in files}
+    assert (shown, [file for file in files if TOKEN.encode() in file.read_bytes()]) == ([], [])
+    assert json.loads((place / "o" / "result.json").read_text())["command"].endswith(f"--connect {base}/")
+
+
 def test_without_its_coordinator_the_page_stays_and_says_so(tmp_path: Path) -> None:
     page = Page(f"http://127.0.0.1:{free_port()}", token=None)
     with web(tmp_path, "tcp/127.0.0.1:9", int(page.base.rpartition(":")[2]), "--look-without-token"):

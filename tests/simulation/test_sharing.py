@@ -191,7 +191,14 @@ def test_who_has_used_up_the_time_of_a_day_waits() -> None:
         view = world.client.status("job")
         assert (view.held, view.workers) == (True, 0)
         assert "used up" in (view.reason or "")
-        assert 5.0 <= sum(world.computes["w0"].seconds.values()) < 20.0
+        used = sum(world.computes["w0"].seconds.values())
+        assert 5.0 <= used < 20.0
+        world.network.crash("coordinator")
+        world.service = world.start_service()
+        world.service.controller.queue.limits = Limits.model_validate({"user": {"task_time": 5.0}})
+        world.client.pause(60.0)
+        assert world.client.status("job").held, "also when the coordinator is started again"
+        assert sum(world.computes["w0"].seconds.values()) < used + 15.0
 
 
 def test_a_job_that_is_paused_before_a_worker_prepares_it_gives_its_place_back() -> None:

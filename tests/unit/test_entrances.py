@@ -43,7 +43,10 @@ _LATER: Final = {
     "see": f"{_USERS}test_after_a_restart_and_a_restore_each_job_is_seen_by_the_same_users",
     "change": f"{_USERS}test_after_a_restart_and_a_restore_each_job_is_changed_by_the_same_users",
 }
-_CRASH: Final = "simulation/test_coordinator_crashes.py::test_a_job_that_is_kept_has_its_submitter"
+_ANSWERED: Final = f"{_USERS}test_what_was_answered_holds_after_a_restart"
+_OUTPUTS: Final = f"{_INTEGRATED}test_the_token_of_an_address_is_in_no_output"
+_RESTORED: Final = f"{_STORE}test_backup.py::test_a_restored_store_has_the_jobs_and_a_name_of_its_own"
+_KEPT: Final = "unit/library/cli/test_web_process.py::test_a_page_that_dies_is_started_again_as_it_was"
 
 BUS: Final = {
     "see": f"{_USERS}test_every_question_about_anothers_job_is_answered_as_if_there_were_none",
@@ -53,7 +56,7 @@ BUS: Final = {
     "quota": _QUOTA,
     "escaping": "unit/common/test_logs.py::test_a_value_cannot_break_out_of_its_field",
     "secrets": _SECRETS,
-    "durable": _CRASH,
+    "durable": _ANSWERED,
 }
 HTTP: Final = BUS | {
     "see": f"{_HOSTILE}test_a_job_of_somebody_else_is_unknown_in_every_operation_also_after_its_owner_has_looked",
@@ -64,39 +67,41 @@ HTTP: Final = BUS | {
     "secrets": f"{_HOSTILE}test_no_token_is_logged",
     "durable": f"{_INTEGRATED}test_a_job_by_http_ends_as_one_by_the_command_line_and_its_stream_survives_kills",
 }
-PROCESS: Final = HTTP | {
+WEB: Final = HTTP | {
     "see": f"{_WEB}test_server.py::test_nobody_looks_without_a_token_through_credentials_of_others_or_a_proxy",
     "change": f"{_WEB}test_access.py::test_pages_of_other_origins_change_nothing",
     "secrets": "unit/common/test_redaction.py::test_a_page_shows_its_token_on_a_terminal_alone",
-    "durable": f"{_WEB}test_temporary.py::test_what_a_killed_process_has_left_is_removed",
 }
+PROCESS: Final = WEB | {"see": _KEPT, "durable": _KEPT}
+"""Of a page that another program starts as `web`, with its own users and certificates, and keeps running."""
 CLI: Final = BUS | {
     "see": f"{_VERBS}test_a_private_job_of_another_user_is_as_if_there_were_none",
     "change": f"{_VERBS}test_what_another_user_shares_and_what_is_all_users_is_not_changed",
     "escaping": _TERMINAL,
+    "secrets": _OUTPUTS,
 }
 """Of verbs that ask a coordinator, which decides: see `BUS`."""
 PYTHON: Final = BUS | {
     "escaping": _PAGE,
-    "secrets": "unit/common/test_redaction.py::test_an_address_with_a_token_shows_it_nowhere",
+    "secrets": "unit/common/test_redaction.py::test_no_estimator_shows_the_token_of_its_address",
 }
-RESTART: Final = (
-    BUS
-    | _LATER
-    | {
-        "rate": f"{_USERS}test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart",
-    }
-)
-RESTORE: Final = (
-    BUS
-    | _LATER
-    | {
-        "size": f"{_STORE}test_backup.py::test_a_disk_that_is_full_is_one_sentence_and_leaves_nothing",
-        "durable": f"{_STORE}test_backup.py::test_damage_in_a_copy_is_found_and_nothing_is_made_of_it",
-    }
-)
+RESTART: Final = {
+    **BUS,
+    **_LATER,
+    "rate": "simulation/test_sharing.py::test_who_has_used_up_the_time_of_a_day_waits",
+    "secrets": f"{_STORE}test_store.py::test_a_store_of_an_earlier_version_is_closed_to_others_and_that_is_said_once",
+}
+RESTORE: Final = {
+    **BUS,
+    **_LATER,
+    "quota": _RESTORED,
+    "secrets": _RESTORED,
+    "size": f"{_STORE}test_backup.py::test_a_disk_that_is_full_is_one_sentence_and_leaves_nothing",
+    "durable": "simulation/test_second_mistakes.py::"
+    "test_a_store_that_was_damaged_moved_restored_and_served_has_all_its_jobs",
+}
 TABLE: Final = {
-    "bus": BUS, "HTTP": HTTP, "web": PROCESS, "run --web": PROCESS, "serve --http": PROCESS, "CLI": CLI,
+    "bus": BUS, "HTTP": HTTP, "web": WEB, "run --web": PROCESS, "serve --http": PROCESS, "CLI": CLI,
     "Python": PYTHON, "restart": RESTART, "restore": RESTORE,
 }  # fmt: skip
 

@@ -16,6 +16,7 @@ from atoll.model.equations import DIGITS
 from atoll.model.model import Model
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError, UsageError
+from atoll_core.redaction import without_secrets
 
 _TIME = "t"
 
@@ -44,7 +45,8 @@ class Discoverer:
         return self
 
     def __repr__(self) -> str:
-        return f"Discoverer({', '.join(f'{name}={value!r}' for name, value in self._options.items())})"
+        options = ", ".join(f"{name}={value!r}" for name, value in self._options.items())
+        return without_secrets(f"Discoverer({options})")  # notebooks keep it
 
     def fit(
         self,

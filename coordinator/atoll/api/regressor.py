@@ -11,6 +11,7 @@ from atoll.api.discover import discover
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.masked import plain_array
 from atoll_core.errors import UsageError
+from atoll_core.redaction import without_secrets
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
@@ -61,6 +62,12 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
         self.workers = workers
         self.connect = connect
         self.progress = progress
+
+    def __repr__(self, N_CHAR_MAX: int = 700) -> str:
+        return without_secrets(super().__repr__(N_CHAR_MAX))  # notebooks keep it
+
+    def _repr_mimebundle_(self, **options: object) -> dict[str, str]:
+        return {kind: without_secrets(text) for kind, text in super()._repr_mimebundle_(**options).items()}
 
     def fit(self, X: object, y: object) -> Self:
         """Find the expression of `y` (N,) from the features `X` (N, K)."""

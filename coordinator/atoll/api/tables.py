@@ -4,11 +4,12 @@ All but files become the cells of a `RawTable`, which are read as those of files
 commas, dates, names of trajectories, long tables, and for what is left out.
 """
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, TypeGuard
+from typing import Final, Protocol, TypeGuard
 
 import numpy as np
 
@@ -20,12 +21,17 @@ from atoll_coordinator.data.reading.files import read_table, table_of_parts
 from atoll_coordinator.data.reading.numerals import read_numbers
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_coordinator.data.reading.records import table_of_document
+from atoll_coordinator.data.reading.workbooks import table_of_rows
+from atoll_coordinator.data.roles.column_options import split_unit
+from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray, FloatArray
 from atoll_core.data.masked import plain_array
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
+_UNNAMED: Final = re.compile(r"Unnamed: \d+")
+"""What pandas calls a column without a name."""
 NAME = "data"
 """What messages call a table that was not read from a file."""
 
@@ -83,17 +89,50 @@ def _is_record(part: object) -> bool:
 def _has_columns(part: object) -> TypeGuard[_Columns]:
     if isinstance(part, np.ndarray):
         return part.dtype.names is not None or part.ndim == 2
-    return isinstance(part, Mapping) or (hasattr(part, "columns") and hasattr(part, "__getitem__"))
+    return isinstance(part, Mapping) or _is_frame(part)
 
 
 def _cells_of(part: _Columns, config: DataConfig) -> RawTable:
     """Return the columns of a part as cells, and before them an index that says more than which row it is."""
     if isinstance(part, np.ndarray) and part.dtype.names is None:
         return table_of_matrix(NAME, _array(part, "the array"), config, (_kind(part),))
+    if isinstance(part, Mapping) and any(_is_frame(value) for value in part.values()):
+        named = ", ".join(map(str, part))
+        raise DataError(
+            f"{NAME} is a dict of frames ({named}); give the one that holds the measurements, or a list of some"
+        )
     columns = _named_arrays(part)
+    if _has_header_among_rows(columns):
+        return _with_header_of_rows(columns, _kind(part))
     index = {name: values for name, values in _index(part).items() if name not in columns}
     raw = table_of_arrays(NAME, {**index, **columns}, config, (_kind(part),))
-    return replace(raw, headers=tuple(header.strip() for header in raw.headers))
+    return replace(raw, headers=tuple(map(_plain, raw.headers)))
+
+
+def _plain(header: str) -> str:
+    """Return the name of a column; ``%time`` and ``# t`` are times below the mark of a comment."""
+    name = header.lstrip("#% ").strip()
+    return name if split_unit(name)[0] in TIME_NAMES else header.strip()
+
+
+def _has_header_among_rows(columns: Mapping[str, AnyArray]) -> bool:
+    """Tell whether pandas has named columns by their places, and texts stand in these: the header is a row below."""
+    unnamed = [values for name, values in columns.items() if _UNNAMED.fullmatch(name)]
+    filled = [next((cell for cell in values.tolist() if cell_of(cell)), None) for values in unnamed]
+    return any(isinstance(cell, str) for cell in filled)
+
+
+def _with_header_of_rows(columns: Mapping[str, AnyArray], kind: str) -> RawTable:
+    """Return the table below what pandas took for a header, such as a title or names of groups."""
+    first = ["" if _UNNAMED.fullmatch(name) else name for name in columns]
+    cells = [[*map(cell_of, values.tolist())] for values in columns.values()]
+    rows = [first, *map(list, zip(*cells, strict=True))]
+    raw = table_of_rows(NAME, [*enumerate(rows, start=1)])
+    return replace(raw, remarks=(kind, *raw.remarks))
+
+
+def _is_frame(value: object) -> bool:
+    return hasattr(value, "columns") and hasattr(value, "__getitem__")
 
 
 def _kind(part: _Columns) -> str:

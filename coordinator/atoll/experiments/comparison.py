@@ -31,8 +31,8 @@ from atoll_core.quoting import first_lines
 
 SCHEMA: Final = 1
 _NAMES: Final = ("A", "B")
-_FAR: Final = 2.0
-"""Standard errors by which constants of the same form may differ and still count as agreeing."""
+_LEVEL: Final = 0.95
+"""Probability with which all constants of two fits of one law agree: that of the intervals which results give."""
 
 
 @dataclass(frozen=True)
@@ -192,8 +192,15 @@ def _difference(first: Sequence[Parameter], second: Sequence[Parameter]) -> str:
         errors = abs(one.value - other.value) / error if error > 0.0 else 0.0
         if errors >= largest:
             largest, name = errors, one.name
-    agree = "agree within their errors" if largest <= _FAR else "differ"
+    agree = "agree within their errors" if largest <= _most_errors(len(first)) else "differ"
     return f"its constants {agree}, {name} by {largest:.2g} standard errors"
+
+
+def _most_errors(count: int) -> float:
+    """Return the standard errors that the largest of so many normal differences does not exceed at `_LEVEL` (Šidák)."""
+    from scipy.special import ndtri
+
+    return float(ndtri(0.5 + 0.5 * _LEVEL ** (1.0 / max(count, 1))))
 
 
 def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:

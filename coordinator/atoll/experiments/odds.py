@@ -3,9 +3,13 @@
 import math
 from typing import Final
 
-_UNDECIDED: Final = 3.0
-_DECIDED: Final = 20.0
-"""Odds below which data do not decide between two, and from which they do; the latter is e to 3 nats."""
+UNDECIDED: Final = 3.0
+DECIDED: Final = 20.0
+"""Odds below which data do not decide between two, and from which they do.
+
+By Kass and Raftery (1995, doi 10.1080/01621459.1995.10476572) odds below 3 are "not worth more than a bare mention",
+and those from 20 on strong.
+"""
 _MOST_ODDS: Final = 1e6
 _SUREST: Final = 0.999
 _NOTHING: Final = 0.01
@@ -34,9 +38,9 @@ def which_of_two(first: str, second: str, nats: float) -> str:
     odds = math.exp(min(nats, 2.0 * math.log(_MOST_ODDS)))
     shares = "" if odds >= 100.0 else f" ({100.0 * odds / (1.0 + odds):.0f} to {100.0 / (1.0 + odds):.0f} %)"
     by = f"{first} is {odds_text(odds)} as probable as {second}{shares}"
-    if odds < _UNDECIDED:
+    if odds < UNDECIDED:
         return f"The data do not decide between {first} and {second}: {by}, if one of them is right."
-    strongly = "decide for" if odds >= _DECIDED else "favour, without deciding for it,"
+    strongly = "decide for" if odds >= DECIDED else "favour, without deciding for it,"
     return f"The data {strongly} {first}: {by}, if one of them is right."
 
 

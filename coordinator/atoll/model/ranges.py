@@ -7,8 +7,8 @@ from typing import Final
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
 
-_SLACK: Final = 0.01
-"""Share of the width of a range by which a number outside counts as on its end."""
+_PRINTED: Final = 5e-4
+"""Largest relative error of an end as `outside_sentence` prints it, with four digits: who copies it is not outside."""
 
 
 def measured_ranges(result: Result) -> dict[str, tuple[float, float]]:
@@ -33,8 +33,7 @@ def names_outside(values: Mapping[str, float], ranges: Mapping[str, tuple[float,
     outside = []
     for name, value in values.items():
         low, high = ranges.get(name, (value, value))
-        slack = _SLACK * (high - low)
-        if not low - slack <= value <= high + slack:
+        if not low - _PRINTED * abs(low) <= value <= high + _PRINTED * abs(high):
             outside.append(name)
     return tuple(outside)
 

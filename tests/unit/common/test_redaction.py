@@ -6,6 +6,7 @@ import urllib.parse
 
 import pytest
 
+from atoll.api.discoverer import Discoverer
 from atoll.cli.web_process import opening
 from atoll.client.over_http import TOKEN, WebAddress, coordinator_at
 from atoll.web.access import token_of
@@ -93,6 +94,18 @@ def test_an_address_with_a_token_shows_it_nowhere() -> None:
     with pytest.raises(UsageError) as raised:
         coordinator_at(PLACES[1], {}, {})
     assert SECRET not in str(raised.value)
+
+
+def test_no_estimator_shows_the_token_of_its_address() -> None:
+    """Notebooks keep what they show."""
+    address = PLACES[0]
+    assert SECRET not in repr(Discoverer(connect=address))
+    sklearn = pytest.importorskip("sklearn")
+    from atoll.api.regressor import Regressor
+
+    one = Regressor(connect=address)
+    with sklearn.config_context(display="diagram", print_changed_only=False):
+        assert [text for text in (repr(one), str(one._repr_mimebundle_())) if SECRET in text] == []
 
 
 def test_a_page_shows_its_token_on_a_terminal_alone() -> None:

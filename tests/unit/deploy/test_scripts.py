@@ -257,6 +257,23 @@ def test_a_task_that_does_not_know_its_number_says_how_it_is_run(tmp_path: Path)
     assert "the number of this task is not known; run it by srun, or by mpirun with ATOLL_DIR=folder" in done.stderr
 
 
+def test_a_task_of_mpirun_goes_by_its_number_there_and_by_no_file_of_an_earlier_run(tmp_path: Path) -> None:
+    """Under sbatch, all tasks that mpirun starts on the first node have SLURM_PROCID=0."""
+    data, folder, called = tmp_path / "data.csv", tmp_path / "job", tmp_path / "called"
+    data.write_text("t,x\n")
+    folder.mkdir()
+    for name in ("ended-0", "ended-5-", "address-17-1"):
+        (folder / name).write_text("there\n")
+    (tmp_path / "island-worker").write_text(f'#!/bin/sh\necho "$@" >{called}\n')
+    (tmp_path / "island-worker").chmod(0o755)
+    done = run(
+        "bash", TOGETHER, data, PATH=f"{tmp_path}:{os.environ['PATH']}", ATOLL_DIR=str(folder), SLURM_JOB_ID="5",
+        SLURM_PROCID="0", OMPI_COMM_WORLD_RANK="1", PMIX_RANK="1", PMIX_NAMESPACE="17@1",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert called.read_text().split()[:2] == ["--connect-file", str(folder / "address-17-1")]
+
+
 NUMBERS = ("SLURM_PROCID", "OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_JOB_ID")
 
 

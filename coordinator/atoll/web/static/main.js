@@ -51,7 +51,7 @@ async function visit() {
     current = open(root, { id, parameters }, app);
   } catch {
     root.replaceChildren(viewHeading("This view cannot be loaded"), h("p", {}, "The service does not answer. The view is loaded as soon as it does."));
-    current = { again: () => location.reload() }; // browsers keep in mind which modules could not be loaded
+    setTimeout(() => visitNumber === visits && visit(), ASK_AGAIN);
   }
   if (visitNumber > 1) focus(root);
 }

@@ -43,7 +43,8 @@ function columnsBehind(sentence, flag, columns) {
 /** A word behind an option is a value of it where it is one of its choices, or a number where it takes numbers. */
 function isValue({ metavar, name }, word) {
   if (word === undefined || metavar === null) return false;
-  return metavar.split("|").includes(word) || (name === "missing_value" && word !== "" && Number.isFinite(Number(word)));
+  const choices = metavar.split("|"); // of one alone it is an example
+  return (choices.length > 1 && choices.includes(word)) || (name === "missing_value" && word !== "" && Number.isFinite(Number(word)));
 }
 
 /** A column that the sentence itself proposes is a button; any other can be chosen. */

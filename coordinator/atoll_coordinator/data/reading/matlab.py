@@ -16,8 +16,10 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.reading.arrays import table_of_arrays
-from atoll_coordinator.data.reading.hdf5 import MAGIC, read_arrays
+from atoll_coordinator.data.reading.hdf5 import MAGIC
 from atoll_coordinator.data.reading.header import named_by_place
+from atoll_coordinator.data.reading.matlab_child import parts_of
+from atoll_coordinator.data.reading.matlab_hdf5 import read_values
 from atoll_coordinator.data.reading.raw_table import RawTable
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray
@@ -32,21 +34,20 @@ def read_matlab(path: Path, config: DataConfig) -> RawTable:
     with path.open("rb") as file:
         beginning = file.read(_USERBLOCK + len(MAGIC))
     if beginning[:8] == MAGIC or beginning[_USERBLOCK:] == MAGIC:
-        arrays, units = read_arrays(path, is_matlab=True)
-        version = "MATLAB 7.3"
+        (arrays, *runs), version = parts_of(read_values(path)), "MATLAB 7.3"
     else:
         if not beginning.startswith(b"MATLAB"):
             raise _refusal(path)
-        (arrays, *runs), units, version = _loaded(path), {}, "MATLAB"
-        if runs:
-            return _of_runs(path.name, arrays, runs, config)
+        (arrays, *runs), version = _loaded(path), "MATLAB"
+    if runs:
+        return _of_runs(path.name, arrays, runs, config, version)
     if not any(np.ndim(array) for array in arrays.values()):
         raise DataError(f"{path.name} holds no numeric arrays; save vectors or matrices, tables with table2struct")
-    return table_of_arrays(path.name, arrays, config, (version,), units, first=1)
+    return table_of_arrays(path.name, arrays, config, (version,), first=1)
 
 
 def _of_runs(
-    name: str, beside: Mapping[str, AnyArray], runs: Sequence[Mapping[str, AnyArray]], config: DataConfig
+    name: str, beside: Mapping[str, AnyArray], runs: Sequence[Mapping[str, AnyArray]], config: DataConfig, version: str
 ) -> RawTable:
     """Return the rows of runs, elements of a structure array or of cells, below each other; raises DataError."""
     is_matrix = all(len(run) == 1 and np.ndim(next(iter(run.values()))) == 2 for run in runs)
@@ -66,7 +67,7 @@ def _of_runs(
         columns=columns,
         lines=[0] * sum(len(raw.lines) for raw in raws),
         starts=[start + rows for raw, rows in zip(raws, before, strict=True) for start in raw.starts],
-        remarks=(f"MATLAB, {len(runs)} runs",),
+        remarks=(f"{version}, {len(runs)} runs",),
         left_out=(f"left out: {', '.join(left_out)}",) if left_out else (),
     )
     return named_by_place(whole) if is_matrix else whole

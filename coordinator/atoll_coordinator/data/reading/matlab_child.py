@@ -20,13 +20,7 @@ def main() -> None:
     import scipy.io
 
     values: dict[str, object] = scipy.io.loadmat(sys.argv[1], simplify_cells=True)
-    values = {name: value for name, value in values.items() if not name.startswith("__")}
-    runs = runs_of(values)
-    given = {name: value for name, value in values.items() if name not in runs}
-    parts = [flat(given), *({} for _ in next(iter(runs.values()), []))]
-    for name, items in runs.items():
-        for run, item in enumerate(items, start=1):
-            parts[run] |= flat(item) if isinstance(item, dict) else flat({name: item})
+    parts = parts_of({name: value for name, value in values.items() if not name.startswith("__")})
     arrays = {(run, name): array for run, part in enumerate(parts) for name, array in part.items()}
     packed = io.BytesIO()
     numbered: dict[str, Any] = {  # keywords of numpy
@@ -34,6 +28,17 @@ def main() -> None:
     }
     np.savez(packed, names=np.array(json.dumps([*arrays])), **numbered)
     sys.stdout.buffer.write(packed.getvalue())
+
+
+def parts_of(values: Mapping[str, object]) -> list[dict[str, AnyArray]]:
+    """Return the arrays that belong to no run, then those of each run."""
+    runs = runs_of(values)
+    given = {name: value for name, value in values.items() if name not in runs}
+    parts = [flat(given), *({} for _ in next(iter(runs.values()), []))]
+    for name, items in runs.items():
+        for run, item in enumerate(items, start=1):
+            parts[run] |= flat(item) if isinstance(item, dict) else flat({name: item})
+    return parts
 
 
 def runs_of(values: Mapping[str, object]) -> dict[str, list[object]]:

@@ -31,7 +31,7 @@ def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
         titles = ", ".join(sheets)
         raise DataError(f"there is no sheet '{sheet}' in {path.name}, which has {titles}{did_you_mean(sheet, sheets)}")
     chosen = [sheet] if sheet is not None else [title for title, records in sheets.items() if records]
-    tables = {title: _table(path.name, sheets[title]) for title in chosen if sheets[title]}
+    tables = {title: table_of_rows(path.name, sheets[title]) for title in chosen if sheets[title]}
     if not tables:
         what = path.name if sheet is None else f"sheet '{sheet}' of {path.name}"
         raise DataError(f"{what} is empty; a header line and rows of numbers are expected")
@@ -70,8 +70,11 @@ def _sheets(path: Path) -> dict[str, list[Record]]:
         raise DataError(f"{path.name} is not an Excel workbook that can be read; save it anew, or as CSV") from error
 
 
-def _table(file: str, records: Sequence[Record]) -> RawTable:
-    """Return the cells of a sheet, without columns that are empty at its sides, and without notes above the table."""
+def table_of_rows(file: str, records: Sequence[Record]) -> RawTable:
+    """Return the cells of a sheet, without columns that are empty at its sides, and without notes above the table.
+
+    `records` are its rows, of which one at least is not empty; `file` is for messages, which DataError has.
+    """
     used = [place for _, cells in records for place, cell in enumerate(cells) if cell]
     first, last = min(used), max(used) + 1
     cut = [(line, [*cells[first:last], *[""] * (last - max(len(cells), first))]) for line, cells in records]

@@ -219,8 +219,10 @@ def _with_power(check: Check) -> Check:
     """Return a check, as not made if it has passed and would not have seen a departure that matters."""
     if check.outcome != "passed" or check.power is None or check.power <= SETTINGS.inference.part:
         return check
-    seen = f"departures from {percent(check.power)} of the variance on alone" if math.isfinite(check.power) else "none"
-    reason = f"the check of {check.name} would have seen {seen}: measure more rows, or with less noise"
+    least = f"below {percent(check.power)} of the variance" if math.isfinite(check.power) else "of any size"
+    reason = (
+        f"the check of {check.name} cannot detect errors of the model {least}: measure more rows, or with less noise"
+    )
     return replace(check, outcome="not made", reason=reason)
 
 
@@ -569,7 +571,11 @@ def _alternatives(evidence: Evidence) -> Check:
         return _nothing(name, "no other equation with as few constants, which predicts something else, was compared")
     if nats >= least:
         return Check(
-            name, "passed", f"the next best equation fits worse (Δ description length {nats:.3g})", nats, least
+            name,
+            "passed",
+            f"the next best equation with as few constants fits worse (Δ description length {nats:.3g})",
+            nats,
+            least,
         )
     where = _to_decide(evidence.prediction) if evidence.rivals_agree else ""
     reason = f"another equation describes the data about as well (Δ description length {nats:.2g}){where}"

@@ -717,7 +717,7 @@ def refined_equation(
         constants=known.written,
         unit_coefficients=[coefficient.constant for coefficient in known.unit_coefficients],
         prediction=None if baseless else prediction,
-        unpredicted=f"they follow from '{baseless}', whose equation says no more of its rows than none",
+        unpredicted=f"they follow from '{baseless}', whose equation describes its rows no better than no equation",
         chaos=long_run.chaos,
         fits_whole=_fits(long_run, noise / _standard_deviation(measurements, index), index),
         piece=final.task.piece,

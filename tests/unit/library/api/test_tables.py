@@ -1,5 +1,6 @@
 """Tables are made of what Python users hold; what does not fit is refused in a sentence."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -295,3 +296,37 @@ def test_a_column_of_text_is_none_of_numbers_that_has_nearly_its_name() -> None:
     columns = {"t": np.arange(5.0), "v": np.arange(5.0), "v1": [f"{n},600" for n in range(1, 6)]}
     with pytest.raises(DataError, match=r"may be 1600 or 1\.6"):
         table_of(columns, DataConfig())
+
+
+def test_a_header_that_pandas_has_taken_for_a_row_is_found() -> None:
+    """`read_csv` and `read_excel` take the first line for the header: names of groups, a title, an empty row."""
+    import pandas
+
+    text = ",mass A,,,\nt,frame,x,y,\n0.0,0,3.9,-3.1,\n0.1,1,3.8,-3.2,\n0.2,2,3.7,-3.4,\n"
+    table = table_of(pandas.read_csv(io.StringIO(text)), DataConfig())
+    assert (table.names, table.rows) == (("t", "frame", "x", "y"), 3)
+    assert "header in line 2 below names of groups: mass A" in table.read_as
+    titled = pandas.DataFrame(
+        {"Unnamed: 0": [None, "t", 0, 0.5, 1.0], "Unnamed: 1": [None, "x", 1.25, 2.5, 5]}, dtype=object
+    )
+    assert table_of(titled, DataConfig()).columns.tolist() == [[0.0, 0.5, 1.0], [1.25, 2.5, 5.0]]
+    remarks = pandas.DataFrame({"t": [0, 1, 2], "x": [1.5, 2.5, 4.5], "Unnamed: 2": ["ok", "bad", "ok"]})
+    table = table_of(remarks, DataConfig())
+    assert (table.names, table.skipped) == (("t", "x"), ("column 3",))
+
+
+def test_the_mark_of_a_comment_before_the_time_is_no_part_of_its_name() -> None:
+    """`read_csv` keeps ``%time`` of ``rostopic echo -p``, so that a frame had no time where the file has one."""
+    stamps = [1609060363469364484 + 20_000_000 * row for row in range(6)]
+    table = table_of({"%time": stamps, "x": np.arange(6.0)}, DataConfig())
+    assert (table.names, table.units) == (("time", "x"), ("s", ""))
+    assert table.column("time").tolist() == pytest.approx([0.02 * row for row in range(6)])
+    assert table_of({"t": np.arange(6.0), "% CO2": np.arange(6.0)}, DataConfig()).names == ("t", "% CO2")
+
+
+def test_a_dict_of_frames_is_refused_by_their_names() -> None:
+    import pandas
+
+    sheets = {"Info": pandas.DataFrame({"a": [1]}), "Data": pandas.DataFrame({"t": [0, 1], "x": [1, 2]})}
+    with pytest.raises(DataError, match=r"data is a dict of frames \(Info, Data\); give the one that holds"):
+        table_of(sheets, DataConfig())

@@ -12,7 +12,6 @@ from atoll.cli.adapt.batch import Batch, BatchError
 from atoll.cli.doctor.network import check_coordinator
 from atoll.cli.main import main
 from atoll.cli.options.parser import HANDLERS
-from atoll.client.client import Client
 from atoll_coordinator.service.store.store import Store
 from atoll_core.wire.bus.interface import Event, Reply
 from atoll_core.wire.codec import decode, encode
@@ -97,11 +96,9 @@ class Terminal:
         self.lines: list[Line] = []
 
     @contextlib.contextmanager
-    def connected(self, *_: object, **__: object) -> Iterator[Client]:
+    def line(self, *_: object, **__: object) -> Iterator[Line]:
         self.lines.append(Line(self._lab, "bob"))
-        client = Client(self.lines[-1], "tcp/there:7447")  # type: ignore[arg-type]
-        client.greet(1.0)
-        yield client
+        yield self.lines[-1]
 
     def run(self, verb: str, words: tuple[str, ...], job: str) -> tuple[int, str]:
         given = [job if word == JOB else str(self._folder / word) if word == "DATA" else word for word in words]
@@ -119,9 +116,7 @@ def terminal(lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     made = Terminal(lab, tmp_path, capsys)
     monkeypatch.setattr("atoll.cli.doctor.network.check_address", lambda _: ())
     monkeypatch.setattr("atoll.cli.doctor.doctor.CHECKS", (check_coordinator,))
-    for module in {*HANDLERS.values(), "atoll.cli.request", "atoll.cli.analyses", "atoll.client.client"}:
-        with contextlib.suppress(AttributeError):
-            monkeypatch.setattr(f"{module}.connected", made.connected)
+    monkeypatch.setattr("atoll_core.wire.bus.zenoh_bus.open_client", made.line)
     monkeypatch.setattr(Batch, "jobs", lambda _: ())
     monkeypatch.setattr(Batch, "submit", no_batch_system)
     monkeypatch.setattr("time.sleep", lambda _: None)

@@ -81,9 +81,10 @@ def test_a_job_is_shown_until_it_ends() -> None:
 
 
 def test_each_warning_is_said_once() -> None:
-    warned = job_view(warnings=("8 rows were left out",))
+    told = ("8 rows were left out", "every tenth row is used")
+    warned = job_view(warnings=told, notes=told[1:])
     _, display = follow(warned, warned, job_view(state="done"))
-    assert display.sentences == ["warning: 8 rows were left out"]
+    assert display.sentences == ["warning: 8 rows were left out", "note: every tenth row is used"]
 
 
 def test_a_short_silence_of_the_coordinator_is_borne() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.experiments.comparison import compare
+from atoll.experiments.comparison import _most_errors, compare
 from atoll.experiments.odds import certainty_text, which_of_two
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
@@ -65,6 +65,14 @@ def test_constants_of_one_form_are_compared_by_their_errors() -> None:
     assert far.forms == {"dx/dt": "the same form; its constants differ, c1 by 14 standard errors"}
     assert far.data[0].sentence == "A and B describe the data equally well."  # once fitted
     assert compare(Result.of(decay()), Result.of(decay())).forms == {"dx/dt": "the same equation"}
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 1.96), (2, 2.24), (5, 2.57), (20, 3.02)])
+def test_the_largest_of_several_differences_may_be_larger(count: int, most: float) -> None:
+    """At 2 standard errors a fifth of equal laws with five constants differed."""
+    assert _most_errors(count) == pytest.approx(most, abs=0.01)
+    differences = np.random.default_rng(0).normal(size=(20_000, count))
+    assert np.mean(np.abs(differences).max(axis=1) <= _most_errors(count)) == pytest.approx(0.95, abs=0.005)
 
 
 def test_results_of_different_data_are_compared_on_both() -> None:

@@ -506,6 +506,45 @@ def test_a_paused_queue_stays_so_after_a_restart(lab: Lab) -> None:
     assert view(again.ask("ann", messages.Status(job="mine"))).state == "preparing"
 
 
+def test_after_a_restart_everybody_sees_and_changes_what_was_their_own(lab: Lab) -> None:
+    lab.submit("ann", "mine")
+    lab.submit("ann", "shown", shared=True)
+    again = Lab(lab.store)
+    check_hidden(again, "mine", "bob")
+    assert (again.seen("bob"), again.seen("ann"), again.seen("eve")) == (["shown"], *[["mine", "shown"]] * 2)
+    assert "submitted by ann" in said(again.ask("bob", messages.Cancel(job="shown")))
+    assert "only an admin" in said(again.ask("ann", messages.SetQueue(paused=True)))
+    assert view(again.ask("ann", messages.Cancel(job="shown"))).state == "cancelled"
+    check_hidden(Lab(lab.store), "mine", "bob")
+    assert "submitted by ann" in said(Lab(lab.store).ask("bob", messages.Delete(job="shown")))
+
+
+def test_what_was_answered_holds_after_a_restart(lab: Lab) -> None:
+    """Each change by itself: the coordinator ends right after its answer."""
+    for job in ("cancelled", "deleted", "paused", "urgent", "shown", "failed"):
+        lab.submit("ann", job)
+    lab.fail("deleted")
+    lab.fail("failed")
+    for body in (
+        messages.Cancel(job="cancelled"), messages.Delete(job="deleted"), messages.Pause(job="paused"),
+        messages.SetPriority(job="urgent", priority=5), messages.Share(job="shown"),
+        messages.Retry(job="failed", again="again"), messages.Submit(
+            job="new", name="n", config=JobConfig(), table=hashlib.sha256(b"t,x\n").hexdigest()
+        ),
+    ):  # fmt: skip
+        assert not isinstance(lab.ask("ann", body), Failure), body
+        lab = Lab(lab.store)
+
+    def status(job: str) -> messages.JobView:
+        return view(lab.ask("ann", messages.Status(job=job)))
+
+    assert (status("cancelled").state, status("paused").paused, status("urgent").priority) == ("cancelled", True, 5)
+    assert (status("shown").shared, status("again").submitter, status("new").submitter) == (True, "ann", "ann")
+    assert said(lab.ask("ann", messages.Status(job="deleted"))).startswith("there is no job deleted")
+    lab.ask("eve", messages.SetQueue(paused=True))
+    assert Lab(lab.store).controller.queue.is_paused
+
+
 # ------------------------------------------------------------------------------------------------- limits
 
 

@@ -17,7 +17,9 @@ from atoll_core.errors import StoreError, WrongStoreError
 
 
 def job(number: int, size: int = 100) -> JobRecord:
-    return JobRecord(f"j{number}", "name", "x" * size, "", "2026-01-01T00:00:00Z")
+    return JobRecord(
+        f"j{number}", "name", "x" * size, "", "2026-01-01T00:00:00Z", submitter=f"user{number}", shared=number % 2
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -26,6 +28,7 @@ def state(tmp_path: Path) -> Path:
     with Store.open(tmp_path / "state") as store:
         for number in range(2):
             store.add_job(job(number))
+        store.commit_result("j1", "done", "{}")
     return tmp_path / "state"
 
 
@@ -97,8 +100,12 @@ def test_a_restored_store_has_the_jobs_and_a_name_of_its_own(copy: Path, state: 
     assert (restored.copy.jobs, restored.former) == (2, None)
     with Store.open(state) as old, Store.open(tmp_path / "new") as new:
         assert new.jobs() == old.jobs()
+        assert [(job.submitter, job.shared) for job in new.jobs()] == [("user0", 0), ("user1", 1)]
+        assert (new.held("user1"), new.held_for_all()) == (old.held("user1"), old.held_for_all())
+        assert new.held("user1").stored > 0
         assert new.cluster == restored.cluster
         assert new.cluster != old.cluster == restored.copy.cluster
+    assert {file.stat().st_mode & 0o777 for file in (copy, *(tmp_path / "new").iterdir())} == {0o600}
     assert check_copy(copy, "it").cluster == restored.copy.cluster, "the copy stays as it was"
     assert restore(copy, tmp_path / "third").cluster not in (restored.cluster, restored.copy.cluster)
 
