@@ -16,8 +16,8 @@ from deploy.rehearsal.image import build_image, remove_containers
 from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError
 from deploy.rehearsal.manifests import check_compose, check_kubernetes
 from deploy.rehearsal.mistakes import rehearse_mistakes
+from deploy.rehearsal.scripts import rehearse_mpirun, rehearse_slurm
 from deploy.rehearsal.services import rehearse_containers, rehearse_systemd
-from deploy.rehearsal.slurm import rehearse_slurm
 
 SERVICES = ("containers", "slurm", "adapt", "sge", "systemd")
 """Steps whose services are ended with them."""
@@ -28,6 +28,7 @@ STEPS: dict[str, Callable[[Machine], str]] = {
     "image": build_image,
     "containers": rehearse_containers,
     "slurm": rehearse_slurm,
+    "mpirun": rehearse_mpirun,
     "adapt": rehearse_adapt,
     "sge": rehearse_sge,
     "systemd": rehearse_systemd,
