@@ -8,11 +8,12 @@ from atoll_core.redaction import without_secrets
 _PASSING: Final = frozenset({
     errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EBUSY,
     errno.ESTALE, errno.ETIMEDOUT, errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.ENETDOWN,
+    errno.EROFS,
 })  # fmt: skip
 
 
 def may_pass(error: OSError) -> bool:
-    """Tell whether what the system refused may be had later, with the same options: a full disk, an address in use."""
+    """Tell whether what the system refused may be had later, with the same options: a full disk."""
     return error.errno in _PASSING
 
 

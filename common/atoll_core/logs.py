@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import Final
 
-from atoll_core.redaction import without_secrets
+from atoll_core.redaction import redacted, without_secrets
 
 _KEY: Final = "atoll_fields"
 _SEEN: Final = "atoll_has_context"
@@ -76,7 +76,7 @@ class JsonLines(logging.Formatter):
         }  # fmt: skip
         if trace := trace_of(record):
             said["exception"] = trace
-        return without_secrets(json.dumps(self._context | fields_of(record) | said, ensure_ascii=False, default=str))
+        return json.dumps(redacted(self._context | fields_of(record) | said), ensure_ascii=False)
 
 
 def configure(
@@ -115,6 +115,6 @@ def _time(record: logging.LogRecord) -> str:
 
 def _quoted(value: object) -> str:
     """Return a value as text that a space or line end cannot break out of."""
-    text = f"{value:.3f}" if isinstance(value, float) else str(value)
+    text = f"{value:.3f}" if isinstance(value, float) else without_secrets(str(value))
     is_plain = text.isprintable() and text and not set(text) & set(" \"'=")
     return text if is_plain else json.dumps(text, ensure_ascii=False)

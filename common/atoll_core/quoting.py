@@ -1,6 +1,7 @@
 """Values that a person has given, as a sentence quotes them."""
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -15,13 +16,23 @@ _WIDEST: Final = 160
 """Lines, and characters of each, of what a value shows of itself in a notebook."""
 
 
-_UNSEEN: Final = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]|\r(?!\n)")
-"""What moves a terminal's cursor, colours, titles it, or turns the direction of what follows."""
+_SPECIAL: Final = re.compile(r"[^\x20-\x7e\t\n\r]|\r(?!\n)")
+_UNSEEN: Final = ("Cc", "Cf", "Co", "Cs", "Zl", "Zp")
+"""What moves a terminal's cursor, colours, titles it, turns the direction of what follows, or has no width or no one
+picture: control, format and private-use characters, separators of lines, by their category in Unicode."""
 
 
 def visible(text: str) -> str:
     """Return a text for a terminal: what others have named cannot steer it. Escapes are those of JSON."""
-    return _UNSEEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return _SPECIAL.sub(_escaped, text)
+
+
+def _escaped(found: re.Match[str]) -> str:
+    character = found[0]
+    if unicodedata.category(character) not in _UNSEEN:
+        return character
+    units = character.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[place : place + 4]}" for place in range(0, len(units), 4))
 
 
 def visible_line(text: str) -> str:

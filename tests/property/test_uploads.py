@@ -112,6 +112,9 @@ class Users:
         stored = dict(self.store._connection.execute(sizes).fetchall())
         assert self.store.blob_bytes() == sum(stored.values())
         assert self.uploads.pending_bytes(None, "", "")[1] == pending.total()
+        assert self.uploads._begun == Counter(who[1:] for who in self.uploads._uploads)
+        own_names = {own.digest if own.is_whole else own.key for own in self.uploads._uploads.values()}
+        assert set(self.store.unused_blobs()) <= own_names, "bytes are stored that count for nobody"
         for own in self.uploads._uploads.values():
             name = own.digest if own.is_whole else own.key
             size = stored.get(name, own.shown)  # a table whose last job was deleted may be gone

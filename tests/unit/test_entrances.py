@@ -16,6 +16,7 @@ from atoll.web.api import Api
 from atoll_core.wire.messages.clients import Request
 from tests.http import ask
 from tests.unit.documents import ROOT
+from tests.unit.library.cli.test_verbs_of_others import ASKED, ASKS_NOTHING
 from tests.unit.library.web.made import AUTHORIZED, READERS, Asked, application
 
 RULES: Final = ("see", "change", "size", "rate", "quota", "escaping", "secrets", "durable")
@@ -37,6 +38,11 @@ _TURNS: Final = (
 _QUOTA: Final = "property/test_uploads.py::test_who_has_a_table_has_shown_all_of_it_and_quotas_are_what_is_stored"
 _PAGE: Final = "unit/library/report/test_page.py::test_no_text_of_a_result_is_taken_for_markup"
 _TERMINAL: Final = "unit/library/terminal/test_output.py::test_no_name_steers_a_terminal"
+_VERBS: Final = "unit/library/cli/test_verbs_of_others.py::"
+_LATER: Final = {
+    "see": f"{_USERS}test_after_a_restart_and_a_restore_each_job_is_seen_by_the_same_users",
+    "change": f"{_USERS}test_after_a_restart_and_a_restore_each_job_is_changed_by_the_same_users",
+}
 _ANSWERED: Final = f"{_USERS}test_what_was_answered_holds_after_a_restart"
 _OUTPUTS: Final = f"{_INTEGRATED}test_the_token_of_an_address_is_in_no_output"
 _RESTORED: Final = f"{_STORE}test_backup.py::test_a_restored_store_has_the_jobs_and_a_name_of_its_own"
@@ -68,23 +74,28 @@ WEB: Final = HTTP | {
 }
 PROCESS: Final = WEB | {"see": _KEPT, "durable": _KEPT}
 """Of a page that another program starts as `web`, with its own users and certificates, and keeps running."""
-CLI: Final = BUS | {"escaping": _TERMINAL, "secrets": _OUTPUTS}
+CLI: Final = BUS | {
+    "see": f"{_VERBS}test_a_private_job_of_another_user_is_as_if_there_were_none",
+    "change": f"{_VERBS}test_what_another_user_shares_and_what_is_all_users_is_not_changed",
+    "escaping": _TERMINAL,
+    "secrets": _OUTPUTS,
+}
 """Of verbs that ask a coordinator, which decides: see `BUS`."""
 PYTHON: Final = BUS | {
     "escaping": _PAGE,
     "secrets": "unit/common/test_redaction.py::test_no_estimator_shows_the_token_of_its_address",
 }
-RESTART: Final = BUS | {
-    "see": f"{_USERS}test_after_a_restart_everybody_sees_and_changes_what_was_their_own",
-    "change": f"{_USERS}test_after_a_restart_everybody_sees_and_changes_what_was_their_own",
+RESTART: Final = {
+    **BUS,
+    **_LATER,
     "rate": "simulation/test_sharing.py::test_who_has_used_up_the_time_of_a_day_waits",
-    "secrets": f"{_STORE}test_store.py::test_nobody_else_may_lock_a_store_or_look_into_its_folder",
+    "secrets": f"{_STORE}test_store.py::test_a_store_of_an_earlier_version_is_closed_to_others_and_that_is_said_once",
 }
-RESTORE: Final = BUS | {
-    "see": _RESTORED,
+RESTORE: Final = {
+    **BUS,
+    **_LATER,
     "quota": _RESTORED,
     "secrets": _RESTORED,
-    "change": f"{_STORE}test_backup.py::test_no_store_is_made_under_a_coordinator",
     "size": f"{_STORE}test_backup.py::test_a_disk_that_is_full_is_one_sentence_and_leaves_nothing",
     "durable": "simulation/test_second_mistakes.py::"
     "test_a_store_that_was_damaged_moved_restored_and_served_has_all_its_jobs",
@@ -118,6 +129,8 @@ def test_every_entrance_has_its_row() -> None:
     (bodies,) = (get_args(field.annotation) for field in [Request.model_fields["body"]])
     assert {kind.model_fields["kind"].default for kind in bodies} == QUESTIONS
     assert set(HANDLERS) == set().union(*VERBS.values())
+    assert VERBS["CLI"] == set(ASKED), "each is asked as another user"
+    assert VERBS["nothing is asked"] == set(ASKS_NOTHING), "each is run, and asks nothing"
     assert {name for name in atoll.__all__ if not name.isupper()} == FUNCTIONS
     assert set(VERBS) - {"nothing is asked"} <= set(TABLE)
 

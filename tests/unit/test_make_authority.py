@@ -32,6 +32,12 @@ def test_names_are_added_and_those_that_are_there_stay(made: Lab) -> None:
     assert "b.lab" in load(*made.files("site"), use="serve").hosts
 
 
+def test_a_certificate_names_each_host_once(made: Lab) -> None:
+    assert make_authority(made.folder, "--coordinator", "localhost,a.lab,127.0.0.1,10.0.0.5,a.lab").returncode == 0
+    hosts = load(*made.files("coordinator"), use="serve").hosts
+    assert sorted(hosts) == ["10.0.0.5", "127.0.0.1", "::1", "a.lab", "localhost"]
+
+
 def test_a_certificate_is_renewed_on_demand(made: Lab) -> None:
     before = made.files("lab1")[2].read_bytes()
     assert make_authority(made.folder, "--renew", "lab1", "--days", "30").returncode == 0

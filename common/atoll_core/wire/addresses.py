@@ -52,6 +52,11 @@ class Address:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.protocol}/{host}:{self.port}"
 
+    @property
+    def is_dialable(self) -> bool:
+        """Whether the bus can dial it: it checks certificates by name or IPv4 address, never by IPv6 address."""
+        return self.protocol not in _ENCRYPTED or ":" not in self.host
+
 
 @dataclass(frozen=True, slots=True)
 class Destination:
@@ -73,15 +78,21 @@ class Destination:
         return ",".join(str(address) for address in self.addresses)
 
 
-def destination(text: str, credentials: Credentials | None = None) -> Destination:
+def destination(text: str, credentials: Credentials | None = None, *, listens: bool = False) -> Destination:
     """Return the addresses that `text` names, separated by commas, with the credentials to be shown there.
 
     Raises:
-        UsageError: one is no address, or it is an encrypted one without credentials, or the other way round.
+        UsageError: one is no address, or it is an encrypted one without credentials, or the other way round; or it
+            cannot be dialled, unless somebody `listens` there.
     """
     addresses = addresses_in(text)
     for address in addresses:
         _check_protection(address, credentials)
+        if not listens and not address.is_dialable:
+            raise UsageError(
+                f"{address} cannot be dialled: with certificates, a name or an IPv4 address was expected; write "
+                f"{_encrypted(address)}"
+            )
     return Destination(addresses[0], credentials, addresses[1:])
 
 
@@ -92,15 +103,20 @@ def addresses_in(text: str) -> tuple[Address, ...]:
 
 def _check_protection(address: Address, credentials: Credentials | None) -> None:
     """Raise UsageError unless there are credentials for an encrypted address, and for no other."""
-    place = f"{address.host}:{address.port}"
     if credentials is None and address.protocol in _ENCRYPTED:
         names = ", ".join(f"{option} ({variable})" for option, (variable, _) in TLS_OPTIONS.items())
         raise UsageError(f"{address} needs certificates; give {names}")
     if credentials is not None and address.protocol not in _ENCRYPTED:
         raise UsageError(
-            f"{address} is not encrypted, but TLS files were given; write tls/{place}, or leave out --tls-... "
-            "and ATOLL_TLS_..."
+            f"{address} is not encrypted, but TLS files were given; write {_encrypted(address)}, or leave out "
+            "--tls-... and ATOLL_TLS_..."
         )
+
+
+def _encrypted(address: Address) -> str:
+    """Return how to write an address that is to be encrypted."""
+    written = Address("tls", address.host, address.port)
+    return str(written) if written.is_dialable else f"tls/NAME:{address.port} with a NAME of its certificate"
 
 
 def parse_address(text: str) -> Address:
@@ -173,6 +189,14 @@ def _bindable_socket(address: Address) -> Address:
     return address
 
 
+def resolved(host: str) -> str | None:
+    """Return the IP address that the bus takes for a host, the first one that the system names; None: not known."""
+    try:
+        return str(socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][4][0])
+    except OSError:
+        return None
+
+
 def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | None:
     """Return why nothing can be reached at `address` right now, or None when something accepts connections there."""
     if address.protocol == "quic":
@@ -207,9 +231,7 @@ def check_certificates(address: Address, credentials: Credentials | None, listen
         if credentials is not None:
             return check_welcome(address.host, address.port, credentials, listen_s)
         if speaks_tls(address.host, address.port):
-            raise RefusedError(
-                f"it asks for TLS; write tls/{address.host}:{address.port} and give {', '.join(TLS_OPTIONS)}"
-            )
+            raise RefusedError(f"it asks for TLS; write {_encrypted(address)}, and give {', '.join(TLS_OPTIONS)}")
     except RefusedError as error:
         raise RefusedError(f"no connection to the coordinator at {address}: {error}") from error
     return None

@@ -12,19 +12,19 @@ from typing import Final
 
 from atoll_core.errors import UsageError
 from atoll_core.logs import configure
-from atoll_core.wire.addresses import Address, Destination, destination
+from atoll_core.wire.addresses import Address, Destination, destination, resolved
 from atoll_core.wire.security.credentials import credentials_of
 from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915
-_LOCAL: Final = ("127.0.0.1", "localhost", "::1")
+_LOCAL: Final = ("127.0.0.1", "localhost")
 
 
 def read_options(options: argparse.Namespace, router: str | None = None) -> tuple[Destination, RoleBindings | None]:
     """Return where to listen, or the `router` to join, and who may do what; begin to log. Raises UsageError."""
     credentials = credentials_of(vars(options), os.environ, "serve" if router is None else "connect")
-    wanted = destination(options.listen if router is None else router, credentials)
+    wanted = destination(options.listen if router is None else router, credentials, listens=router is None)
     if wanted.others:
         option = "--listen" if router is None else "--router"
         raise UsageError(f"{option} takes one address, but {len(wanted.addresses)} were given: {wanted}")
@@ -32,6 +32,8 @@ def read_options(options: argparse.Namespace, router: str | None = None) -> tupl
         raise UsageError(
             "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
         )
+    if router is None:
+        _require_dialable(wanted)
     role_bindings = None if options.roster is None else read_role_bindings(Path(options.roster))
     configure(options.log_format, options.log_level)
     return wanted, role_bindings
@@ -67,11 +69,10 @@ def is_loopback(host: str) -> bool:
 
 def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
     """Return the addresses to connect to, those for other machines first; with a certificate those that it names."""
-    address, files = at.address, at.credentials
+    address = at.address
     if is_behind_router or address.is_socket:
         return [str(address)]
-    hosts = (files.hosts if files is not None else ()) or heard_on(address.host)
-    return [str(Address(address.protocol, host, address.port)) for host in hosts]
+    return [str(Address(address.protocol, host, address.port)) for host in _dialable_hosts(at)]
 
 
 def own_address_of(at: Destination, is_behind_router: bool = False) -> str:
@@ -83,12 +84,53 @@ def own_address_of(at: Destination, is_behind_router: bool = False) -> str:
     address = at.address
     if is_behind_router or address.is_socket:
         return str(address)
-    is_local = address.host in _EVERYWHERE or is_loopback(address.host)
-    dialled = [*((address.host,) if address.host not in _EVERYWHERE else ()), *(_LOCAL if is_local else ())]
-    named = at.credentials.hosts if at.credentials is not None else dialled
-    others = heard_on(address.host)
-    host = next((host for host in (*dialled, *others) if host in named), (*named, *dialled)[0])
+    hosts = _dialable_hosts(at)
+    host = next((host for host in (address.host, *_LOCAL, *heard_on(address.host)) if host in hosts), hosts[0])
     return str(Address(address.protocol, host, address.port))
+
+
+def _require_dialable(at: Destination) -> None:
+    """Raise UsageError where nobody could dial a listener by a name of its certificate."""
+    address = at.address
+    if address.is_socket or _dialable_hosts(at):
+        return
+    names = ", ".join(dict.fromkeys(at.credentials.hosts)) if at.credentials is not None else ""
+    anywhere = "::" if ":" in address.host else "0.0.0.0"
+    raise UsageError(
+        f"nobody could dial a listener on {address}: its certificate has the names {names}, but an IPv4 address or a "
+        f"host name that leads to {address.host} was expected; listen on "
+        f"{Address(address.protocol, anywhere, address.port)}, or make a certificate with such a name "
+        "(deploy/tls/make-authority DIR --coordinator HOST,...)"
+    )
+
+
+def _dialable_hosts(at: Destination) -> list[str]:
+    """Return the hosts by which a listener is dialled: with a certificate the names in it that lead there.
+
+    A name that is not known here, or leads elsewhere, may lead there from other machines, unless the listener is one
+    for this machine alone.
+    """
+    address = at.address
+    if at.credentials is None:
+        return heard_on(address.host)
+    names = dict.fromkeys(at.credentials.hosts)
+    named = [host for host in names if Address(address.protocol, host, address.port).is_dialable]
+    leading = [host for host in named if _leads(host, address.host)]
+    if address.host in _EVERYWHERE:
+        return [host for host in named if host in leading or resolved(host) is None]
+    if leading or is_loopback(address.host):
+        return leading
+    return [host for host in named if not is_loopback(resolved(host) or host)]
+
+
+def _leads(host: str, listener: str) -> bool:
+    """Tell whether a host that is dialled from here leads to a listener of this machine, as far as is known here."""
+    there = resolved(host)
+    if there is None:
+        return False
+    if listener in _EVERYWHERE:
+        return listener == "::" or ":" not in there
+    return there == resolved(listener)
 
 
 def heard_on(host: str) -> list[str]:

@@ -285,9 +285,16 @@ class Client:
             AtollError: the analysis broke.
         """
         digest = None if table is None else self.upload(table)
-        waits_for, since, pause = None, self.now(), _PAUSE_S
+        waits_for, since, pause, tries = None, self.now(), _PAUSE_S, _TRIES
         while True:
-            reason, made = self.analysis(job, function, question, digest)
+            try:
+                reason, made = self.analysis(job, function, question, digest)
+            except TableMissingError:  # the coordinator was started again meanwhile
+                tries -= 1
+                if table is None or not tries:
+                    raise
+                self.upload(table)
+                continue
             if made is not None:
                 return made
             if reason is None:

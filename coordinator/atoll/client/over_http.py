@@ -6,6 +6,7 @@ within two seconds (`atoll.client.subscription.QUIET_S`).
 
 import contextlib
 import json
+import re
 import ssl
 import time
 import urllib.error
@@ -26,6 +27,8 @@ from atoll_core.wire.security.credentials import credentials_of
 
 TOKEN: Final = "ATOLL_WEB_TOKEN"
 """The variable that gives the token. An address with ``?token=`` does as well, but others can read command lines."""
+
+_TOKEN_FORM: Final = re.compile(r"[A-Za-z0-9._~-]+")
 
 MESSAGE: Final = "application/vnd.atoll.message"
 
@@ -68,8 +71,18 @@ def coordinator_at(text: str, files: Mapping[str, object], environment: Mapping[
         raise UsageError(
             f"{parts.scheme}://{parts.netloc} has {what}; give the address of coordinator web, and its token in {TOKEN}"
         )
+    check_token(token)
     authority = files.get("tls_ca") or environment.get("ATOLL_TLS_CA")
     return WebAddress(f"{parts.scheme}://{parts.netloc}{parts.path.rstrip('/')}", token, _file(authority))
+
+
+def check_token(token: str) -> None:
+    """Raise UsageError for a token that stands in an address in another way: programs would cut it off there."""
+    if not _TOKEN_FORM.fullmatch(token):
+        raise UsageError(
+            f"the token of the page has other characters than letters, digits and - . _ ~, which an address holds as "
+            f"they are; set {TOKEN} to another one, such as the output of: openssl rand -hex 24"
+        )
 
 
 def _file(name: object) -> Path | None:

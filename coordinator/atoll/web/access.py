@@ -17,7 +17,7 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from atoll.client.over_http import TOKEN
+from atoll.client.over_http import TOKEN, check_token
 from atoll.web.gateway import Gateway
 from atoll.web.problems import Problem
 from atoll_core.errors import UsageError
@@ -94,12 +94,16 @@ def digest_of(token: str) -> str:
 
 
 def token_of(environment: Mapping[str, str] = os.environ) -> str:
-    """Return the token that the environment gives, or one that is made up; raises UsageError for one that is short."""
+    """Return the token that the environment gives, or one that is made up.
+
+    Raises UsageError for one that is short, or not the same in an address.
+    """
     token = environment.get(TOKEN)
     if token is None:
         return secrets.token_urlsafe(24)
-    if len(token) < 16 or not token.isascii() or not token.isprintable() or " " in token:
-        raise UsageError(f"{TOKEN} must have at least 16 printable characters without blanks")
+    if len(token) < 16:
+        raise UsageError(f"{TOKEN} has {len(token)} characters, but at least 16 were expected; set a longer one")
+    check_token(token)
     return token
 
 

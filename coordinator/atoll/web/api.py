@@ -40,7 +40,7 @@ from atoll.web.simulation import simulation_of
 from atoll.web.temporary import PREFIX, held
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll_core.errors import AtollError, RemoteProtocolError, UnreachableError
+from atoll_core.errors import AtollError, RemoteProtocolError, UnknownJobError, UnreachableError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Request as Question
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello
@@ -442,7 +442,7 @@ class Api:
     async def _result(self, request: Request, *, may_be_late: bool = False) -> Result:
         """Return the result of a job, asked for once a second however many want it; it may be late by more for pages.
 
-        These hear when the state of a job changes, and then get it anew.
+        These hear when the state of a job changes, and then get it anew. Whether a job may be seen is always asked.
         """
         job, gateway = _job(request), gateway_of(request)
         key = (gateway, job)
@@ -451,7 +451,15 @@ class Api:
             known = self._results[key] = _Fetched(asyncio.ensure_future(_fetch(gateway, job)))
             for old in [*self._results][:-MAX_RESULTS]:
                 del self._results[old]
-        return (await asyncio.shield(known.task))[0]
+            return (await asyncio.shield(known.task))[0]
+        result = (await asyncio.shield(known.task))[0]
+        try:
+            await gateway.ask(lambda client: client.status(job))
+        except UnknownJobError:  # it was deleted, or is shared no more
+            self._results.pop(key, None)
+            self._shown.pop(key, None)
+            raise
+        return result
 
     # ------------------------------------------------------------------------------------------ submissions
 

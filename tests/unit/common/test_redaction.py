@@ -2,12 +2,14 @@
 
 import json
 import logging
+import urllib.parse
 
 import pytest
 
 from atoll.api.discoverer import Discoverer
 from atoll.cli.web_process import opening
-from atoll.client.over_http import WebAddress, coordinator_at
+from atoll.client.over_http import TOKEN, WebAddress, coordinator_at
+from atoll.web.access import token_of
 from atoll_core.errors import RefusedError, UsageError
 from atoll_core.logs import JsonLines, TextLines, fields
 from atoll_core.redaction import without_secrets
@@ -21,6 +23,23 @@ PLACES = (
     f"ATOLL_WEB_TOKEN={SECRET}",
     f"ATOLL_WEB_TOKEN='{SECRET}'",
     f'ATOLL_WEB_TOKEN="{SECRET} and more"',
+    f"http://h:1/?token=abc'{SECRET}",
+    f'http://h:1/?token=abc"{SECRET}',
+    f"http://h:1/?token=abc\\{SECRET}",
+    f"http://h:1/?token=abc#{SECRET}",
+    f"http://h:1/?token=abc&x='{SECRET}",
+    f"http://h:1/#token={SECRET}",
+    f"http://h:1/#token=a/b'{SECRET}",
+    f"https://ann:a/{SECRET}@h/",
+    f"https://ann:a'{SECRET}/b@h/",
+    f"https://ann:a@{SECRET}@h/",
+    f"ATOLL_WEB_TOKEN: {SECRET}",
+    f'"ATOLL_WEB_TOKEN": "a\\"{SECRET}"',
+    f"ATOLL_WEB_TOKEN='a'\"'\"'{SECRET}'",
+    f"Authorization: Basic {SECRET}",
+    f"authorization: {SECRET}",
+    f"{{'Authorization': 'Basic a\\'{SECRET}'}}",
+    f"Bearer a'{SECRET}",
 )
 
 
@@ -38,8 +57,33 @@ def test_an_error_a_log_line_and_a_command_show_no_secret(text: str) -> None:
     assert told[-1].endswith("--seed 3")
 
 
+def test_a_long_text_has_an_end() -> None:
+    """In time in proportion to its length: by the square, these would take hours."""
+    for text in ("?token=" + "," * 10**6, "a://b:" * 50_000 + "@", "bearer " * 50_000, "ATOLL_WEB_TOKEN:" * 20_000):
+        assert len(without_secrets(text)) <= len(text)
+
+
+@pytest.mark.parametrize(
+    "token", ["a token of sixteen", "abc'DEF-and-more-of-it", "abc\\DEF-and-more-of", "a+b/c=d" * 3, ""]
+)
+def test_a_token_that_an_address_cannot_hold_is_refused_everywhere(token: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        token_of({TOKEN: token})
+    assert not token or token not in str(refused.value)
+    with pytest.raises(UsageError, match="ATOLL_WEB_TOKEN"):
+        coordinator_at("http://h:1/", {}, {TOKEN: token})
+    with pytest.raises(UsageError, match="ATOLL_WEB_TOKEN"):
+        coordinator_at(f"http://h:1/?token={urllib.parse.quote(token)}", {}, {})
+
+
+def test_tokens_that_are_made_up_or_fit_an_address_are_taken() -> None:
+    for given in ({}, {TOKEN: "0123456789abcdefABCDEF-._~"}):
+        coordinator_at("http://h:1/", {}, {TOKEN: token_of(given)})
+
+
 def test_what_is_no_secret_stays() -> None:
-    for text in ("--initial token=3", "tcp/lab:7447", "a column token = 3", "https://lab.example/docs#a", ""):
+    for text in ("--initial token=3", "tcp/lab:7447", "a column token = 3", "https://lab.example/docs#a", "",
+                 "no token; give it in ATOLL_WEB_TOKEN", "the authority is ca.pem"):  # fmt: skip
         assert without_secrets(text) == text
 
 

@@ -21,6 +21,11 @@ from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, chunk_count
 MAX_STORED_BYTES: Final = 16 * 1024**3
 """Uploads are refused when all tables and datasets together would take more than this."""
 
+MOST_OF_USER: Final = 1_000
+MOST_OF_ALL: Final = 20_000
+"""Tables that a user, without certificates a session, and all together may have uploaded and not submitted: each takes
+3 kB of memory, however few bytes it has."""
+
 LEAST_RESERVE: Final = 256 * 1024**2
 MOST_RESERVE: Final = 2 * 1024**3
 RESERVED_SHARE: Final = 0.05
@@ -63,14 +68,20 @@ class Uploads:
     """
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
-        """`now` gives the bus's seconds. What the store has already counts as heard of at the first look."""
+        """`now` gives the bus's seconds. Tables that the store has and no job uses are deleted.
+
+        Who had shown which bytes of them is not stored, so that nobody has them and they would count for nobody;
+        clients upload them again.
+        """
         self._store = store
         self._now = now
         self._heard: dict[str, float] = {}
         self._check_at = 0.0
         self._uploads: dict[tuple[str, str | None, str], _Upload] = {}
         self._shown: Counter[str | None] = Counter()
+        self._begun: Counter[tuple[str | None, str]] = Counter()
         self._keys: set[str] = set()
+        self._delete_all()
 
     def take(self, upload: Upload, user: str | None, viewer: Viewer | None, session: str) -> Uploaded:
         """Keep a chunk that is the next one, or only tell which are missing.
@@ -134,10 +145,18 @@ class Uploads:
     def _begin(self, who: tuple[str, str | None, str], upload: Upload) -> _Upload:
         """Begin an upload, under a name of its own where somebody else is uploading the same, or it is there."""
         digest, user, session = who
+        own, total = self._begun[user, session], len(self._uploads)
+        if own >= MOST_OF_USER or total >= MOST_OF_ALL:
+            raise RefusedError(
+                f"{own} tables are uploaded and not submitted, of all users {total}, and at most {MOST_OF_USER} and "
+                f"{MOST_OF_ALL} may be; submit jobs with them, or try again in {LEASE_S / 60:.0f} minutes, when those "
+                "that were given up are deleted"
+            )
+        self._begun[user, session] += 1
         key = f"{digest} {user or session}" if digest in self._keys or self._store.is_begun(digest) else digest
-        own = self._uploads[who] = _Upload(user, digest, upload.size, key, self._now())
+        begun = self._uploads[who] = _Upload(user, digest, upload.size, key, self._now())
         self._keys.add(key)
-        return own
+        return begun
 
     def _forget(self, who: tuple[str, str | None, str]) -> None:
         """Forget an upload, and delete what is kept of it unless it is whole."""
@@ -147,6 +166,9 @@ class Uploads:
         self._shown[own.user] -= own.shown
         if not self._shown[own.user]:
             del self._shown[own.user]
+        self._begun[who[1:]] -= 1
+        if not self._begun[who[1:]]:
+            del self._begun[who[1:]]
         if not own.is_whole:
             self._keys.discard(own.key)
             if own.count and not self._store.has_blob(own.key):
@@ -200,7 +222,7 @@ class Uploads:
     def _delete_all(self) -> None:
         """Delete all uploads that no job uses; who is at it is told that all of it is missing."""
         unused, self._heard = self._store.unused_blobs(), {}
-        self._uploads, self._shown, self._keys = {}, Counter(), set()
+        self._uploads, self._shown, self._begun, self._keys = {}, Counter(), Counter(), set()
         if unused:
             self._store.delete_unused_blobs(unused)
 

@@ -22,7 +22,7 @@ from atoll_coordinator.service.tasks.outcomes import (
 from atoll_coordinator.service.tasks.results import ResultRead, TaskResult
 from atoll_coordinator.service.tasks.task_table import Task, TaskTable, task_id
 from atoll_coordinator.service.workers.channel import WorkerChannel
-from atoll_coordinator.service.workers.membership import Membership
+from atoll_coordinator.service.workers.membership import NO_WORKER, Membership
 from atoll_coordinator.tasks.preparing import Prepared
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
@@ -186,7 +186,7 @@ class TaskController:
             return None
         if self._keeping or any(task.worker is not None for task in self.table):
             return "waits for a worker that has no other task"
-        return "waits for a worker: none has joined, or all are lost, leaving or cordoned"
+        return NO_WORKER
 
     def chunk(self, digest: str, index: int) -> bytes | None:
         """Return a chunk of an input that is not in the store; None: it is not here either."""

@@ -25,6 +25,11 @@ GAP_S: Final = 3.0
 FORGET_S: Final = 3600.0
 """How long lost workers stay in the list."""
 
+NO_WORKER: Final = (
+    "waits for a worker: none has joined since the coordinator was started, or all are lost, leaving or cordoned"
+)
+"""Who has joined is not stored: after a restart workers join again within seconds."""
+
 MemberState = Literal["here", "absent", "hung", "lost"]
 MemberStep = Literal["heard", "gone", "back", "expired", "stands", "moves"]
 
@@ -198,7 +203,7 @@ class Membership:
         if arriving:
             return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
         if not self.ready():
-            return "waits for a worker: none has joined, or all are lost, leaving or cordoned"
+            return NO_WORKER
         return "waits for the other workers to join"
 
     def has_dataset(self, worker: str, job: str) -> bool:

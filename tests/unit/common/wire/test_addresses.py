@@ -7,6 +7,7 @@ import pytest
 
 from atoll_core.errors import UsageError
 from atoll_core.wire.addresses import Address, bindable, destination, own_address, parse_address, why_unreachable
+from atoll_core.wire.security.credentials import Credentials
 
 
 @pytest.mark.parametrize(
@@ -105,3 +106,26 @@ def test_several_addresses_of_one_service_stand_between_commas() -> None:
 def test_each_of_several_addresses_must_be_one_of_the_same_kind(text: str) -> None:
     with pytest.raises(UsageError):
         destination(text)
+
+
+FILES = Credentials(Path("ca"), Path("certificate"), Path("key"), "lab", ("localhost", "::1"))
+
+
+@pytest.mark.parametrize("text", ["tls/[::1]:7447", "quic/[2001:db8::5]:7447", "tls/lab:7447,tls/[::1]:7447"])
+def test_no_ipv6_address_is_dialled_with_certificates(text: str) -> None:
+    """The bus would try for ever: it checks names and IPv4 addresses alone."""
+    with pytest.raises(UsageError, match=r"cannot be dialled.* write tls/NAME:7447 with a NAME of its certificate"):
+        destination(text, FILES)
+    assert str(destination(text, FILES, listens=True)) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "advice"),
+    [
+        ("tcp/lab:7447", "write tls/lab:7447, or leave out"),
+        ("tcp/[::1]:7447", "write tls/NAME:7447 with a NAME of its certificate, or leave out"),
+    ],
+)
+def test_how_an_address_is_written_with_certificates_can_be_dialled(text: str, advice: str) -> None:
+    with pytest.raises(UsageError, match=advice):
+        destination(text, FILES)

@@ -137,6 +137,29 @@ def test_a_table_that_was_deleted_before_its_job_came_is_uploaded_again() -> Non
     assert seen == ["upload", "submit", "upload", "submit"]
 
 
+def test_a_table_that_was_deleted_while_its_question_waits_is_uploaded_again() -> None:
+    """As a coordinator does that is started again; where it is never kept, the question ends."""
+    seen: list[str] = []
+    forgets = False
+
+    def handle(body: Body) -> AnswerBody:
+        seen.append(body.kind)
+        if isinstance(body, Upload):
+            return Uploaded(blob=body.blob, missing=())
+        if forgets or seen.count("analyse") == 2:
+            return Failure(failure="no-table", sentence="the table of the question has not been uploaded")
+        if seen.count("analyse") == 1:
+            return AnalysisAnswer(job="j1", waits_for="waits for a worker")
+        return AnalysisAnswer(job="j1", data=b"{}", size=2, digest=hashlib.sha256(b"{}").hexdigest())
+
+    client, _ = client_with(handle)
+    assert client.analyse("j1", "report", b"{}", b"t,x") == b"{}"
+    assert seen == ["upload", "analyse", "analyse", "upload", "analyse"]
+    forgets = True
+    with pytest.raises(RefusedError, match="has not been uploaded"):
+        client.analyse("j1", "report", b"{}", b"t,x")
+
+
 def test_a_job_is_submitted_under_the_clients_id() -> None:
     seen: list[Submit] = []
 

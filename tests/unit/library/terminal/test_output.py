@@ -85,5 +85,21 @@ def test_no_name_steers_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert {*printed.out + printed.err} & {*STEERING} == {*"a]0;owned2Jb"}
 
 
+@pytest.mark.parametrize(
+    "unseen", ["\u200b", "\U000e0041", "\ue000", "\U0010fffd", "\u00ad", "\ufeff", "\ud800", "\u2060"]
+)
+def test_what_has_no_picture_is_escaped_as_in_json(unseen: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two names that look alike are two names."""
+    say(as_json({"name": f"lynx{unseen}"}))
+    printed = capsys.readouterr().out
+    assert printed.isascii()
+    assert json.loads(printed) == {"name": f"lynx{unseen}"}
+
+
+def test_letters_signs_and_spaces_of_all_scripts_stay(capsys: pytest.CaptureFixture[str]) -> None:
+    say("dθ/dt = −2·x²\u00a0±\u202f3 µm, 山猫, 🐇")
+    assert capsys.readouterr().out == "dθ/dt = −2·x²\u00a0±\u202f3 µm, 山猫, 🐇\n"
+
+
 def test_a_name_is_one_cell_of_its_row() -> None:
     assert table(["NAME"], [["a\nb\tc"], [STEERING]]).count("\n") == 2

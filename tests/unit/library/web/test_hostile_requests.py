@@ -227,6 +227,34 @@ def test_a_job_of_somebody_else_is_unknown_in_every_operation_also_after_its_own
     assert seen["a"]["POST", "/outline"] == 200
 
 
+def test_who_has_looked_at_a_shared_job_sees_nothing_of_it_once_it_is_shared_no_more() -> None:
+    """What was asked for a moment ago is kept, and shown to those alone who may still see it."""
+    bob = Asked(job_view(job="b", state="done"))
+    bob.contents = FOUND
+    app = build_application(Access({digest_of("b" * 16): AtHand(bob)}, None, LOCAL_HOSTS), READERS)  # type: ignore[arg-type]
+    paths = [path for method, path in OPERATIONS if method == "GET" and (method, path) not in OF_NO_JOB]
+
+    async def statuses() -> dict[str, int]:
+        headers = LOCAL_HOST | {"authorization": "Bearer " + "b" * 16}
+        found = {}
+        for path in paths:
+            target = "/api/v1" + path.replace("{job}", "b").replace("{format}", "python")
+            found[path] = (await ask_async(app, "GET", target, [], {}, headers)).status
+        return found
+
+    async def go() -> tuple[dict[str, int], dict[str, int]]:
+        seen = await statuses()
+        views, bob.views = bob.views, {}
+        unseen = await statuses()
+        bob.views = views
+        assert await statuses() == seen, "it is shared again"
+        return seen, unseen
+
+    seen, unseen = asyncio.run(go())
+    assert [*seen.values()].count(200) > 4
+    assert {*unseen.values()} == {404}, unseen
+
+
 def test_a_message_is_asked_of_the_coordinator_as_its_sender() -> None:
     ann, bob = Asked(job_view(job="b")), Asked()
     gateways = {digest_of(name * 16): AtHand(client) for name, client in (("a", ann), ("b", bob))}

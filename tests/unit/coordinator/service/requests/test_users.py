@@ -2,18 +2,20 @@
 
 import hashlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import get_args
 
 import pytest
 
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.monitoring.followers import Followers
-from atoll_coordinator.service.requests import admission
+from atoll_coordinator.service.requests import admission, uploads
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import CHECK_INTERVAL_S, LEASE_S
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Times, Total
+from atoll_coordinator.service.store.backup import back_up, restore
 from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
@@ -159,6 +161,58 @@ def test_a_job_that_is_shared_is_seen_by_all_and_changed_by_its_own(lab: Lab) ->
     assert lab.seen("bob") == ["mine"]
 
 
+@pytest.fixture(params=["restart", "restore"])
+def later(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Lab]:
+    """A coordinator that was started again, or serves what was restored from a copy: ann has a private job, one that
+    is shared, and one that has ended, and bob one of his own."""
+    with Store.open(tmp_path / "state") as store:
+        lab = Lab(store)
+        for job in ("mine", "shared", "ended"):
+            lab.submit("ann", job, job.encode(), shared=job == "shared")
+        lab.ask("ann", messages.Cancel(job="ended"))
+        lab.submit("bob", "his", b"his")
+        lab.controller.events.flush()
+    state = tmp_path / "state"
+    if request.param == "restore":
+        back_up(state, tmp_path / "copy")
+        state = tmp_path / "restored"
+        restore(tmp_path / "copy", state)
+    with Store.open(state) as store:
+        yield Lab(store)
+
+
+def test_after_a_restart_and_a_restore_each_job_is_seen_by_the_same_users(later: Lab) -> None:
+    check_hidden(later, "mine", "bob")
+    check_hidden(later, "ended", "bob")
+    assert later.seen("bob") == ["shared", "his"]
+    assert later.seen("ann") == ["mine", "shared", "ended"]
+    assert later.seen("eve") == ["mine", "shared", "ended", "his"]
+    for user, jobs in (("bob", {"shared", "his"}), ("ann", {"mine", "shared", "ended"})):
+        events = later.ask(user, messages.GetEvents())
+        assert isinstance(events, EventList)
+        assert {event.job for event in events.events} - {None} == jobs
+    stolen = later.ask(
+        "bob", messages.Submit(job="new", name="", config=JobConfig(), table=hashlib.sha256(b"mine").hexdigest())
+    )
+    assert isinstance(stolen, Failure)
+    assert stolen.failure == "no-table"
+
+
+def test_after_a_restart_and_a_restore_each_job_is_changed_by_the_same_users(later: Lab) -> None:
+    before = {record.id: record for record in later.store.jobs()}
+    for body in (
+        messages.Cancel(job="shared"), messages.Pause(job="shared"), messages.SetPriority(job="shared", priority=3),
+        messages.Share(job="shared", shared=False), messages.Retry(job="shared", again="x"),
+        messages.Delete(job="shared"),
+    ):  # fmt: skip
+        assert "was submitted by ann; only ann or an admin may" in said(later.ask("bob", body))
+    for body in (messages.SetQueue(paused=True), messages.SetWorker(worker="w", service="draining")):
+        assert "only an admin" in said(later.ask("ann", body))
+    assert {record.id: record for record in later.store.jobs()} == before
+    assert view(later.ask("ann", messages.SetPriority(job="shared", priority=3))).priority == 3
+    assert view(later.ask("eve", messages.Cancel(job="mine"))).state == "cancelled"
+
+
 def test_events_and_lists_of_workers_say_nothing_of_others_jobs(lab: Lab) -> None:
     lab.submit("ann", "mine")
     lab.submit("bob", "his", b"t,y\n")
@@ -293,6 +347,23 @@ def test_what_is_announced_takes_no_room_and_what_is_stored_counts(lab: Lab, mon
     lab.ask("eve", part(table, 0))
     assert lab.clients.uploads.pending_bytes("eve", "", "eve-1")[0] == lab.store.blob_bytes() - 3 == CHUNK_SIZE
     assert "are over the" in said(lab.upload("eve", bytes(91)))
+
+
+def test_tables_of_few_bytes_are_bounded_by_their_number(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uploads, "MOST_OF_USER", 3)
+    monkeypatch.setattr(uploads, "MOST_OF_ALL", 5)
+    for number in range(3):
+        assert not isinstance(lab.upload("ann", b"%d" % number), Failure)
+    assert "3 tables are uploaded and not submitted" in said(lab.upload("ann", b"3"))
+    assert not isinstance(lab.upload("ann", b"0"), Failure), "it is there"
+    lab.submit("ann", "a", b"0")
+    assert not isinstance(lab.upload("ann", b"3"), Failure)
+    for number in range(2):
+        assert not isinstance(lab.upload("bob", b"b%d" % number), Failure)
+    assert "of all users 5" in said(lab.upload("eve", b"e"))
+    lab.now += LEASE_S + CHECK_INTERVAL_S
+    lab.clients.uploads.expire()
+    assert not isinstance(lab.upload("eve", b"e"), Failure)
 
 
 def test_no_question_about_an_upload_asks_the_store_for_every_table(lab: Lab) -> None:

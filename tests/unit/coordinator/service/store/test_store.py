@@ -2,7 +2,9 @@
 
 import contextlib
 import errno
+import fcntl
 import hashlib
+import itertools
 import os
 import sqlite3
 import subprocess
@@ -332,14 +334,138 @@ def test_nobody_else_may_lock_a_store_or_look_into_its_folder(tmp_path: Path, um
         os.umask(former)
     assert state.stat().st_mode & 0o777 == 0o700
     assert [folder.stat().st_mode & 0o022 for folder in (state.parent, state.parent.parent)] == [0, 0]
-    assert {FILE_NAME, f"{FILE_NAME}-wal", "lock", "takeover"} <= modes.keys()
+    assert {FILE_NAME, f"{FILE_NAME}-wal", "lock", "guard"} <= modes.keys()
     assert set(modes.values()) == {0o600}
 
 
-def test_the_lock_of_an_earlier_version_is_closed_to_others(tmp_path: Path) -> None:
-    (tmp_path / "lock").touch(mode=0o644)
-    Store.open(tmp_path).close()
-    assert (tmp_path / "lock").stat().st_mode & 0o777 == 0o600
+@pytest.fixture
+def former(tmp_path: Path) -> Path:
+    """A store as an earlier version made it: open to all users of the machine."""
+    state = tmp_path / "former"
+    Store.open(state).close()
+    (state / "lock").write_text("999999999 beats\n")
+    for name in ("lock", "takeover", "replaced-1.sqlite3", *(f"{FILE_NAME}{end}" for end in ("-shm", "-journal", ""))):
+        (state / name).touch()
+        (state / name).chmod(0o644)
+    (state / "guard").unlink(missing_ok=True)
+    state.chmod(0o755)
+    return state
+
+
+def modes_in(state: Path) -> set[int]:
+    return {path.stat().st_mode & 0o777 for path in state.iterdir()}
+
+
+def test_a_store_of_an_earlier_version_is_closed_to_others_and_that_is_said_once(
+    former: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for _ in range(2):
+        with Store.open(former) as store:
+            store.put_blob(b"measured")
+            assert modes_in(former) == {0o600}
+            assert former.stat().st_mode & 0o777 == 0o700
+    (said,) = (record for record in caplog.records if "closed" in record.message)
+    assert "its folder, " in str(said.__dict__)
+    assert "lock" in str(said.__dict__)
+
+
+def test_a_folder_with_other_files_stays_open_and_the_store_is_closed(former: Path) -> None:
+    (former / "notes.txt").touch(mode=0o644)
+    Store.open(former).close()
+    assert former.stat().st_mode & 0o777 == 0o755
+    assert modes_in(former) == {0o600, 0o644}
+    assert (former / "notes.txt").stat().st_mode & 0o777 == 0o644
+
+
+def locked(path: Path) -> int:
+    """Lock a file as any user can who may read it."""
+    held = os.open(path, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return held
+
+
+@pytest.mark.parametrize("contents", ["999999999 beats\n", "28154\n", "", "1 beats\n", "no number"])
+def test_who_holds_a_lock_that_others_could_open_keeps_no_coordinator_out(
+    former: Path, monkeypatch: pytest.MonkeyPatch, contents: str
+) -> None:
+    """Whoever opened it while it was open may hold it for ever, and the process that it names does not exist."""
+    monkeypatch.setattr("atoll_coordinator.service.store.lock._SIGN_OF_LIFE_S", 0.0)
+    (former / "lock").write_text(contents)
+    held = [locked(former / "lock"), locked(former / "takeover")]
+    try:
+        with Store.open(former):
+            beat = last_beat(former)
+            assert beat is not None
+            with pytest.raises(StoreError, match=f"in use by another coordinator .process {os.getpid()}"):
+                Store.open(former)
+            seized = Lock.seize(former, beat)
+            assert seized is not None, "nor one on standby"
+            seized.release()
+    finally:
+        for file in held:
+            os.close(file)
+
+
+def test_a_coordinator_of_an_earlier_version_keeps_its_store(former: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its lock is open to others as well: it is told from them by its process or, elsewhere, by its beats."""
+    held = os.open(former / "lock", os.O_RDWR)
+    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    beats = itertools.count(10**9)
+    monkeypatch.setattr("time.sleep", lambda _: os.utime(held, ns=(0, next(beats))))
+    try:
+        with pytest.raises(StoreError, match="in use by another coordinator; stop"):
+            Store.open(former)
+        os.pwrite(held, f"{os.getpid()} beats \n".encode(), 0)
+        monkeypatch.setattr("time.sleep", lambda _: None)
+        with pytest.raises(StoreError, match=f"in use by another coordinator .process {os.getpid()}"):
+            Store.open(former)
+    finally:
+        os.close(held)
+    Store.open(former).close()
+    assert modes_in(former) == {0o600}
+
+
+def test_of_several_that_replace_a_lock_at_once_one_has_it(former: Path) -> None:
+    """Whoever has opened the file that is replaced finds that out, and tries the new one."""
+    locks: list[Lock] = []
+    refused: list[StoreError] = []
+    together = threading.Barrier(6)
+
+    def take() -> None:
+        together.wait(30)
+        try:
+            locks.append(Lock(former))
+        except StoreError as error:
+            refused.append(error)
+
+    threads = [threading.Thread(target=take) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert (len(locks), len(refused)) == (1, 5)
+    locks[0].release()
+
+
+def test_a_lock_names_no_process_that_has_not_got_it(tmp_path: Path) -> None:
+    with Store.open(tmp_path):
+        (tmp_path / "lock").write_text(f"{os.getppid()} beats\n")
+        with pytest.raises(StoreError, match="in use by another coordinator; stop"):
+            Store.open(tmp_path)
+
+
+@pytest.mark.parametrize(("code", "exit_code"), [(errno.EROFS, 1), (errno.ENOSPC, 1), (errno.EACCES, 2)])
+def test_a_folder_that_cannot_be_written_for_now_is_no_mistake_in_an_option(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, exit_code: int
+) -> None:
+    def refuse(*_: object, **__: object) -> int:
+        raise OSError(code, os.strerror(code))
+
+    with monkeypatch.context() as refusing:
+        refusing.setattr("atoll_coordinator.service.store.lock.os.open", refuse)
+        with pytest.raises(StoreError, match="cannot be written") as caught:
+            Store.open(tmp_path)
+    assert caught.value.exit_code == exit_code
 
 
 def test_a_state_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:

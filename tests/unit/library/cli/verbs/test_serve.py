@@ -1,10 +1,12 @@
 """What a coordinator says when it starts."""
 
 import errno
+import ipaddress
 import os
 import socket
 import sqlite3
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -105,6 +107,28 @@ def test_the_unit_of_systemd_stays_down_after_bad_options_alone(service: str) ->
     assert {error.exit_code for error in (UsageError, WrongStoreError)} == {2}
 
 
+HOSTS = {
+    "localhost": "127.0.0.1", "vm": "127.0.1.1", "six.example": "::1", "near.example": "10.0.0.5",
+    "away.example": "203.0.113.1", "far6.example": "2001:db8::5",
+}  # fmt: skip
+
+
+def first_address(host: str, *_: object, **__: object) -> list[tuple[object, object, object, str, tuple[str, int]]]:
+    """What the system says of a host's name, or of an address."""
+    try:
+        return [(0, 0, 0, "", (str(ipaddress.ip_address(host)), 0))]
+    except ValueError:
+        if host not in HOSTS:
+            raise socket.gaierror(socket.EAI_NONAME, "not known") from None
+        return [(0, 0, 0, "", (HOSTS[host], 0))]
+
+
+def tls(host: str, named: Sequence[str]) -> Destination:
+    return Destination(
+        Address("tls", host, 7447), Credentials(Path("ca"), Path("b"), Path("c"), "lab", tuple(named))
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("host", "named", "dialled"),
     [
@@ -112,14 +136,59 @@ def test_the_unit_of_systemd_stays_down_after_bad_options_alone(service: str) ->
         ("0.0.0.0", ("lab.example", "localhost"), "localhost"),
         ("0.0.0.0", ("lab.example",), "lab.example"),
         ("10.0.0.5", ("lab.example", "10.0.0.5"), "10.0.0.5"),
-        ("::1", ("lab.example", "::1"), "[::1]"),
+        ("::1", ("lab.example", "::1", "six.example"), "six.example"),
+        ("::", ("lab.example", "::1", "127.0.0.1"), "127.0.0.1"),
+        ("2001:db8::5", ("2001:db8::5", "six.example", "far6.example"), "far6.example"),
+        ("0.0.0.0", ("six.example", "vm"), "vm"),
+        ("localhost", ("lab.example", "localhost"), "localhost"),
         ("0.0.0.0", None, "127.0.0.1"),
         ("10.0.0.5", None, "10.0.0.5"),
     ],
 )
-def test_the_page_dials_where_its_coordinator_listens(host, named, dialled) -> None:
+def test_the_page_dials_where_its_coordinator_listens(monkeypatch, host, named, dialled) -> None:
     """The first name in a certificate may lead elsewhere, or nowhere from here."""
+    monkeypatch.setattr(socket, "getaddrinfo", first_address)
     protocol = "tcp" if named is None else "tls"
     credentials = None if named is None else Credentials(Path("a"), Path("b"), Path("c"), "lab", named)
     at = Destination(Address(protocol, host, 7447), credentials)
     assert own_address_of(at) == f"{protocol}/{dialled}:7447"
+
+
+NAMED = ("lab.example", "localhost", "vm", "127.0.0.1", "::1", "10.0.0.5", "localhost", "127.0.0.1")
+
+
+@pytest.mark.parametrize(
+    ("host", "named", "printed"),
+    [
+        ("127.0.0.1", NAMED, ["localhost", "127.0.0.1"]),
+        ("10.0.0.5", NAMED, ["10.0.0.5"]),
+        ("10.0.0.5", ("near.example", "localhost", "lab.example"), ["near.example"]),
+        ("10.0.0.5", ("away.example", "lab.example", "localhost", "::1"), ["away.example", "lab.example"]),
+        ("0.0.0.0", NAMED, ["lab.example", "localhost", "vm", "127.0.0.1", "10.0.0.5"]),
+        ("0.0.0.0", ("six.example", "localhost", "away.example"), ["localhost", "away.example"]),
+        ("::", NAMED, ["lab.example", "localhost", "vm", "127.0.0.1", "10.0.0.5"]),
+        ("::1", (*NAMED, "six.example"), ["six.example"]),
+    ],
+)
+def test_each_address_is_printed_once_and_somebody_listens_there(monkeypatch, host, named, printed) -> None:
+    monkeypatch.setattr(socket, "getaddrinfo", first_address)
+    lines = greeting(tls(host, named), "state").splitlines()
+    started = [line.split()[-1] for line in lines if "island-worker" in line]
+    assert started == [f"tls/{name}:7447" for name in printed]
+    assert f"coordinator submit DATA --connect tls/{printed[0]}:7447" in "\n".join(lines)
+
+
+@pytest.mark.parametrize("host", ["::1", "2001:db8::5", "::"])
+@pytest.mark.parametrize("verb", ["serve", "router"])
+def test_a_listener_that_nobody_could_dial_is_refused(tmp_path, monkeypatch, capsys, host, verb) -> None:
+    """The bus dials no IPv6 address with a certificate, and on ::1 no name of the certificate leads to it."""
+    named = ("::1", "2001:db8::5") if host != "::1" else NAMED
+    monkeypatch.setattr(listener, "credentials_of", lambda *_: tls(host, named).credentials)
+    monkeypatch.setattr(socket, "getaddrinfo", first_address)
+    words = [verb, "--listen", f"tls/[{host}]:7447", *(["--state", str(tmp_path / "state")] if verb == "serve" else [])]
+    assert main(words) == 2
+    (sentence,) = capsys.readouterr().err.splitlines()
+    assert f"tls/[{host}]:7447" in sentence
+    assert "::1, " in sentence or ", ::1" in sentence
+    assert "make-authority" in sentence
+    assert not (tmp_path / "state").exists()
