@@ -4,7 +4,8 @@
 - ``zenoh_bus``: the bus over Zenoh, as a router or a client. The only module that imports zenoh.
 - ``inbox``: events and timers that wait for the owner thread.
 - ``turns``: things that wait, of parties that take turns.
-- ``large_answers``: answers that wait for a thread that sends them.
+- ``outbox``: answers that wait for a thread that sends them.
+- ``lingering``: sockets of a router, which are closed without a wait.
 - ``metered_bus``: counts what goes through a bus, by kind.
 
 Events come from Zenoh's threads into the ``inbox``; the owner's loop takes them by `Bus.receive`. The bus in virtual

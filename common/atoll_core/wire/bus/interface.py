@@ -119,8 +119,9 @@ class Bus(Protocol):
     def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
         """Answer `query`; None means refused (the asker gets a Reply with None at once).
 
-        `party` is who asks, as far as that is known better than by `query.session`: parties take turns where answers
-        have to wait, and a party of which too many wait is refused more.
+        Returns at once: threads of the bus send the answer. `party` is who asks, as far as that is known better than by
+        `query.session`: parties take turns where answers have to wait, and a party of which too many wait is refused
+        more.
         """
 
     def announce(self, key: str) -> None:

@@ -6,15 +6,17 @@ threads (``indirect=False``), so no thread of ours can keep a process from endin
 Settings and their reasons: no discovery (one address to dial), no shared memory (it may drop silently and fills
 /dev/shm), BLOCK instead of the default that drops under load, queues large enough for bursts, a hung peer is waited
 for at most `_WAIT_FOR_PEER_US`, a lease short enough to notice a lost machine within seconds, and no message read that
-is larger than any of ours.
+is larger than any of ours. While one thread waits for a hung peer, others serve everybody else: answers are sent by
+threads of the outbox, a router has more threads than zenoh gives it, and its sockets are closed without a wait.
 """
 
 import contextlib
 import itertools
 import json
+import os
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
 from typing import Any, Final, Self, cast
 
@@ -39,13 +41,16 @@ from atoll_core.wire.bus.interface import (
     check_key,
     check_payload,
 )
-from atoll_core.wire.bus.large_answers import LargeAnswers
+from atoll_core.wire.bus.lingering import LingerRemover
+from atoll_core.wire.bus.outbox import Outbox
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.security.access_control import access_control
 from atoll_core.wire.security.role_bindings import RoleBindings
 from atoll_core.wire.topics import HELLO, ROOT
 
 _WAIT_FOR_PEER_US: Final = 1_000_000
+_GIVEN_UP: Final = 0.9
+_CLOSING_S: Final = 0.1
 _LEASE_MS: Final = 4_000
 _ATTEMPT_MS: Final = 3_000
 _PAUSE_S: Final = 0.2
@@ -53,10 +58,8 @@ _QUICK_S: Final = 0.1
 _SLOW_S: Final = 1.0
 _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
-_LARGE: Final = 256 * 1024
-"""An answer of so many bytes may not fit the queue of a slow line: it is sent by a thread of its own, for which the
-owner does not wait."""
-
+_RUNTIME: Final = "ZENOH_RUNTIME"
+_THREADS: Final = 8
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
 Settings = Mapping[str, object]
@@ -96,8 +99,12 @@ def open_router(
     for attempt in itertools.count(1):
         address = bindable(wanted.address)
         try:
-            session = zenoh.open(_config("router", [str(address)], [], further))
-            return ZenohBus(session, str(address), is_router=True)
+            with _more_threads():
+                session = zenoh.open(_config("router", [str(address)], [], further))
+            bus = ZenohBus(session, str(address), is_router=True)
+            if not address.is_socket:
+                bus._remove_lingering(address.port)
+            return bus
         except zenoh.ZError as error:  # between finding a free port and listening on it, somebody may have taken it
             if wanted.address.port or wanted.address.is_socket or attempt == _FREE_PORT_ATTEMPTS:
                 raise UsageError(f"cannot listen on {address}: {_reason(error)}") from error
@@ -160,7 +167,8 @@ class ZenohBus:
         self._timers = Timers()
         self._tokens = itertools.count(1)
         self._kept: list[object] = []  # liveliness tokens vanish with their Python objects
-        self._large = LargeAnswers()
+        self._outbox = Outbox()
+        self._lingering: LingerRemover | None = None
         if not is_router:
             session.info.declare_transport_events_listener(_directly(self._on_transport))
             if not session.info.routers_zid():  # lost between opening and listening
@@ -176,9 +184,15 @@ class ZenohBus:
 
     def close(self) -> None:
         """Send what is under way and leave the bus; gives up after some seconds rather than hang. Repeatable."""
-        closer = threading.Thread(target=self._session.close, name="closing the bus", daemon=True)
+        closer = threading.Thread(target=self._leave, name="closing the bus", daemon=True)
         closer.start()
         closer.join(_CLOSE_LIMIT_S)
+        if self._lingering is not None:
+            self._lingering.close()
+
+    def _leave(self) -> None:
+        self._outbox.close()
+        self._call(self._session.close)
 
     def put(self, key: str, payload: bytes) -> None:
         """See `Bus.put`."""
@@ -219,21 +233,29 @@ class ZenohBus:
 
     def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
         """See `Bus.reply`."""
-        handle = cast(zenoh.Query, query.handle)  # see `_on_query`
         if payload is not None:
             check_payload(query.key, payload)
-        if payload is None or len(payload) < _LARGE:
-            self._reply(handle, query.key, payload)
-            return
         party = party if party is not None else query.session
-        if not self._large.add(party, len(payload), lambda: self._reply(handle, query.key, payload)):
-            self._reply(handle, query.key, None)
+        if not self._add(query, payload, party) and not (payload and self._add(query, None, party)):
+            self._call(_handle(query).drop)  # far too much waits: this asker finds out by itself
 
-    def _reply(self, handle: zenoh.Query, key: str, payload: bytes | None) -> None:
+    def _add(self, query: Query, payload: bytes | None, party: str) -> bool:
+        return self._outbox.add(party, len(payload or b""), lambda: self._reply(query, payload))
+
+    def _reply(self, query: Query, payload: bytes | None) -> None:
+        """Send an answer and its end; by a thread of the outbox.
+
+        Zenoh gives up the link to an asker that takes nothing, and closes it in the background. Until then the end
+        would wait as long again, and threads of zenoh that serve all links would wait for it.
+        """
+        handle = _handle(query)
+        begin = time.monotonic()
         if payload is not None:
-            self._call(lambda: handle.reply(key, payload))
+            self._call(lambda: handle.reply(query.key, payload))
         else:
             self._call(lambda: handle.reply_err(b""))
+        if (time.monotonic() - begin) * 1e6 > _GIVEN_UP * _WAIT_FOR_PEER_US:
+            time.sleep(_CLOSING_S)
         self._call(handle.drop)
 
     def announce(self, key: str) -> None:
@@ -303,6 +325,12 @@ class ZenohBus:
     def _on_presence(self, sample: zenoh.Sample) -> None:
         self._inbox.add(Presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
+    def _remove_lingering(self, port: int) -> None:
+        """Have sockets of a router that listens on `port` closed without a wait, of present and of later links."""
+        remover = self._lingering = LingerRemover(port)
+        self._session.info.declare_link_events_listener(_directly(lambda _event: remover.link_is_up()))
+        remover.link_is_up()
+
     def _on_transport(self, event: zenoh.TransportEvent) -> None:
         self._inbox.add(Link(event.kind == zenoh.SampleKind.PUT))
 
@@ -313,8 +341,29 @@ _FIRMLY: Final[dict[str, Any]] = {  # keywords of several functions of zenoh, wh
 }
 
 
+def _handle(query: Query) -> zenoh.Query:
+    return cast(zenoh.Query, query.handle)  # see `_on_query`
+
+
 def _directly(callback: Callable[[Any], None]) -> Any:
     return Callback(callback, indirect=False)
+
+
+@contextlib.contextmanager
+def _more_threads() -> Iterator[None]:
+    """Have zenoh start more threads, where nobody has set how many; it reads the variable when it starts the first.
+
+    By itself it writes on all links by one thread and reads all by two, each of which waits while it closes the link of
+    a client that takes nothing.
+    """
+    if _RUNTIME in os.environ:
+        yield
+        return
+    os.environ[_RUNTIME] = f"(rx: (worker_threads: {_THREADS}), tx: (worker_threads: {_THREADS}))"
+    try:
+        yield
+    finally:
+        del os.environ[_RUNTIME]  # programs that are started from here have no router
 
 
 def _config(mode: str, listen: list[str], connect: list[str], settings: Settings) -> zenoh.Config:

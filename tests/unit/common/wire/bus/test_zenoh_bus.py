@@ -14,8 +14,9 @@ import pytest
 
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.wire.addresses import bindable, own_address, parse_address
-from atoll_core.wire.bus import large_answers, zenoh_bus
+from atoll_core.wire.bus import outbox, zenoh_bus
 from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Presence, Query, Reply
+from atoll_core.wire.bus.lingering import sockets_of
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 
 LIMIT_S = 30.0
@@ -273,48 +274,69 @@ def test_none_of_several_addresses_is_said_with_all_of_them() -> None:
         open_client("tcp/127.0.0.1:9,tcp/127.0.0.1:10")
 
 
-def test_the_owner_waits_for_nobody_who_takes_no_large_answer(
-    router: ZenohBus, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A client that was stopped keeps one thread; when it asks for too much it is told to ask again. Small answers go
-    out, and those of other clients."""
-    is_asked, is_taken, owner = threading.Event(), threading.Event(), threading.get_ident()
+def test_the_owner_sends_no_answer_itself(router: ZenohBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An answer that is not taken keeps a thread; when its party asks for too much it is told to ask again. Small
+    answers go out meanwhile, and those of other parties; those that wait go out in the end."""
+    is_sent, is_taken, owner = threading.Event(), threading.Event(), threading.get_ident()
     send = router._reply
 
-    def reply(handle: object, key: str, payload: bytes | None) -> None:
-        if payload is not None and len(payload) >= zenoh_bus._LARGE:
-            assert threading.get_ident() != owner
-            if key.startswith("asked/stopped"):
-                is_asked.set()
-                is_taken.wait(LIMIT_S)
-        send(handle, key, payload)  # type: ignore[arg-type]
+    def reply(query: Query, payload: bytes | None) -> None:
+        assert threading.get_ident() != owner
+        if payload is not None and len(payload) >= outbox.LARGE and query.key == "asked/stopped":
+            is_sent.set()
+            is_taken.wait(LIMIT_S)
+        send(query, payload)
 
     monkeypatch.setattr(router, "_reply", reply)
-    router.serve("asked/*/*")
-    most = large_answers.MAX_OF_PARTY + 1
+    router.serve("asked/*")
     with open_client(router.endpoint, wait_s=LIMIT_S) as stopped, open_client(router.endpoint, wait_s=LIMIT_S) as other:
+
+        def ask(client: ZenohBus, name: str, size: int) -> int:
+            token = client.get(f"asked/{name}", timeout_s=LIMIT_S)
+            router.reply(first(router, Query), bytes(size))  # type: ignore[arg-type]
+            return token
 
         def answers(client: ZenohBus, count: int) -> dict[int, int | None]:
             """Return the sizes of the next answers by their tokens."""
             replies = [first(client, Reply) for _ in range(count)]
-            return {
-                reply.token: None if reply.payload is None else len(reply.payload)
-                for reply in replies
-                if isinstance(reply, Reply)
-            }
+            return {reply.token: len(reply.payload) if reply.payload else None for reply in replies}  # type: ignore[attr-defined]
 
-        def ask(client: ZenohBus, name: str, size: int) -> int:
-            token = client.get(f"asked/{name}/0", timeout_s=LIMIT_S)
-            router.reply(first(router, Query), bytes(size))  # type: ignore[arg-type]
-            return token
-
-        first_one = ask(stopped, "stopped", zenoh_bus._LARGE)
-        assert is_asked.wait(LIMIT_S)
-        waiting = [ask(stopped, "stopped", zenoh_bus._LARGE) for _ in range(most)]
+        first_one = ask(stopped, "stopped", outbox.LARGE)
+        assert is_sent.wait(LIMIT_S)
+        waiting = [ask(stopped, "stopped", outbox.LARGE) for _ in range(outbox.MAX_LARGE_OF_PARTY + 1)]
         small = ask(stopped, "stopped", 5)
         assert answers(stopped, 2) == {waiting[-1]: None, small: 5}
-        for _ in range(2 * most):
-            token = ask(other, "other", zenoh_bus._LARGE)
-            assert answers(other, 1) == {token: zenoh_bus._LARGE}
+        for _ in range(2 * outbox.MAX_LARGE_OF_PARTY):
+            token = ask(other, "other", outbox.LARGE)
+            assert answers(other, 1) == {token: outbox.LARGE}
         is_taken.set()
-        assert answers(stopped, most) == dict.fromkeys([first_one, *waiting[:-1]], zenoh_bus._LARGE)
+        assert answers(stopped, len(waiting)) == dict.fromkeys([first_one, *waiting[:-1]], outbox.LARGE)
+
+
+def test_answers_that_wait_are_sent_before_a_bus_closes() -> None:
+    with open_router("tcp/127.0.0.1:0") as router:
+        router.serve("asked")
+        with open_client(router.endpoint, wait_s=LIMIT_S) as client:
+            tokens = {client.get("asked", timeout_s=LIMIT_S) for _ in range(outbox.MAX_LARGE_OF_PARTY)}
+            for _ in tokens:
+                router.reply(first(router, Query), bytes(outbox.LARGE))  # type: ignore[arg-type]
+            router.close()
+            replies = [first(client, Reply) for _ in tokens]
+    assert {(reply.token, len(reply.payload)) for reply in replies} == {(token, outbox.LARGE) for token in tokens}  # type: ignore[attr-defined]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there no socket is found by its descriptor")
+def test_no_socket_of_a_router_waits_in_close(router: ZenohBus) -> None:
+    """Zenoh has each wait 10 s for an other side that takes nothing, in a thread that reads what everybody sends."""
+    port = parse_address(router.endpoint).port
+    with open_client(router.endpoint, wait_s=LIMIT_S), open_client(router.endpoint, wait_s=LIMIT_S):
+        end = router.now() + LIMIT_S
+        while (waiting := lingering_of(port)) != [0] * 3:
+            assert router.now() < end, waiting
+            router.receive(0.02)
+
+
+def lingering_of(port: int) -> list[int]:
+    """Return whether each socket of a router in this process waits: the one that listens, and those of its links."""
+    read = socket.SOL_SOCKET, socket.SO_LINGER
+    return [each.getsockopt(*read) for each in sockets_of(port)]
