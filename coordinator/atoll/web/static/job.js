@@ -109,7 +109,7 @@ class JobPage {
     const isGoing = !ENDED.includes(job.state);
     const notes = [
       ...(job.stalls ?? []).map((text) => ["bad", "Stands still", text]),
-      ...(isGoing ? job.warnings ?? [] : []).map((text) => ["doubtful", "Note", text]), // of a result they stand below
+      ...(isGoing ? job.warnings ?? [] : []).map((text) => ((job.notes ?? []).includes(text) ? ["", "Note", text] : ["doubtful", "Warning", text])), // of a result they stand below
       ...(isGoing && job.ahead ? [["", "Waits", `${plural(job.ahead, "job")} before it in the line.`]] : []),
       ...(isGoing && job.held && !job.paused ? [["", "Waits", "It has begun and waits for a place."]] : []),
       ...(job.state === "running" && job.workers === 0 && !job.reason ? [["doubtful", "Waits", "No worker computes for it now."]] : []),

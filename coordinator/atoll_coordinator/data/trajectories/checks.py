@@ -62,6 +62,20 @@ def check_size(name: str, size: float) -> None:
         raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
 
 
+def check_rates(time: str, times: Sequence[FloatArray], states: Mapping[str, Sequence[FloatArray]], order: int) -> None:
+    """Raise DataError when steps of the time, or rates of a state over them, have no squares.
+
+    `times` ascend strictly; `states` has values by name along the same trajectories; `order` is the derivatives'.
+    """
+    step = min((float(np.diff(part).min()) for part in times if len(part) > 1), default=1.0)
+    step *= step if order == 2 else 1.0
+    check_size(time, step)
+    for name, parts in states.items():
+        size = max((float(np.nanmax(np.abs(part))) for part in parts if np.isfinite(part).any()), default=0.0)
+        if size:
+            check_size(f"derivative of {name}", size / step)
+
+
 def check_varies(table: Table, name: str, values: FloatArray, role: str, *, is_only: bool = False) -> None:
     """Raise DataError when a column that is a state, a derivative or the target has too few values, or one only.
 

@@ -11,7 +11,12 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.trajectories.checks import check_searched_rows, check_sizes, select_usable_rows
+from atoll_coordinator.data.trajectories.checks import (
+    check_rates,
+    check_searched_rows,
+    check_sizes,
+    select_usable_rows,
+)
 from atoll_coordinator.data.trajectories.trajectories import (
     Range,
     Trajectories,
@@ -119,5 +124,7 @@ def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measure
         columns[name] = columns[name] * RADIANS_PER_DEGREE
     is_given = roles.target is not None or roles.derivatives
     trajectories = None if is_given else split_trajectories(table, roles, rows, ranges, columns)
+    if trajectories is not None and roles.time is not None:
+        check_rates(roles.time, trajectories.times, trajectories.states, config.order)
     groups = () if trajectories is None else name_groups(table, roles, trajectories.names, first_rows, held_out)
     return Measurements(roles, columns, ranges, held_out, trajectories, tuple(warnings), groups)

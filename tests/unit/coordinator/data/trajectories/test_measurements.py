@@ -213,6 +213,17 @@ def test_a_column_without_squares_is_refused_in_every_role(size, roles):
     assert message == "the values of 'y' are too large or too small to compute with; choose another unit"
 
 
+@pytest.mark.parametrize(("size", "values", "order", "found"), [
+    (1e-301, 1.0, 1, "t"), (1e-160, 1.0, 1, "t"), (1e-80, 1.0, 2, "t"), (1e-100, 1e60, 1, "derivative of x"),
+    (1e300, 1.0, 1, "t"), (1e-60, 1e50, 2, "derivative of x"),
+])  # fmt: skip
+def test_steps_and_rates_without_squares_are_refused(size, values, order, found):
+    columns = oscillator()
+    scaled = {"t": size * columns["t"], "x": values * columns["x"], "y": columns["y"]}
+    message = refusal(scaled, order=order, states=("x", "y"))
+    assert message == f"the values of '{found}' are too large or too small to compute with; choose another unit"
+
+
 def test_an_input_may_be_nothing_but_zeros():
     columns = oscillator()
     measurements = measurements_of(table_of(columns | {"y": 0.0 * columns["y"]}), DataConfig(inputs=("y",)))
