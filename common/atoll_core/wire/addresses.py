@@ -231,7 +231,7 @@ def check_certificates(address: Address, credentials: Credentials | None, listen
         if credentials is not None:
             return check_welcome(address.host, address.port, credentials, listen_s)
         if speaks_tls(address.host, address.port):
-            raise RefusedError(f"it asks for TLS; write {_encrypted(address)}, and give {', '.join(TLS_OPTIONS)}")
+            raise RefusedError(f"it asks for TLS; write {_encrypted(address)} and give {', '.join(TLS_OPTIONS)}")
     except RefusedError as error:
         raise RefusedError(f"no connection to the coordinator at {address}: {error}") from error
     return None
