@@ -45,9 +45,11 @@ def started(place: Path, program: str, *arguments: str, keeps_log: bool = True) 
 
 
 @contextlib.contextmanager
-def serving(place: Path, state: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+def serving(
+    place: Path, state: str, listen: str = "tcp/127.0.0.1:0", *options: str
+) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Serve on a free port; yield the address that workers connect to."""
-    with started(place, "coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", state) as process:
+    with started(place, "coordinator", "serve", "--listen", listen, "--state", state, *options) as process:
         assert process.stdout is not None
         for line in process.stdout:
             if "island-worker --connect" in line:
