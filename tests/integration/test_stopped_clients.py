@@ -21,10 +21,10 @@ from tests.programs import environment, serving, until
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc tells who has stopped and which links are up")
 
 ESTABLISHED = "01"
-STOPPED = 6
+STOPPED = 8
 """Clients that stop: more than the threads of zenoh that read, by itself."""
-ASKED = 20
-AFTERWARDS = 20
+ASKED = 60
+AFTERWARDS = 500
 TABLE = b"t,x\n" + b"1.5,2.5\n" * (5 * CHUNK_SIZE // 16)
 
 
