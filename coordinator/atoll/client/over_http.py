@@ -28,7 +28,8 @@ from atoll_core.wire.security.credentials import credentials_of
 TOKEN: Final = "ATOLL_WEB_TOKEN"
 """The variable that gives the token. An address with ``?token=`` does as well, but others can read command lines."""
 
-_TOKEN_FORM: Final = re.compile(r"[A-Za-z0-9._~-]+")
+_TOKEN_FORM: Final = re.compile(r"[A-Za-z0-9._~+/-]+=*")
+"""Of tokens in headers, by RFC 6750, section 2.1: base64 in both alphabets is among them."""
 
 MESSAGE: Final = "application/vnd.atoll.message"
 
@@ -77,11 +78,11 @@ def coordinator_at(text: str, files: Mapping[str, object], environment: Mapping[
 
 
 def check_token(token: str) -> None:
-    """Raise UsageError for a token that stands in an address in another way: programs would cut it off there."""
+    """Raise UsageError for a token with characters that no header takes."""
     if not _TOKEN_FORM.fullmatch(token):
         raise UsageError(
-            f"the token of the page has other characters than letters, digits and - . _ ~, which an address holds as "
-            f"they are; set {TOKEN} to another one, such as the output of: openssl rand -hex 24"
+            f"the token of the page has other characters than letters, digits, - . _ ~ + / and = at its end; set "
+            f"{TOKEN} to another one, such as the output of: openssl rand -hex 24"
         )
 
 

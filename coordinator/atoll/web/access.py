@@ -96,7 +96,7 @@ def digest_of(token: str) -> str:
 def token_of(environment: Mapping[str, str] = os.environ) -> str:
     """Return the token that the environment gives, or one that is made up.
 
-    Raises UsageError for one that is short, or not the same in an address.
+    Raises UsageError for one that is short, or has characters that no header takes.
     """
     token = environment.get(TOKEN)
     if token is None:
