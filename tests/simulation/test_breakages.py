@@ -14,6 +14,7 @@ import pytest
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
+from atoll_coordinator.service.monitoring.drafts import Draft
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
 from atoll_coordinator.service.requests.authorization import Authorization
@@ -50,6 +51,8 @@ HANDLERS: list[tuple[type, str]] = [
     (JobController, "_change"),
     (JobController, "start_search"),
     (JobController, "finish_job"),
+    (JobController, "finish_composing"),
+    (Draft, "compose"),
     (JobController, "add_states"),
     (JobController, "commit_checkpoint"),
     (JobController, "_start"),

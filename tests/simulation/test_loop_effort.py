@@ -1,9 +1,8 @@
 """No event costs the service's loop more for a large table, or for many stored jobs: bytes and queries are counted.
 
 Bytes are those that an event has hashed, and the most that it has allocated at a time: what is read from the store,
-joined, copied or decoded is allocated. Queries are statements of SQL. What the background thread does is not counted.
-
-Not covered: the equations of a job that ends without being refined (cancelled, or failed) are judged on all rows.
+joined, copied or decoded is allocated. Queries are statements of SQL. Rows are those on which equations are evaluated
+for their errors, in parts. What the background thread does is not counted.
 """
 
 import contextlib
@@ -12,19 +11,23 @@ import tracemalloc
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.model.regression import errors
 from atoll_coordinator.service.monitoring.views import ended_view
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.service.tasks.outcomes import PreparationFailed
+from atoll_coordinator.tasks.refining import Refiner
 from atoll_core.config import JobConfig
-from atoll_core.data.dataset import Dataset, Target
+from atoll_core.data.dataset import Dataset, FloatArray, Target
+from atoll_core.expression.program import Program
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Event, Message, Posted, Query
 from atoll_core.wire.codec import decode
@@ -41,9 +44,14 @@ FEW, MANY = MAX_PAGE_JOBS + 1, 8 * MAX_PAGE_JOBS
 
 
 def prepare_in_proportion(table: bytes, config: JobConfig) -> Preparation:
-    """Return a dataset of x with as many bytes as the table, in round numbers."""
-    values = np.linspace(0.0, 1.0, len(table) // 16)
-    return Preparation(Dataset(("x",), values[None, :], (Target("x", "dx/dt", values, 0.0, 0.3),), {"x": "x"}))
+    """Return a dataset of x with as many bytes as the table, in round numbers; a quarter of its rows are held out."""
+    rows = len(table) // 64
+    return Preparation(dataset_of(3 * rows), held_out=dataset_of(rows))
+
+
+def dataset_of(rows: int) -> Dataset:
+    values = np.linspace(0.0, 1.0, rows)
+    return Dataset(("x",), values[None, :], (Target("x", "dx/dt", values, 0.0, 0.3),), {"x": "x"})
 
 
 @dataclass
@@ -53,21 +61,23 @@ class Effort:
     hashed: Counter[str] = field(default_factory=Counter)
     allocated: Counter[str] = field(default_factory=Counter)
     queries: Counter[str] = field(default_factory=Counter)
+    rows: Counter[str] = field(default_factory=Counter)
 
-    def note(self, kind: str, hashed: int, allocated: int, queries: int) -> None:
-        for most, count in ((self.hashed, hashed), (self.allocated, allocated), (self.queries, queries)):
+    def note(self, kind: str, **counts: int) -> None:
+        for name, count in counts.items():
+            most = getattr(self, name)
             most[kind] = max(most[kind], count)
 
 
 class CountedWorld(World):
     """A world whose coordinator's events are counted; what it does in the background happens between events."""
 
-    def __init__(self, jobs: int) -> None:
+    def __init__(self, jobs: int, refiner: Refiner) -> None:
         self.effort = Effort()
-        self.hashed = self.queried = 0
+        self.hashed = self.queried = self.evaluated = 0
         self.kind = ""
         self.jobs = jobs
-        super().__init__(workers=1, prepare=prepare_in_proportion, refiner=lambda *_: Refinement())
+        super().__init__(workers=1, slowness=10.0, prepare=prepare_in_proportion, refiner=refiner)
 
     def start_service(self) -> Service:
         for number in range(self.jobs):
@@ -90,12 +100,15 @@ class CountedWorld(World):
         return service
 
     def step_service(self, bus: Any, event: Event, service: Service, store: Any) -> None:
-        self.hashed, self.queried, self.kind = 0, 0, kind_of(event)
+        self.hashed = self.queried = self.evaluated = 0
+        self.kind = kind_of(event)
         tracemalloc.reset_peak()
         before, _ = tracemalloc.get_traced_memory()
         service.step(event)
         _, peak = tracemalloc.get_traced_memory()
-        self.effort.note(self.kind, self.hashed, peak - before, self.queried)
+        self.effort.note(
+            self.kind, hashed=self.hashed, allocated=peak - before, queries=self.queried, rows=self.evaluated
+        )
 
 
 def kind_of(event: Event) -> str:
@@ -112,8 +125,12 @@ def kind_of(event: Event) -> str:
 
 
 @contextlib.contextmanager
-def hashes_counted(world: CountedWorld, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    sha256 = hashlib.sha256
+def hashes_and_rows_counted(world: CountedWorld, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    sha256, values_of = hashlib.sha256, errors.values_of
+
+    def evaluated(program: Program, inputs: FloatArray) -> FloatArray:
+        world.evaluated += inputs.shape[1]
+        return values_of(program, inputs)
 
     def counted(data: bytes = b"", **named: Any) -> Any:
         world.hashed += len(data)
@@ -121,23 +138,39 @@ def hashes_counted(world: CountedWorld, monkeypatch: pytest.MonkeyPatch) -> Iter
 
     with monkeypatch.context() as patch:
         patch.setattr(hashlib, "sha256", counted)
+        patch.setattr(errors, "values_of", evaluated)
         yield
 
 
-def effort(monkeypatch: pytest.MonkeyPatch, chunks: int, jobs: int) -> Effort:
-    """Return what events cost while a job goes from its upload to its deletion."""
+End = Literal["refined", "cancelled", "out of time", "refining breaks", "failed"]
+
+
+def broken(*_: object) -> Refinement:
+    raise ZeroDivisionError("planted")
+
+
+def effort(monkeypatch: pytest.MonkeyPatch, chunks: int, jobs: int, end: End = "refined") -> Effort:
+    """Return what events cost while a job goes from its upload to its deletion, and ends in some way in between."""
     tracemalloc.start()
     try:
-        world = CountedWorld(jobs)
-        with contextlib.closing(world), hashes_counted(world, monkeypatch):
+        world = CountedWorld(jobs, broken if end == "refining breaks" else lambda *_: Refinement())
+        with contextlib.closing(world), hashes_and_rows_counted(world, monkeypatch):
             table = np.random.default_rng(1).bytes(chunks * CHUNK_SIZE)
             digest = world.client.upload(table)
-            world.client.submit("job", "a job", short_job(1, islands=2, max_epochs=3), digest)
-            while world.client.status("job").state != "running":
+            lasts = end in ("cancelled", "failed")
+            limits = {"max_epochs": 10**6 if lasts else 8, "max_time": 20.0 if end == "out of time" else None}
+            world.client.submit("job", "a job", short_job(1, islands=2, stagnation=10**6, **limits), digest)
+            while not any(each.expression for each in world.client.status("job").variables):
                 world.client.pause(0.05)
+            if end == "out of time":
+                world.background_s = 1e6
             world.result()
-            assert world.finish().state == "done"
-            world.result()
+            if end == "cancelled":
+                world.client.cancel("job")
+            elif end == "failed":
+                world.service._bus.post(PreparationFailed("job", "internal", "planted"))
+            assert world.finish().state == {"cancelled": "cancelled", "failed": "failed"}.get(end, "done")
+            assert (world.result()["refining"] == "finished") == (end == "refined")
             world.client.jobs()
             world.client.table("job")
             world.client.delete("job")
@@ -147,11 +180,20 @@ def effort(monkeypatch: pytest.MonkeyPatch, chunks: int, jobs: int) -> Effort:
         tracemalloc.stop()
 
 
+def compare(small: Effort, more: Effort) -> None:
+    for name, margin in (("hashed", 10_000), ("allocated", CHUNK_SIZE), ("queries", 10), ("rows", 1000)):
+        usual, most = getattr(small, name), getattr(more, name)
+        assert usual.keys() == most.keys()
+        over = {kind: (usual[kind], count) for kind, count in most.items() if count > usual[kind] + margin}
+        assert not over, f"{name}: of these events, with little and with much: {over}"
+
+
 def test_no_event_costs_more_for_a_large_table_or_for_many_stored_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
     small = effort(monkeypatch, SMALL, FEW)
-    for more in (effort(monkeypatch, LARGE, FEW), effort(monkeypatch, SMALL, MANY)):
-        for name, margin in (("hashed", 10_000), ("allocated", CHUNK_SIZE), ("queries", 10)):
-            usual, most = getattr(small, name), getattr(more, name)
-            assert usual.keys() == most.keys()
-            over = {kind: (usual[kind], count) for kind, count in most.items() if count > usual[kind] + margin}
-            assert not over, f"{name}: of these events, with little and with much: {over}"
+    compare(small, effort(monkeypatch, LARGE, FEW))
+    compare(small, effort(monkeypatch, SMALL, MANY))
+
+
+@pytest.mark.parametrize("end", [end for end in get_args(End) if end != "refined"])
+def test_nor_does_one_where_a_job_ends_without_being_refined(end: End, monkeypatch: pytest.MonkeyPatch) -> None:
+    compare(effort(monkeypatch, SMALL, 0, end), effort(monkeypatch, LARGE, 0, end))

@@ -51,8 +51,8 @@ ANSWER_LIMIT_S: Final = 10.0
 IDLE_LIMIT_S: Final = 3600.0
 """How long an answer is waited for that no worker makes: a task that was leased before it has ended by then."""
 
-CANCEL_LIMIT_S: Final = 10.0
-"""How long a job that was cancelled is waited for."""
+CANCEL_LIMIT_S: Final = 60.0
+"""How long a job that was cancelled is waited for: of a million rows its result is composed in seconds."""
 
 MAX_CHANGES: Final = 256
 """Changes that are kept until somebody takes them; who takes none for long misses some, and asks anew."""
@@ -340,7 +340,7 @@ class Client:
         return self._ask(messages.GetIslands(job=job), messages.IslandList, f"the islands of job {job}").islands
 
     def cancel(self, job: str) -> JobView:
-        """End `job`, keeping its best equations."""
+        """End `job`, keeping its best equations; where its result takes long, it is shown as it was, and ends then."""
         return self._ask(messages.Cancel(job=job), messages.JobStatus, f"the end of job {job}").job
 
     def cancel_and_wait(self, job: str) -> JobView:
@@ -348,7 +348,7 @@ class Client:
         view, end = self.cancel(job), self.now() + CANCEL_LIMIT_S
         while view.state not in FINAL_STATES and self.now() < end:
             self.pause(_PAUSE_S)
-            view = self.status(job)
+            view = self.cancel(job)  # a coordinator that was killed meanwhile has forgotten the first one
         return view
 
     def pause_job(self, job: str, *, paused: bool = True) -> JobView:

@@ -16,6 +16,7 @@ from typing import Final
 from pydantic import ValidationError
 
 from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.result.result import timed
 from atoll_coordinator.service.jobs import checks
 from atoll_coordinator.service.jobs.job import (
     CommitCuts,
@@ -27,10 +28,11 @@ from atoll_coordinator.service.jobs.job import (
     Refine,
 )
 from atoll_coordinator.service.monitoring.breakages import Breakages
+from atoll_coordinator.service.monitoring.drafts import Draft, Ending, draft_of
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
 from atoll_coordinator.service.monitoring.queue_depth import queue_depth
-from atoll_coordinator.service.monitoring.views import job_result, outcomes_of, result_text
+from atoll_coordinator.service.monitoring.views import outcomes_of
 from atoll_coordinator.service.scheduling.job_queue import NO_TIME, JobQueue, pause_reason
 from atoll_coordinator.service.scheduling.limits import DAY_S, Limits
 from atoll_coordinator.service.scheduling.task_time import TaskTime
@@ -43,7 +45,7 @@ from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.analyses import Analysis
 from atoll_coordinator.service.tasks.background import Background
-from atoll_coordinator.service.tasks.outcomes import JobPrepared
+from atoll_coordinator.service.tasks.outcomes import JobPrepared, ResultComposed
 from atoll_coordinator.service.tasks.results import ResultRead
 from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_coordinator.service.workers.channel import WorkerChannel
@@ -81,6 +83,9 @@ class JobController:
         self.jobs: dict[str, Job] = {}
         self.begun: Final[dict[str, Job]] = {}
         """Those that do not wait to be prepared: what is done for all jobs again and again is done for these alone."""
+        self.ending: Final[dict[str, Ending]] = {}
+        """Those that are live no more and whose ends take effect when their results are composed: until then the store
+        has them as they were, and a coordinator that starts again goes on with them."""
         self.queue: Final = JobQueue()
         self.live_of: Final[Counter[str | None]] = Counter()
         """How many jobs of each user have not ended."""
@@ -91,12 +96,13 @@ class JobController:
         self.breakages: Final = Breakages(lambda sentence: self.events.record("broken", sentence))
         self.workers: Final = WorkerController(self, store, channel, self.events, expected_workers)
         self.counters: Final = self.workers.counters
-        self.shown: Final = JobViews(self.jobs, self.queue, self, store, self.breakages)
+        self.shown: Final = JobViews(self.jobs, self.ending, self.queue, self, store, self.breakages)
         self.checkpoints: Final = PullBudget()
         self.changed: Callable[[str], object] = lambda job: None
         """Called with the id of a job to which something has happened."""
         self._store = store
         self._turns: Final = TaskTurns()
+        self._composing: Final[set[str]] = set()
         self.tasks: Final = TaskController(
             channel,
             self.workers.membership,
@@ -245,8 +251,10 @@ class JobController:
         """Let everybody see a job, or its submitter and admins only."""
         self._store.share_job(job_id, is_shared)
         self.events.record("changed", "everybody may see it" if is_shared else "it is private", job_id)
-        if job_id in self.jobs:
-            self.jobs[job_id].is_shared = is_shared
+        ending = self.ending.get(job_id)
+        job = ending.job if ending is not None else self.jobs.get(job_id)
+        if job is not None:
+            job.is_shared = is_shared
 
     def again(self, job_id: str, again: str) -> Submit:
         """Return the submission of what a job was submitted with, under another id.
@@ -299,7 +307,7 @@ class JobController:
         known = self.tasks.analyses.ask(asked, now)
         if known is not None:
             return known
-        if asked.job in self.jobs:
+        if self.shown.is_open(asked.job):
             raise RefusedError(f"job {asked.job} has not ended; ask about its result when it has")
         if self.queue.has_no_time(user):
             raise RefusedError(f"the question {NO_TIME}; ask tomorrow, or analyse the saved result yourself")
@@ -319,7 +327,7 @@ class JobController:
         )
 
     def cancel(self, job_id: str, now: float) -> None:
-        """End a job and keep what it has found; without effect when it has ended.
+        """End a job and keep what it has found; without effect when it has ended or is `ending`.
 
         Raises:
             RefusedError: What the store has of its search cannot be kept before its data are prepared again.
@@ -671,21 +679,28 @@ class JobController:
         except Exception as error:
             if by_peer and isinstance(error, RemoteProtocolError):
                 raise
-            job = self.jobs.get(job_id)
+            job, ending = self.jobs.get(job_id), self.ending.get(job_id)
+            job = ending.job if ending is not None else job
             self._end_broken(job_id, self.breakages.add(task, error, job.config if job is not None else None), now)
 
     def _end_broken(self, job_id: str, sentence: str, now: float) -> None:
         """End a job whose state may be half changed: all that ends it is done as far as it can be."""
-        job = self.jobs.get(job_id)
+        job, ending = self.jobs.get(job_id), self.ending.get(job_id)
+        if ending is not None and ending.sentence is not None:  # it ends so already
+            return
+        self.ending.pop(job_id, None)
         self._remove(job_id)
         if self._store.job(job_id) is None:
             return
-        text = None
-        with contextlib.suppress(Exception):
-            if job is not None and job.prepared is not None:
-                job.state, job.fault, job.reason = "failed", "internal", sentence
-                text = job_result(job, now).to_json()
-        self._end_without_job(job_id, sentence, text)
+        broken = _broken(ending.job if ending is not None else job, sentence)
+        if broken is None:
+            self._end_without_job(job_id, sentence)
+            self._close(job_id)
+        else:
+            self._compose(broken)
+
+    def _close(self, job_id: str) -> None:
+        """Have nobody compute for a job that has ended since something broke, and forget it."""
         with self.breakages.tolerated("closing a job"):
             self._channel.publish(CloseJob(job=job_id))
         with self.breakages.tolerated("ending the tasks of a job"):
@@ -694,6 +709,49 @@ class JobController:
             self.counters.forget(job_id)
         with self.breakages.tolerated("forgetting a job"):
             self.workers.forget(job_id)
+
+    def _compose(self, ending: Ending) -> None:
+        """Have the end of a job take effect when its result is composed."""
+        self.ending[ending.job.id] = ending
+        self._background.compose_result(ending.draft)
+
+    def compose(self, draft: Draft) -> None:
+        """Have the result of a live job composed as it stands, unless that is under way."""
+        if draft.job not in self._composing:
+            self._composing.add(draft.job)
+            self._background.compose_result(draft)
+
+    def finish_composing(self, composed: ResultComposed, now: float) -> str:
+        """Return the result of a job that was live when it was asked for; raises what composing it raised."""
+        self._composing.discard(composed.draft.job)
+        if composed.error is not None:
+            raise composed.error
+        return timed(composed.text, now - composed.draft.submitted_at)
+
+    def finish_ending(self, composed: ResultComposed, now: float) -> None:
+        """Let the end of a job take effect whose result is composed; without effect where another end came first."""
+        job_id = composed.draft.job
+        ending = self.ending.get(job_id)
+        if ending is None or ending.draft is not composed.draft:
+            return
+        with self.guarded(job_id, "ending", now):
+            if ending.sentence is not None:
+                self._finish_broken(ending, composed, now)
+            elif composed.error is not None:
+                raise composed.error
+            else:
+                ending.job.result_text = composed.text
+                self._commit_result(ending.job, now)
+                del self.ending[job_id]
+        self.changed(job_id)
+
+    def _finish_broken(self, ending: Ending, composed: ResultComposed, now: float) -> None:
+        """Let a job end over which something broke, without a result where that cannot be composed."""
+        job_id = ending.job.id
+        del self.ending[job_id]
+        text = timed(composed.text, now - ending.job.submitted_at) if composed.error is None else None
+        self._end_without_job(job_id, ending.sentence or "", text)
+        self._close(job_id)
 
     def _end_without_job(self, job_id: str, reason: str, text: str | None = None) -> None:
         """Let a job of the store fail that is not live, unless it has ended there."""
@@ -718,7 +776,7 @@ class JobController:
                         searched = Searched(job.id, tuple(outcomes_of(job)))
                         self.tasks.refine(searched, job.prepared.config, action.seconds, now)
                 case CommitResult():
-                    self._commit_result(job, now)
+                    self._end(job, now)
 
     def _commit_cuts(self, job: Job, cuts: Sequence[Cut]) -> None:
         self._store.commit_cuts(job.id, {cut.variable: encode(cut) for cut in cuts})
@@ -728,8 +786,23 @@ class JobController:
                 self._channel.publish(Close(job=job.id, variable=cut.variable, term=placement.term))
             self.events.record_cut(job.id, cut)
 
+    def _end(self, job: Job, now: float) -> None:
+        """End a job: at once where its result is there or it has none, or else when its result is composed.
+
+        Nothing of its end is in the store, and nobody is told, before its result is there: whatever kills us in
+        between, it goes on. So workers compute for it until then.
+        """
+        draft = draft_of(job) if job.result_text is None else None
+        if draft is None:
+            self._commit_result(job, now)
+            return
+        self._remove(job.id)
+        self._compose(Ending(job, job.former_state, draft))
+        self._take_turns(now)
+
     def _commit_result(self, job: Job, now: float) -> None:
-        text = self._fitting(job, result_text(job, now))
+        made = timed(job.result_text, now - job.submitted_at) if job.result_text is not None else None
+        text = self._fitting(job, made)
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         is_crash_loop, finished = job.fault == "poison", self._clock()
         view = self.shown.last_view(job, now).model_dump_json()
@@ -822,6 +895,17 @@ class JobController:
 
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self.begun.values() for archipelago in job.open_archipelagos]
+
+
+def _broken(job: Job | None, sentence: str) -> Ending | None:
+    """Return the end of a job over which something broke, with what it has found; None where that cannot be had."""
+    with contextlib.suppress(Exception):
+        if job is not None and job.prepared is not None:
+            was = job.former_state if job.has_ended else job.state
+            job.state, job.fault, job.reason = "failed", "internal", sentence
+            draft = draft_of(job)
+            return Ending(job, was, draft, sentence) if draft is not None else None
+    return None
 
 
 def _day_of(store: Store) -> int:

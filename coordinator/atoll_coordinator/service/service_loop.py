@@ -18,6 +18,7 @@ from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.monitoring.metrics import LAG_S, MAX_USERS, UPDATE_S, Metrics
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
+from atoll_coordinator.service.requests.deferred import DeferredQuestions, NotYetError
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
 from atoll_coordinator.service.requests.handshake import Handshake
@@ -33,6 +34,7 @@ from atoll_coordinator.service.tasks.outcomes import (
     PreparationBegun,
     PreparationFailed,
     RefiningFailed,
+    ResultComposed,
     TableChecked,
 )
 from atoll_coordinator.service.tasks.results import ResultRead
@@ -40,13 +42,14 @@ from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
 from atoll_coordinator.service.workers.worker_logs import WorkerLogs
 from atoll_core import VERSION
-from atoll_core.errors import RemoteProtocolError
+from atoll_core.errors import RemoteProtocolError, StoreError
 from atoll_core.logs import fields
 from atoll_core.machine.usage import memory_bytes
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
-from atoll_core.wire.codec import decode
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import Answer, Failure, Result
 from atoll_core.wire.messages.epochs import (
     EpochReport,
     PullAnswer,
@@ -123,6 +126,7 @@ class Service:
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
         self._questions: QuestionQueue[tuple[Query, str]] = QuestionQueue()
+        self._deferred: DeferredQuestions[tuple[Query, str]] = DeferredQuestions()
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
         background = Background(dependencies.background, store, self._bus.post)
@@ -133,7 +137,7 @@ class Service:
         self._worker_logs = WorkerLogs(self.controller.events)
         self._deletion = JobDeletion(self.controller, store, dependencies.retention)
         self._followers = Followers(
-            store.incarnation, self.controller.jobs, self.controller.shown, self.controller.events, self._workforce,
+            store.incarnation, self.controller.shown, self.controller.events, self._workforce,
             lambda client, payload: self._bus.put(topics.changes(store.cluster, client), payload),
         )  # fmt: skip
         self.controller.changed, self.controller.events.told = self._note_change, self._note_event
@@ -352,9 +356,46 @@ class Service:
             case RefiningFailed():
                 with self.controller.guarded(item.job, "ending", now):
                     self.controller.finish_unrefined(item.job, item.refinement, now)
+            case ResultComposed() if item.draft.is_final:
+                self._finish_ending(item, now)
+            case ResultComposed():
+                self._tell_result(item, now)
             case CheckpointWritten():
                 with self.controller.guarded(item.checkpoint.job, "committing a checkpoint", now):
                     self.controller.commit_checkpoint(item.checkpoint, now, item.error)
+
+    def _finish_ending(self, item: ResultComposed, now: float) -> None:
+        """Let the end of a job take effect, and answer who has asked for that."""
+        job = item.draft.job
+        try:
+            self.controller.finish_ending(item, now)
+        except StoreError as error:
+            self._reply_deferred(job, Failure(failure="internal", sentence=str(error)[:4000]), is_final=True)
+            raise
+        if job not in self.controller.ending:
+            for question, party in self._deferred.take(job, is_final=True):
+                self._answer(question, party)
+
+    def _tell_result(self, item: ResultComposed, now: float) -> None:
+        """Answer who has asked for the result of a job that is live, or was then."""
+        body: Result | Failure
+        try:
+            body = Result(json_text=self.controller.finish_composing(item, now))
+        except Exception as error:
+            sentence = self.controller.breakages.add("composing a result", error)
+            body = Failure(failure="internal", sentence=sentence)
+        self._reply_deferred(item.draft.job, body, is_final=False)
+
+    def _reply_deferred(self, job: str, body: Result | Failure, *, is_final: bool) -> None:
+        answer = encode(Answer(body=body))
+        for question, party in self._deferred.take(job, is_final=is_final):
+            self._bus.reply(question, answer, party)
+
+    def _answer_overdue(self, now: float) -> None:
+        """Tell who does not want to wait how it stands."""
+        for one in self._deferred.take_overdue(now):
+            body = one.meanwhile() if one.meanwhile is not None else None
+            self._bus.reply(one.question[0], encode(Answer(body=body)) if body is not None else None, one.question[1])
 
     def _take_result(self, item: ResultRead, now: float) -> None:
         try:
@@ -376,6 +417,8 @@ class Service:
             self._followers.look(now)
         with self.controller.breakages.tolerated("setting metrics"):
             self._update_metrics(now)
+        with self.controller.breakages.tolerated("answering who waits for results"):
+            self._answer_overdue(now)
         with self.controller.breakages.tolerated("deleting uploads that were given up"):
             self._uploads.expire()
         with self.controller.breakages.tolerated("deleting what is not kept"):
@@ -492,6 +535,10 @@ class Service:
         except RemoteProtocolError:
             self._bus.reply(event, None)
             raise
+        except NotYetError as reason:
+            if not self._deferred.add((event, party), reason, self._bus.now()):
+                self._bus.reply(event, None, party)
+            return
         self._bus.reply(event, answer, party)
         if self._requests.store_error is not None:  # the client has its answer; the coordinator ends
             raise self._requests.store_error

@@ -1,6 +1,7 @@
 """The shortest writing of a program: a search among sums that equal its function, and a check over a box of data."""
 
 import heapq
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from typing import Final
@@ -141,8 +142,13 @@ def best_of(terms: Sum, depth: int) -> Sum:
 
 def shortest_over(program: Program, inputs: FloatArray) -> Program:
     """Return the shortest writing of `program`, or itself where the values differ over the box of `inputs` (V, R)."""
+    return shortest_at(program, lambda: points_of(inputs))
+
+
+def shortest_at(program: Program, points: Callable[[], FloatArray]) -> Program:
+    """Return what `shortest_over` does, where `points` gives those of a box (`points_of`) if they are needed."""
     short = shortest(program)
-    return short if short == program or agree(program, short, points_of(inputs)) else program
+    return short if short == program or agree(program, short, points()) else program
 
 
 def agree(before: Program, after: Program, points: FloatArray) -> bool:

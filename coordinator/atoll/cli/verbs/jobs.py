@@ -66,11 +66,13 @@ def cancel(options: argparse.Namespace) -> int:
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         job = _chosen_job(client, options.job)
         had_ended = client.status(job).state in FINAL_STATES
-        view = client.cancel(job)
+        view = client.cancel_and_wait(job)
     if options.json:
         say(_json(view))
     elif had_ended:
         say(f"job {job} had ended already: {view.state}")
+    elif view.state not in FINAL_STATES:
+        say(f"job {job} is being cancelled; its result is still composed: coordinator status {job}")
     else:
         say(f"job {job} is cancelled{end_of_cancelled(view, f'; its best equations: coordinator result {job}')}")
     return DONE

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Final, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -37,12 +38,12 @@ from atoll_coordinator.result import findings
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig, Loss
-from atoll_core.data.dataset import Dataset, Problem, Target
+from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
 from atoll_core.expression.operators import CONSTANT
 from atoll_core.expression.program import Program, structure
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
-from atoll_core.expression.writing.shortest import shortest_over
+from atoll_core.expression.writing.shortest import points_of, shortest_at
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
@@ -56,6 +57,8 @@ NOT_BY_GROUP: Final = (
     "Constants by group were not fitted; those shown are of all groups of trajectories together, and --group cannot "
     "choose one."
 )
+
+_POINTS: Final[WeakKeyDictionary[Dataset, FloatArray]] = WeakKeyDictionary()
 
 _PACKAGES: Final = ("eclipse-zenoh", "numpy", "numba", "scipy", "sympy", "msgpack", "pydantic", "polars")
 
@@ -299,7 +302,15 @@ def _written_front(
 def _written(entry: FrontEntry, outcome: VariableOutcome, dataset: Dataset) -> Program:
     """Return the shortest writing of a member; a known equation as it was given."""
     program = _program(entry, dataset)
-    return program if outcome.why == KNOWN else shortest_over(program, dataset.inputs)
+    return program if outcome.why == KNOWN else shortest_at(program, lambda: _points(dataset))
+
+
+def _points(dataset: Dataset) -> FloatArray:
+    """Return points of the box of a dataset; they are looked for in all its rows once."""
+    points = _POINTS.get(dataset)
+    if points is None:
+        points = _POINTS[dataset] = points_of(dataset.inputs)
+    return points
 
 
 def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:

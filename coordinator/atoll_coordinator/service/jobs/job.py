@@ -97,6 +97,7 @@ class Job:
         self.is_paused = bool(record.paused)
         self.is_shared = bool(record.shared)
         self.state: JobState = "queued"
+        self.former_state: JobState = "queued"
         self.reason: str | None = None
         self.fault: Fault | None = None
         self.prepared: Prepared | None = None
@@ -305,7 +306,7 @@ class Job:
         following = JOB_TRANSITIONS[self.state].get(step)
         if following is None:
             raise LocalProtocolError(f"job {self.id} is {self.state} and cannot {step}")
-        self.state = following
+        self.former_state, self.state = self.state, following
 
     def _archipelago(self, prepared: Prepared, target: Target) -> Archipelago:
         config, inputs = prepared.config, len(prepared.dataset.names)

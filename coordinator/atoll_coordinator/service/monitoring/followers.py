@@ -7,11 +7,10 @@ the events in the store.
 """
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
-from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.monitoring.job_views import JobViews
 from atoll_coordinator.service.store.jobs import Viewer
@@ -57,12 +56,11 @@ class Followers:
     """All followers of one coordinator. Its owner calls `tell` after each event, and `expire` now and then."""
 
     def __init__(  # what a change is made of, and where it goes
-        self, incarnation: int, jobs: Mapping[str, Job], shown: JobViews, events: EventLog,
+        self, incarnation: int, shown: JobViews, events: EventLog,
         workforce: Callable[[float], Workforce], put: Callable[[str, bytes], None],
     ) -> None:  # fmt: skip
         """`workforce` returns how many workers are there now; `put` sends bytes to a client by its name."""
         self._sequences = itertools.count(incarnation * _LIVES + 1)
-        self._jobs = jobs
         self._shown = shown
         self._events = events
         self._workforce = workforce
@@ -166,8 +164,7 @@ class Followers:
         return now >= topic.due or topic.state != self._state(key[0])
 
     def _state(self, job: str | None) -> str:
-        live = self._jobs.get(job) if job is not None else None
-        return live.state if live is not None else ""
+        return (self._shown.state(job) or "") if job is not None else ""
 
     def _tell(self, key: _Key, topic: _Topic, now: float) -> None:
         """Tell how a topic stands, unless that is as before."""

@@ -1,6 +1,7 @@
 """All jobs as people are shown them: live ones as they stand, those that have ended as they were left.
 
-Views and results are made by `atoll_coordinator.service.monitoring.views`, when they are asked for.
+Views are made by `atoll_coordinator.service.monitoring.views`, when they are asked for. Results of live jobs are
+composed in the background (`atoll_coordinator.service.monitoring.drafts`).
 """
 
 import contextlib
@@ -12,9 +13,9 @@ from pydantic import ValidationError
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import Breakages
 from atoll_coordinator.service.monitoring.counters import CounterRegistry
+from atoll_coordinator.service.monitoring.drafts import Draft, Ending, draft_of
 from atoll_coordinator.service.monitoring.views import (
     ended_view,
-    job_result,
     job_view,
     view_of_record,
     with_equations,
@@ -22,7 +23,7 @@ from atoll_coordinator.service.monitoring.views import (
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import StoreError
-from atoll_core.wire.messages.views import FINAL_STATES, JobView, TaskView
+from atoll_core.wire.messages.views import FINAL_STATES, JobState, JobView, TaskView
 
 
 class JobWorkers(Protocol):
@@ -42,13 +43,15 @@ class JobViews:
     """The views and results of jobs, by id."""
 
     def __init__(
-        self, jobs: Mapping[str, Job], queue: JobQueue, workers: JobWorkers, store: Store, breakages: Breakages
+        self, jobs: Mapping[str, Job], ending: Mapping[str, Ending], queue: JobQueue, workers: JobWorkers, store: Store,
+        breakages: Breakages,
     ) -> None:  # fmt: skip
-        """`jobs` are the live ones by id, as they come and go."""
+        """`jobs` are the live ones by id, `ending` those whose ends have not taken effect, as they come and go."""
         self._queue = queue
         self.bytes_read = 0
         """Bytes of results of which views have been made so far: that takes long, and is done once for each."""
         self._jobs = jobs
+        self._ending = ending
         self._workers = workers
         self._store = store
         self._breakages = breakages
@@ -63,7 +66,7 @@ class JobViews:
         One that cannot be shown whole is shown as far as the store knows it, and takes no list of jobs with it.
         """
         ids = [*job_ids]
-        kept = self._store.views([job_id for job_id in ids if job_id not in self._jobs])
+        kept = self._store.views([job_id for job_id in ids if not self.is_open(job_id)])
         made: dict[str, str] = {}
         try:
             for job_id in ids:
@@ -86,12 +89,24 @@ class JobViews:
             record, sentence = self._store.job(job_id), self._breakages.add("showing a job", error)
             return view_of_record(record, sentence) if record else None
 
-    def result(self, job_id: str, now: float) -> str | None:
-        """Return a job's result as JSON text, while it runs the best so far; None while there is none."""
+    def is_open(self, job_id: str) -> bool:
+        """Tell whether a job is live, or its end has not taken effect."""
+        return job_id in self._jobs or job_id in self._ending
+
+    def state(self, job_id: str) -> JobState | None:
+        """Return the state in which a job is shown; None: it has ended, or is unknown."""
+        ending, job = self._ending.get(job_id), self._jobs.get(job_id)
+        if ending is not None:
+            return ending.was
+        return job.state if job is not None else None
+
+    def result(self, job_id: str) -> str | Draft | None:
+        """Return a job's result as JSON text; of a live job what the best so far is composed of. None: there is none.
+
+        One whose end has not taken effect has none.
+        """
         job = self._jobs.get(job_id)
-        if job is not None:
-            return job_result(job, now).to_json() if job.prepared is not None else None
-        return self._store.result(job_id)
+        return draft_of(job) if job is not None else self._store.result(job_id)
 
     def last_view(self, job: Job, now: float) -> JobView:
         """Return the view of a job that ends now."""
@@ -107,6 +122,10 @@ class JobViews:
         """Return the view of a job; what had to be made for an ended one is added to `made`."""
         if job_id in self._jobs:
             return self._live_view(self._jobs[job_id], now)
+        ending = self._ending.get(job_id)
+        if ending is not None and ending.sentence is None:  # else it may be half changed: the store knows it
+            as_it_was = {"state": ending.was, "reason": None, "fault": None}
+            return self._live_view(ending.job, now).model_copy(update=as_it_was)
         if kept is not None:
             with contextlib.suppress(ValidationError):  # else another version has kept it
                 return JobView.model_validate_json(kept)

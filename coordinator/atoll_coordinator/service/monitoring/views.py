@@ -1,4 +1,4 @@
-"""What people are shown of a job: its view, and its result, also while it runs. Pure."""
+"""What people are shown of a job: its view, also while it runs. Pure."""
 
 import json
 from collections.abc import Sequence
@@ -8,9 +8,7 @@ from typing import Any, Literal, cast
 from pydantic import ValidationError
 
 from atoll_coordinator.model.result.numbers import finite
-from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
-from atoll_coordinator.model.result.trust import verdict
-from atoll_coordinator.result.result import Result, timed
+from atoll_coordinator.model.result.result import KNOWN, VariableOutcome, equation_of
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
@@ -23,28 +21,6 @@ from atoll_core import VERSION
 from atoll_core.config import JobConfig
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.wire.messages.views import FINAL_STATES, JobCounters, JobState, JobView, VariableView
-
-
-def job_result(job: Job, now: float) -> Result:
-    """Return the result of a prepared job: final, or the best so far."""
-    prepared = job.prepared
-    if prepared is None:
-        raise ValueError(f"job {job.id} has no dataset yet")
-    outcomes = outcomes_of(job)
-    account = Account(
-        state=job.state,
-        seconds=now - job.submitted_at,
-        search_seconds=max((outcome.seconds for outcome in outcomes), default=0.0),
-        reason=job.reason,
-    )
-    return build_result(job.id, prepared.config, prepared.preparation, outcomes, account, job.refinement)
-
-
-def result_text(job: Job, now: float) -> str | None:
-    """Return the result of a job that ends now, as JSON; None where its data were never prepared."""
-    if job.result_text is not None:
-        return timed(job.result_text, now - job.submitted_at)
-    return job_result(job, now).to_json() if job.prepared is not None else None
 
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
@@ -88,6 +64,8 @@ def job_view(
 ) -> JobView:  # fmt: skip
     """Return what `jobs` and `status` show of a live job, or of one that ends now.
 
+    Equations are not judged: that looks at every row of the data, and is done where the result is composed.
+
     Args:
         job: a live one, or one that ends now.
         queue: in which it waits, if it does.
@@ -99,9 +77,8 @@ def job_view(
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
-    # Equations of a result that is made are shown as they are there: judging them looks at every row of the data.
-    prepared = job.prepared if job.result_text is None else None
-    variables = tuple(_variable_view(prepared, outcome, job.state) for outcome in outcomes) if prepared else ()
+    prepared = job.prepared if job.result_text is None else None  # else they are shown as the result has them
+    variables = tuple(_variable_view(prepared, outcome) for outcome in outcomes) if prepared else ()
     return JobView(
         job=job.id,
         name=job.name,
@@ -208,7 +185,7 @@ def _stored_settings(spec: str) -> tuple[int, str, float | None]:
     return config.seed, config.preset, config.budget.target_error
 
 
-def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState) -> VariableView:
+def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView:
     target = prepared.dataset.problem(outcome.variable).target
     target_error = prepared.config.budget.target_error
     view = VariableView(
@@ -220,11 +197,6 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome, state: JobState
         why=cast(Why | Literal["known"] | None, outcome.why),
     )
     shown = equation_of(outcome, prepared.dataset, prepared.config)
-    has_trajectories = prepared.preparation.recording is not None
-    given = prepared.preparation
-    problem, weights = (given.counted or given.dataset).problem(outcome.variable), given.weights
-    judged = verdict(shown, problem, state, has_trajectories=has_trajectories, why=outcome.why, weights=weights)
-    view = view.model_copy(update={"verdict": None if judged is None else judged.grade})
     if shown is None:
         return view
     normalized = finite(shown.error / target.standard_deviation) if target.standard_deviation else None

@@ -4,9 +4,11 @@ from collections.abc import Callable
 from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.monitoring.drafts import Draft
 from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.requests.admission import Admission
 from atoll_coordinator.service.requests.authorization import Authorization
+from atoll_coordinator.service.requests.deferred import NotYetError
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import Uploads
 from atoll_coordinator.service.store.jobs import MAX_COUNTED, Viewer
@@ -98,6 +100,7 @@ class ClientRequests:
 
         Raises:
             StoreError: A job was to be cancelled, and that could not be made durable.
+            NotYetError: The answer is there when the result of a job is composed.
         """
         hidden = self._authorization.hides(client, request)
         if hidden is not None:
@@ -136,8 +139,7 @@ class ClientRequests:
             case Retry():
                 return self._submit(client, self._controller.again(body.job, body.again), submitter, viewer)
             case Cancel():
-                self._controller.cancel(body.job, self._now())
-                return self._status(body.job)
+                return self._cancel(body.job)
             case Delete():
                 self._deletion.delete(body.job, "a client asked for it")
                 return Deleted(job=body.job)
@@ -153,6 +155,13 @@ class ClientRequests:
                 return self._workers(Workers(limit=1), viewer)
             case _:
                 return self._tell(body, viewer)
+
+    def _cancel(self, job: str) -> Body:
+        """End a job; that it has ended is told when that lasts."""
+        self._controller.cancel(job, self._now())
+        if job in self._controller.ending:
+            raise NotYetError(job, is_final=True, meanwhile=lambda: self._status(job))
+        return self._status(job)
 
     def _submit(self, client: str, body: Submit, submitter: str | None, viewer: Viewer | None) -> Body:
         """Take in a job; to somebody else's, or on a table that has not been shown, it says no more than it must."""
@@ -314,9 +323,14 @@ class ClientRequests:
         view = self._controller.shown.view(job, self._now())
         if view is None:
             return _unknown(job)
-        text = self._controller.shown.result(job, self._now())
-        if text is not None:
-            return Result(json_text=text)
+        if job in self._controller.ending:
+            raise NotYetError(job, is_final=True)
+        found = self._controller.shown.result(job)
+        if isinstance(found, Draft):
+            self._controller.compose(found)
+            raise NotYetError(job, is_final=False)
+        if found is not None:
+            return Result(json_text=found)
         if view.state == "failed":
             kind: FailureKind = "data" if view.fault == "data" else "internal"
             return Failure(failure=kind, sentence=view.reason or f"job {job} failed")

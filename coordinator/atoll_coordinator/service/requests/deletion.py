@@ -23,9 +23,9 @@ class JobDeletion:
 
     def delete(self, job: str, reason: str) -> None:
         """Delete a job; without effect when there is none. Raises RefusedError when it has not ended."""
-        live = self._controller.jobs.get(job)
-        if live is not None:
-            raise RefusedError(f"job {job} is {live.state}; cancel it, or wait for its end, before you delete it")
+        state = self._controller.shown.state(job)
+        if state is not None:
+            raise RefusedError(f"job {job} is {state}; cancel it, or wait for its end, before you delete it")
         if self._store.job(job) is None:
             return
         self._controller.forget_ended(job, reason)

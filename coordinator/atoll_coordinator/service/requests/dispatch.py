@@ -5,6 +5,7 @@ from collections.abc import Callable
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.jobs import checks
 from atoll_coordinator.service.requests.clients import Body, ClientRequests
+from atoll_coordinator.service.requests.deferred import NotYetError
 from atoll_coordinator.service.requests.handshake import Handshake, refusal
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RemoteProtocolError, StoreError
@@ -44,11 +45,12 @@ class RequestDispatcher:
 
         Raises:
             RemoteProtocolError: The query cannot be.
+            NotYetError: The answer is there when the result of a job is composed.
         """
         key = topics.parse(event.key)
         try:
             return self._answer(key, event)
-        except (RemoteProtocolError, StoreError):
+        except (RemoteProtocolError, StoreError, NotYetError):
             raise
         except Exception as error:
             sentence = self._controller.breakages.add(f"answering a question ({type(key).__name__})", error)

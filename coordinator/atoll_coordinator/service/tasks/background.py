@@ -1,4 +1,5 @@
-"""Work on large values, done in turn on a thread of its own: checkpoints are written, tables checked, results read.
+"""Work on large values, done in turn on a thread of its own: checkpoints are written, tables checked, results of tasks
+read, and results of jobs composed that are not refined.
 
 The service's loop answers everybody, so that it handles no more bytes at a time than one message has.
 """
@@ -6,9 +7,10 @@ The service's loop answers everybody, so that it handles no more bytes at a time
 from collections.abc import Callable
 from dataclasses import replace
 
+from atoll_coordinator.service.monitoring.drafts import Draft
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks.outcomes import CheckpointWritten, JobPrepared, TableChecked
+from atoll_coordinator.service.tasks.outcomes import CheckpointWritten, JobPrepared, ResultComposed, TableChecked
 from atoll_coordinator.service.tasks.results import ResultRead, TaskResult, read_result
 
 
@@ -33,6 +35,16 @@ class Background:
     def read_result(self, result: TaskResult) -> None:
         """Read what came of a task, and keep what preparing a job gave; `ResultRead` is posted."""
         self._act(lambda: self._post(self._read_result(result)))
+
+    def compose_result(self, draft: Draft) -> None:
+        """Compose the result of a job, for which equations are judged on all rows; `ResultComposed` is posted."""
+        self._act(lambda: self._post(self._compose_result(draft)))
+
+    def _compose_result(self, draft: Draft) -> ResultComposed:
+        try:
+            return ResultComposed(draft, draft.compose())
+        except Exception as error:  # ends the job
+            return ResultComposed(draft, error=error)
 
     def _read_result(self, result: TaskResult) -> ResultRead:
         unread = replace(result, parts=())

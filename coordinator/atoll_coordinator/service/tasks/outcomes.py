@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.jobs.job import Fault
+from atoll_coordinator.service.monitoring.drafts import Draft
 from atoll_coordinator.service.search.archipelago import Checkpoint
 from atoll_coordinator.tasks.preparing import Prepared
 
@@ -63,6 +64,15 @@ class RefiningFailed:
 
     job: str
     refinement: Refinement
+
+
+@dataclass(frozen=True, slots=True)
+class ResultComposed:
+    """The result of a job was composed: as JSON, but for the seconds; `error` says why it could not be."""
+
+    draft: Draft
+    text: str = ""
+    error: Exception | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Compares what a worker holds with what is placed on it, and returns the messages that set it right. Pure."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Container, Mapping
 
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
@@ -20,18 +20,26 @@ Correction = Close | CloseJob | Commit | Placements | PullReports
 
 
 def corrections(
-    jobs: Mapping[str, Job], begun: Mapping[str, Job], worker: str, status: WorkerStatus, guarded: JobGuard = unguarded
+    jobs: Mapping[str, Job],
+    begun: Mapping[str, Job],
+    worker: str,
+    status: WorkerStatus,
+    guarded: JobGuard = unguarded,
+    ending: Container[str] = (),
 ) -> list[Correction]:
     """Return what a worker is sent after a heartbeat: what it may forget, what it lacks, pulls of lost reports.
 
-    Of all live `jobs`, those that have `begun` can have placements.
+    Of all live `jobs`, those that have `begun` can have placements. Of those that are `ending` nothing is said: they go
+    on if we are killed before their ends are in the store.
     Each job is looked at under `guarded`, so that one over which something breaks leaves no other uncorrected.
     """
     messages: list[Correction] = []
     for assignment_status in status.holdings:
+        if assignment_status.job in ending:
+            continue
         with guarded(assignment_status.job):
             messages += _correct_assignment(jobs, worker, assignment_status)
-    messages += [CloseJob(job=job) for job in status.jobs if not _is_open(jobs, job)]
+    messages += [CloseJob(job=job) for job in status.jobs if job not in ending and not _is_open(jobs, job)]
     held = {(assignment_status.job, assignment_status.variable) for assignment_status in status.holdings}
     missing: list[Placement] = []
     for job_id, job in tuple(begun.items()):

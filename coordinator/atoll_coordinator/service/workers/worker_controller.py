@@ -46,6 +46,9 @@ class LiveJobs(Protocol):
     def jobs(self) -> Mapping[str, Job]: ...  # by id, as they come and go
 
     @property
+    def ending(self) -> Mapping[str, object]: ...  # those whose ends are decided and not in the store
+
+    @property
     def begun(self) -> Mapping[str, Job]: ...  # those that do not wait any more: others have no islands
 
     @property
@@ -71,6 +74,7 @@ class WorkerController:
         self.counters: Final = CounterRegistry()
         self.crash_loops: Final = CrashLoops(store, events)
         self._jobs = live.jobs
+        self._ending = live.ending
         self._begun = live.begun
         self._store = store
         self._channel = channel
@@ -147,7 +151,7 @@ class WorkerController:
         def guarded(job: str) -> AbstractContextManager[None]:
             return self._guarded(job, "correcting what a worker holds", now)
 
-        for correction in corrections(self._jobs, self._begun, worker, status, guarded):
+        for correction in corrections(self._jobs, self._begun, worker, status, guarded, self._ending):
             if isinstance(correction, PullReports):
                 self._channel.pull(worker, correction)
             else:

@@ -50,7 +50,7 @@ def test_a_result_that_this_version_cannot_read_hinders_nobody(result: str) -> N
     with Store.open(None) as store:
         controller = recovered(store, result)
         view = controller.shown.view("job", 1.0)
-        assert controller.shown.result("job", 1.0) == result
+        assert controller.shown.result("job") == result
     assert view is not None
     assert (view.state, view.seed, view.variables) == ("done", 3, ())
     assert "cannot be read by version" in view.warnings[0]

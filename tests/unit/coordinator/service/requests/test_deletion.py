@@ -67,7 +67,7 @@ def test_an_ended_job_is_deleted_and_its_end_is_noted(store: Store) -> None:
     add(store, "a", "10")
     deletes, controller = deletion(store)
     deletes.delete("a", "a client asked for it")
-    assert (store.jobs(), controller.shown.view("a", 0.0), controller.shown.result("a", 0.0)) == ((), None, None)
+    assert (store.jobs(), controller.shown.view("a", 0.0), controller.shown.result("a")) == ((), None, None)
     (event,) = controller.events.read(None, 0, 9)
     assert (event.event, event.job, event.text) == ("deleted", None, "job a is deleted: a client asked for it")
     deletes.delete("a", "the answer was lost, and it is asked for again")

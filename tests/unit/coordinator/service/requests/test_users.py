@@ -49,7 +49,7 @@ class Lab:
         deletion = JobDeletion(self.controller, store, retention)
         self.told: list[tuple[str, Change]] = []
         self.followers = Followers(
-            1, self.controller.jobs, self.controller.shown, self.controller.events, lambda now: Workforce(),
+            1, self.controller.shown, self.controller.events, lambda now: Workforce(),
             lambda client, payload: self.told.append((client, decode(payload, Change))),
         )  # fmt: skip
         self.controller.changed = self.followers.touch

@@ -54,7 +54,7 @@ class FakeClient:
             raise RefusedError(f"job {name} is running; cancel it")
         del self._jobs[name]
 
-    def cancel(self, name: str) -> JobView:
+    def cancel_and_wait(self, name: str) -> JobView:
         view = self._jobs[name]
         ended = view.state in ("done", "failed", "cancelled")
         return view if ended else view.model_copy(update={"state": "cancelled"})
@@ -180,6 +180,15 @@ def test_cancel_promises_equations_only_where_there_are_some(
     client.__init__(job("one", "running").model_copy(update={"variables": variables}))  # type: ignore[misc]
     assert main(["cancel"]) == 0
     assert said in capsys.readouterr().out
+
+
+def test_cancel_says_where_the_end_takes_longer_than_it_waits(
+    client: FakeClient, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    client.__init__(job("one", "running"))  # type: ignore[misc]
+    monkeypatch.setattr(client, "cancel_and_wait", client.status)
+    assert main(["cancel"]) == 0
+    assert "job one is being cancelled; its result is still composed" in capsys.readouterr().out
 
 
 def test_cancel_without_a_name_refuses_to_choose(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
