@@ -269,7 +269,7 @@ async def _fuzz(port: int, number: int, seed: int, jobs: int) -> Counter[str]:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _ANSWER_LIMIT_S)
             counts[head[9:12].decode()] += 1
             length = re.search(rb"content-length: (\d+)", head)
-            is_head = request.startswith(b"HEAD")
+            is_head = request.startswith(b"HEAD ")
             if length is None and not is_head:
                 raise ConnectionError  # a stream, or of unknown length: not to be waited for
             if length is not None and not is_head:
