@@ -100,6 +100,7 @@ class Users:
 
     def restart(self) -> None:
         self.uploads = Uploads(self.store, lambda: self.now)
+        self.uploads.delete_all()
 
     def check(self) -> None:
         for user in ("ann", "bob"):

@@ -52,6 +52,32 @@ def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
             return
 
 
+def test_a_start_writes_only_once_it_is_under_way_and_may_be_tried_again() -> None:
+    """Uploads that no job uses are deleted at the start: a full disk or a death there ends this start alone."""
+    disk = Disk()
+    store = disk.open(lambda seconds: None)
+    network = SimulatedNetwork(0, None)
+    service = Service(network.bus("coordinator", is_router=True), store)
+    service._requests.answer(Query(topics.client(store.cluster, "ann-1"), UPLOAD, None))
+    assert store.has_blob(DIGEST)
+    store.is_dead = True
+    network.crash("coordinator")
+    for commits in count(1):
+        again = disk.open(lambda seconds: None)
+        disk.die_at(commits, before=True)
+        service = Service(network.bus("coordinator", is_router=True), again)
+        try:
+            service.start()
+        except CoordinatorDied:
+            again.is_dead = True
+            network.crash("coordinator")
+            continue
+        assert commits > 1
+        assert not again.has_blob(DIGEST)
+        disk.close()
+        return
+
+
 TIMED = JobConfig(
     seed=1,
     evolution=EvolutionConfig(islands=3),

@@ -157,6 +157,7 @@ class Service:
         """Take over what the store holds, then listen."""
         cluster = self._store.cluster
         self.controller.recover(self._bus.now())
+        self._uploads.delete_all()
         self._bus.subscribe(topics.all_workers(cluster, "status"))
         self._bus.subscribe(topics.all_workers(cluster, "report"))
         self._bus.subscribe(topics.all_workers(cluster, "result"))

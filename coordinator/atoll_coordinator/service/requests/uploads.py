@@ -68,11 +68,7 @@ class Uploads:
     """
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
-        """`now` gives the bus's seconds. Tables that the store has and no job uses are deleted.
-
-        Who had shown which bytes of them is not stored, so that nobody has them and they would count for nobody;
-        clients upload them again.
-        """
+        """`now` gives the bus's seconds. What the store already has counts for nobody: see `delete_all`."""
         self._store = store
         self._now = now
         self._heard: dict[str, float] = {}
@@ -81,7 +77,6 @@ class Uploads:
         self._shown: Counter[str | None] = Counter()
         self._begun: Counter[tuple[str | None, str]] = Counter()
         self._keys: set[str] = set()
-        self._delete_all()
 
     def take(self, upload: Upload, user: str | None, viewer: Viewer | None, session: str) -> Uploaded:
         """Keep a chunk that is the next one, or only tell which are missing.
@@ -202,7 +197,7 @@ class Uploads:
         """Delete uploads whose leases are over, if it is time to look for them; all of them on a disk nearly full."""
         room = self._store.room()
         if room is not None and room.free < reserve_of(room) / 2:
-            self._delete_all()
+            self.delete_all()
         elif self._now() >= self._check_at:
             self._delete_expired()
 
@@ -219,8 +214,12 @@ class Uploads:
         if expired:
             self._store.delete_unused_blobs(expired)
 
-    def _delete_all(self) -> None:
-        """Delete all uploads that no job uses; who is at it is told that all of it is missing."""
+    def delete_all(self) -> None:
+        """Delete all uploads that no job uses; who is at it is told that all of it is missing.
+
+        Also when a coordinator starts: who had shown which bytes is not stored, so that nobody has them and they would
+        count for nobody; clients upload them again.
+        """
         unused, self._heard = self._store.unused_blobs(), {}
         self._uploads, self._shown, self._begun, self._keys = {}, Counter(), Counter(), set()
         if unused:
