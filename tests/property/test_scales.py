@@ -203,6 +203,7 @@ def test_exports_are_the_same_in_other_units_and_those_of_simulations(
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::atoll.model.simulation.ExtrapolationWarning")
 def test_paths_and_densities_of_a_process_are_the_same_in_other_units() -> None:
     series = []
     for size, clock in ((1.0, 1.0), (2.0**-FAR, 2.0**20), (2.0**FAR, 2.0**-FAR)):
