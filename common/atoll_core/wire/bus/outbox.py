@@ -7,6 +7,7 @@ as there are threads.
 """
 
 import contextlib
+import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +15,8 @@ from typing import Final
 
 from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.bus.turns import Bounds, Turns
+
+_LOG: Final = logging.getLogger(__name__)
 
 LARGE: Final = 256 * 1024
 """Bytes from which on an answer is a large one."""
@@ -83,7 +86,12 @@ class _Senders:
                 if send is None:
                     return
                 self._busy.add(party)
-            with contextlib.suppress(LocalProtocolError):  # the bus refused it, and the asker asks again
+            try:
                 send()
-            with self._lock:
-                self._busy.discard(party)
+            except LocalProtocolError:  # the bus refused it, and the asker asks again
+                pass
+            except Exception:  # it may end this answer, but no later one of the party
+                _LOG.exception("an answer could not be sent")
+            finally:
+                with self._lock:
+                    self._busy.discard(party)

@@ -50,6 +50,8 @@ from atoll_core.wire.topics import HELLO, ROOT
 
 _WAIT_FOR_PEER_US: Final = 1_000_000
 _GIVEN_UP: Final = 0.9
+"""Of `_WAIT_FOR_PEER_US`: an answer that took so long was given up, or nearly, and `_CLOSING_S` more costs little."""
+
 _CLOSING_S: Final = 0.1
 _LEASE_MS: Final = 4_000
 _ATTEMPT_MS: Final = 3_000
@@ -60,6 +62,8 @@ _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
 _RUNTIME: Final = "ZENOH_RUNTIME"
 _THREADS: Final = 8
+"""Threads of a router that read, and that write: so many links may be closing while others are served."""
+
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
 Settings = Mapping[str, object]
