@@ -5,8 +5,7 @@ from argparse import Namespace
 
 from atoll.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.sparse.product_laws import find_all_laws
-from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
+from atoll_coordinator.model.sparse.laws import find_all_laws, with_screened_variables
 from atoll_core.expression.text.infix import to_infix
 from benchmarks.judging.forms import judge_form
 from benchmarks.many.campaign import case, keys

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll_coordinator.model.sparse import product_laws
+from atoll_coordinator.model.sparse import laws
 from tests.placements import placements_in
 from tests.simulation.bus.fault_plan import Partition, Plan
 from tests.simulation.harness.short_jobs import short_job

@@ -48,7 +48,7 @@ def ready_preparation() -> None:
     """Load what preparing needs, compiling its kernels if need be; an error is logged, since preparing meets it too."""
     try:
         load_preparation()
-        import atoll_coordinator.model.sparse.rates.screening  # noqa: F401
+        import atoll_coordinator.model.sparse.laws  # noqa: F401
         from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
         from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
 

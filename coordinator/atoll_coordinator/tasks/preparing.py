@@ -26,7 +26,7 @@ class Prepared:
     """What preparing gave, the resolved configuration, and the dataset's bytes by digest and size.
 
     `known` has the known equations by variable, as members of fronts of their own; `settled` are the variables
-    that have laws by regression (`atoll_coordinator.model.sparse.product_laws.settled_variables`), `laws` those among
+    that have laws by regression (`atoll_coordinator.model.sparse.laws.settled_variables`), `laws` those among
     many variables, which refining takes over (None: it seeks them itself).
     """
 
@@ -98,8 +98,11 @@ def prepare(table: bytes, specification: bytes, preparer: Preparer = prepare_tab
 def prepare_job(table: bytes, config: JobConfig, preparer: Preparer = prepare_table) -> tuple[Prepared, bytes]:
     """Return what a table gives, and the bytes of its dataset; raises what `prepare_table` does."""
     from atoll_coordinator.model.result.known import known_entries, with_remarks
-    from atoll_coordinator.model.sparse.product_laws import laws_among_many, settled_variables  # loads kernels
-    from atoll_coordinator.model.sparse.rates.screening import with_screened_variables
+    from atoll_coordinator.model.sparse.laws import (  # loads kernels
+        laws_among_many,
+        settled_variables,
+        with_screened_variables,
+    )
     from atoll_coordinator.tasks.defaults import resolve, with_units
 
     preparation = preparer(table, config)

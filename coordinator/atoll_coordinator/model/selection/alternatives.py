@@ -18,10 +18,10 @@ from atoll_coordinator.model.selection.cross_validation import Validated, Valida
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.proposals import rates_of
 from atoll_coordinator.model.selection.task import SelectedModel
+from atoll_coordinator.model.sparse.atoms import libraries, sum_of
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.poles import find_poles
-from atoll_coordinator.model.structure.term_libraries import libraries, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
 from atoll_core.expression.builder import Expression

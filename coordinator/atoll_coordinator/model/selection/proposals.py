@@ -16,9 +16,9 @@ from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.task import ModellingTask
+from atoll_coordinator.model.sparse.atoms import fractions, libraries, sum_of
 from atoll_coordinator.model.sparse.pursuit import PURSUED, Pursuit
 from atoll_coordinator.model.structure.moves.reductions import reductions
-from atoll_coordinator.model.structure.term_libraries import fractions, libraries, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem
 from atoll_core.expression.builder import Expression

@@ -19,9 +19,8 @@ import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import Solver, coefficients_of, inverse, minimize, solver
-from atoll_coordinator.model.sparse.elimination import on_the_way
-from atoll_coordinator.model.sparse.products import products
-from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, program_of, shapes
+from atoll_coordinator.model.sparse.atoms import Atom, Shape, powers, products, program_of, shapes
+from atoll_coordinator.model.sparse.regression import on_the_way
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem

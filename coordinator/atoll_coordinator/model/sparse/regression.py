@@ -1,183 +1,320 @@
-"""Sums of products that describe one state's equation: elimination of terms, the search among sums."""
+"""The one engine of sparse regression: which short sum of terms describes the equation of one state.
+
+What it takes. A builder of rows (`rows`) gives left sides, columns of terms, and the covariance of the errors of both.
+A list of atoms (`atoms`) gives the terms that a sum may have.
+
+What it minimises. The length of a description in nats: the misfit of the residuals by their own errors, as the rows
+assess it, and the price of each term (its structure, and 1/2 ln N for each constant). While terms are removed, weights
+of rows are held, and the misfit is n/2 ln(sum of weighted squares): that is computed for all sums on the way at once.
+
+Where the covariance of errors comes from. Rates have an error for each row and exact columns. Integrals over windows
+have errors of measurement in the sides and in the columns, propagated to first order by the derivatives of the terms;
+so the variance of a residual depends on the sum. Least squares would then make coefficients too small. The mean of the
+products of errors is subtracted from the normal equations (Fuller 1987), and rows are weighted by the variances of the
+sum before: fit and weights by turns.
+
+How it searches. Backward elimination from a full library (Wald's test): with everything there from the beginning, the
+gain of another term does not decide which one is taken. Elimination may lose a term early for others that it nearly
+depends on; so single terms are added again, and the sum is eliminated anew, as long as the description gets shorter by
+more than the best of so many tries does by chance. At last terms are removed one by one by the weights of the rest.
+Functions with a constant inside are terms as all others; `many_variables` says which are tried.
+
+Doubts. Weights of a wrong sum favour that sum. The first-order variances are too small where noise is as large as the
+curvature of a term. Rates count as a fixed number of independent numbers, which is a guess; it only has to be few.
+
+Letters: K terms, M terms of a sum, N rows, V variables.
+"""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, TypeVar
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
-from atoll_coordinator.model.refinement import Law
-from atoll_coordinator.model.sparse.elimination import Elimination, eliminated, improved, shortest, without_one
-from atoll_coordinator.model.sparse.kernels.elimination import sum_error_products
-from atoll_coordinator.model.sparse.products import Product, sum_of_products
-from atoll_coordinator.model.sparse.weak_form import WeakForm
+from atoll_coordinator.model.criteria import constant_nats_of, log
+from atoll_coordinator.model.sparse.atoms import Atom, program_of, sum_of
+from atoll_coordinator.model.sparse.kernels.elimination import DEPENDENT, eliminate, windowed_sums
+from atoll_coordinator.model.sparse.rows import Assessment, Errors, Rows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.program import Program
+
+_SETTLED = 1e-3
+"""Weights have settled when the size of the residuals changes by less than this share."""
 
 
-def misfit(form: WeakForm, left: FloatArray, variances: FloatArray) -> float:
-    """Return minus the log-likelihood of what is left in the windows (W,), each counted by its share in a new one.
+# ------------------------------------------------------------------------------- sums of fewer terms, and of more
 
-    That of the true states nearest to the measured ones for which the equation holds, to first order: half the square
-    over its variance. The variance depends on the equation, the density of the measurements about these states does
-    not: with its logarithm, sums that vary little with the states would be preferred (errors in variables, functional
-    case: Fuller 1987, section 2.3).
-    """
-    if not (variances > 0.0).all():
-        return math.inf
-    return 0.5 * form.independent * math.fsum((left * left / variances).tolist()) / len(left)
+
+class Fit(Protocol):
+    """A fitted sum of terms."""
+
+    @property
+    def nats(self) -> float:
+        """The length of its description."""
+
+
+Fitted = TypeVar("Fitted", bound=Fit)
+Item = TypeVar("Item")
+
+
+def shortest(fits: Iterable[Fitted | None]) -> Fitted | None:
+    """Return the fit of the shortest description, the first of equal ones; None where there is none."""
+    return min((fit for fit in fits if fit is not None), key=lambda fit: fit.nats, default=None)
+
+
+def on_the_way(fit: Item, without_least: Callable[[Item], Item | None]) -> Iterator[Item]:
+    """Yield a fit, then the fit without its least significant term, and so on as long as there is one."""
+    following: Item | None = fit
+    while following is not None:
+        yield following
+        following = without_least(following)
+
+
+def improved(best: Fitted, nearby: Callable[[Fitted], Iterable[Fitted | None]], least_gain: float = 0.0) -> Fitted:
+    """Return the end of a search that goes to the shortest of the fits nearby as long as that gains more than this."""
+    while True:
+        nearest = shortest(nearby(best))
+        if nearest is None or not nearest.nats < best.nats - least_gain:
+            return best
+        best = nearest
+
+
+def without_one(kept: Sequence[Item]) -> Iterator[tuple[Item, ...]]:
+    """Yield the terms of a sum without each of them in turn; none where there is a single one, or too many."""
+    for place in range(len(kept)) if 1 < len(kept) <= SETTINGS.effort.longest_sum else ():
+        yield (*kept[:place], *kept[place + 1 :])
 
 
 @dataclass(frozen=True, eq=False)
-class ProductSum:
-    """A fitted sum of the products `kept` (places), with its `coefficients` and `nats`.
+class Elimination:
+    """The sums on the way from all columns (K, N) to none, by least squares (Wald's test).
 
-    `squares` is the sum of squares of what it leaves in windows that know nothing of each other, in standard errors.
+    `order` (K,) are the columns in the order of their removal, `squares` (K + 1,) the sums of squared residuals with
+    the last K, K - 1, ... 0 of these, `coefficients` (K, K) those at each step.
     """
 
+    order: list[int]
+    squares: FloatArray
+    coefficients: FloatArray
+
+    def kept(self, step: int) -> list[int]:
+        """Return which columns there are at a step."""
+        return sorted(self.order[step:])
+
+    def factors(self, step: int) -> list[float]:
+        """Return the coefficients of the columns that there are at a step."""
+        return [float(self.coefficients[step, place]) for place in self.kept(step)]
+
+
+def eliminated(
+    columns: FloatArray, sides: FloatArray, errors: Errors | None = None, steps: int | None = None
+) -> Elimination:
+    """Return the elimination of `columns` (K, N) that describe `sides` (N,), or some first `steps` of it.
+
+    Products of columns have the mean `errors` (K, K), with the sides (K,); squares never fall when terms are removed.
+    """
+    count = len(columns)
+    steps = count if steps is None else steps
+    products, cross = (np.zeros((0, 0)), np.zeros(0)) if errors is None else errors
+    order, coefficients = np.zeros(count, np.int64), np.zeros((count, count))
+    squares, added = np.zeros((2, count + 1))
+    eliminate(
+        np.ascontiguousarray(columns), np.ascontiguousarray(sides), np.ascontiguousarray(products), cross, steps,
+        order, squares, coefficients, added,
+    )  # fmt: skip
+    return Elimination(order.tolist(), np.maximum(squares - added + added[0], squares[0]), coefficients)
+
+
+def selected_forward(columns: FloatArray, side: FloatArray) -> Iterator[tuple[int, float]]:
+    """Yield the column (K, N) that explains most of the rest of `side` (N,), and so on, with the square left then.
+
+    This is orthogonal matching pursuit; it ends where no column is left. Sums have a fixed order.
+    """
+    sizes = np.sqrt(_dots(columns * columns, np.ones_like(side)))
+    rest, left = columns / np.where(sizes > 0.0, sizes, 1.0)[:, None], side
+    free = np.where(sizes > 0.0, 1.0, 0.0)
+    while True:
+        gains = np.where(free > DEPENDENT, _dots(rest, left) ** 2 / np.maximum(free, DEPENDENT), 0.0)
+        best = int(np.argmax(gains))
+        if not gains[best] > 0.0:
+            return
+        unit = rest[best] / np.sqrt(free[best])
+        left = left - _dots(left[None], unit) * unit
+        rest = rest - _dots(rest, unit)[:, None] * unit
+        free = _dots(rest * rest, np.ones_like(side))
+        free[best] = 0.0
+        yield best, float(_dots(left[None], left)[0])
+
+
+def _dots(columns: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return the products (K,) of columns (K, N) with a vector (N,)."""
+    sums = np.zeros((len(columns), 1))
+    windowed_sums(np.zeros(1, np.int64), np.ascontiguousarray(vector)[None], np.ascontiguousarray(columns), sums)
+    return sums[:, 0]
+
+
+# ---------------------------------------------------------------------------------------- sums of one library
+
+
+@dataclass(frozen=True, eq=False)
+class Sum:
+    """A fitted sum of the terms `kept` (places) of a regression, with its `coefficients` and `nats`.
+
+    `assessment` is None of a sum on the way, whose nats are by the weights of the rows then.
+    """
+
+    regression: "Regression"
     kept: tuple[int, ...]
     coefficients: list[float]
     nats: float
-    squares: float = math.inf
+    assessment: Assessment | None = None
+
+    @property
+    def atoms(self) -> tuple[Atom, ...]:
+        """The terms without their coefficients."""
+        return tuple(self.regression.atoms[place] for place in self.kept)
+
+    @property
+    def excess(self) -> float:
+        """How many times as large as their errors the residuals are; infinite where that is not known."""
+        return math.inf if self.assessment is None else self.assessment.excess
+
+    def program(self) -> Program:
+        """Return the sum as it is written shortest, as a sum of products."""
+        return program_of(self.atoms, self.coefficients)
+
+    def sum_of_products(self) -> Program:
+        """Return the sum with a coefficient before each term."""
+        return sum_of([atom.shape.expression(atom.constant) for atom in self.atoms], self.coefficients)
 
 
 class Regression:
-    """Sums of the products of one library, the largest, by which windows are described."""
+    """Sums of the `atoms` of one library, fitted to `rows`. Constants inside `shared` atoms have no price."""
 
-    def __init__(self, form: WeakForm, terms: Sequence[Product]) -> None:
-        self._form = form
-        self._terms = terms
-        self._places = {term: place for place, term in enumerate(terms)}
-        self._columns, self._sides = form.columns(terms), form.sides
-        self._gradients, self._rows = form.gradients(terms)
-        own = constant_nats_of(form.independent)
-        self._prices = [structure_length(sum_of_products([term], [1.5])) + own for term in terms]
+    def __init__(self, rows: Rows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> None:
+        self.rows = rows
+        self.atoms = tuple(atoms)
+        self.shared = shared
+        self._columns, self._gradients = rows.columns(atoms), rows.gradients(atoms)
+        own = constant_nats_of(rows.independent)
+        self._prices = [atom.shape.price(rows.independent) - (own if atom in shared else 0.0) for atom in atoms]
 
-    def law(self, begun: Sequence[Product], *, is_tested: bool) -> Law | None:
-        """Return the sum that a search from all terms `begun` ends with, windows weighted by its own variances.
+    @cached_property
+    def is_finite(self) -> bool:
+        """Whether all columns and their derivatives are numbers."""
+        numbers = [self._columns] if self._gradients is None else [self._columns, self._gradients]
+        return all(np.isfinite(part).all() for part in numbers)
 
-        Weights are those of the sum before, which may be a wrong one that they favour: so at last terms are left out as
-        long as the description by the weights of what remains is shorter.
+    @property
+    def is_solvable(self) -> bool:
+        """Whether all columns are numbers, and fewer than the rows."""
+        return self.is_finite and len(self.atoms) < len(self.rows.sides)
+
+    def search(self, begun: Sequence[int], weights: FloatArray | None = None) -> Sum | None:
+        """Return the sum at which a search from the terms `begun` (places) ends; None where there is none.
+
+        Weights begin with equal ones, or with those to which a fit of all the terms leads from the `weights` given.
+        They are then those of the sum before, which may be a wrong one that they favour: so at last terms are removed
+        as long as the description by the weights of the rest is shorter.
         """
-        start = [self._places[term] for term in begun]
-        if not np.isfinite(self._columns).all() or len(start) >= len(self._sides):
+        if not self.is_solvable:
             return None
-        weights = np.ones(len(self._sides))
-        for reweighting in range(SETTINGS.sparse.reweightings):
-            found = self._best_sum(start, weights, is_extended=reweighting > 0)
-            its_own = self._weights(found)
-            if its_own is None:
+        if weights is None:
+            weights = np.ones(len(self.rows.sides))
+        else:
+            whole = self.refitted(begun, weights)
+            if whole is None or whole.assessment is None:
                 return None
-            weights = its_own
-        whole = self.refitted(found.kept, weights)
-        if whole is None:
+            weights = whole.assessment.weights
+        for reweighting in range(SETTINGS.sparse.reweightings):
+            found = self._best_sum(begun, weights, is_extended=reweighting > 0)
+            assessment = self._assess(found)
+            if assessment is None:
+                return None
+            weights = assessment.weights
+        return self.pruned(self.refitted(found.kept, weights))
+
+    def pruned(self, whole: Sum | None) -> Sum | None:
+        """Return the sum without the terms whose removal makes the description shorter."""
+        if whole is None or whole.assessment is None:
             return None
-        best = improved(whole, lambda fit: (self.refitted(kept, weights) for kept in without_one(fit.kept)))
-        return self.law_of(best, is_tested=is_tested)
+        weights = whole.assessment.weights
+        return improved(whole, lambda fit: (self.refitted(kept, weights) for kept in without_one(fit.kept)))
 
-    def law_of(self, fit: ProductSum, *, is_tested: bool) -> Law:
-        """Return a refitted sum as a law: what it leaves has the degrees of freedom beyond its coefficients."""
-        from scipy import special
+    def refitted(self, places: Sequence[int], weights: FloatArray) -> Sum | None:
+        """Return the sum of these terms, fitted and weighted by turns; None where a residual has no variance."""
+        before, fit = math.inf, None
+        for _ in range(self.rows.turns):
+            path = self._path(places, weights, self._errors(weights, places), steps=1)
+            fit = self._by_own_weights(Sum(self, tuple(places), path.factors(0), math.inf))
+            if fit.assessment is None:
+                return None
+            weights = fit.assessment.weights
+            if abs(before - fit.excess) <= _SETTLED * fit.excess:
+                break
+            before = fit.excess
+        return fit
 
-        degrees_of_freedom = max(self._form.independent - len(fit.kept), 1.0)
-        return Law(
-            sum_of_products([self._terms[place] for place in fit.kept], fit.coefficients),
-            fit.nats,
-            math.sqrt(fit.squares / degrees_of_freedom),
-            is_tested,
-            probability=float(special.chdtrc(degrees_of_freedom, fit.squares)),
-        )
+    def on_the_way(self, places: Sequence[int], weights: FloatArray, errors: Errors | None = None) -> Iterator[Sum]:
+        """Yield the sums on the way from one of these terms to all, by the weights of the rows (Wald's test)."""
+        path = self._path(places, weights, errors, steps=len(places))
+        squares, price = path.squares.tolist(), 0.0
+        for step in reversed(range(len(places))):
+            price += self._prices[places[path.order[step]]]
+            nats = 0.5 * self.rows.numbers * log(max(squares[step], 1e-300)) + price
+            yield Sum(self, tuple(places[index] for index in path.kept(step)), path.factors(step), nats)
+
+    def _best_sum(self, start: Sequence[int], weights: FloatArray, *, is_extended: bool) -> Sum:
+        """Return the sum of the shortest description that is found from the terms of `start`.
+
+        Where it `is_extended`, single terms are added again as long as that gains more than chance (Bonferroni).
+        """
+        every = range(len(self.atoms))
+        errors = self._errors(weights, every if is_extended else start)
+
+        def best(places: Sequence[int]) -> Sum:
+            return min([*self.on_the_way(places, weights, errors)][::-1], key=lambda fit: fit.nats)
+
+        def longer(fit: Sum) -> Iterator[Sum]:
+            tried = shortest(best(sorted([*fit.kept, place])) for place in every if place not in fit.kept)
+            if tried is not None:
+                yield self._by_own_weights(tried)
+
+        found = best(start)
+        return improved(self._by_own_weights(found), longer, log(float(len(every)))) if is_extended else found
+
+    def _by_own_weights(self, fit: Sum) -> Sum:
+        assessment = self._assess(fit)
+        nats = math.inf if assessment is None else assessment.misfit + self._price(fit.kept)
+        return Sum(self, fit.kept, fit.coefficients, nats, assessment)
+
+    def residuals(self, fit: Sum) -> FloatArray:
+        """Return the residuals (N,) of a sum."""
+        residuals = self.rows.sides.copy()
+        for coefficient, place in zip(fit.coefficients, fit.kept, strict=True):
+            residuals -= coefficient * self._columns[place]
+        return residuals
+
+    def _assess(self, fit: Sum) -> Assessment | None:
+        return self.rows.assess(fit.atoms, fit.coefficients, self.residuals(fit))
 
     def _price(self, places: Sequence[int]) -> float:
         return math.fsum(self._prices[place] for place in places)
 
-    def _variances(self, fit: ProductSum) -> FloatArray:
-        return self._form.variances([self._terms[place] for place in fit.kept], fit.coefficients)
-
-    def _weights(self, fit: ProductSum) -> FloatArray | None:
-        """Return the weights of windows that a sum itself gives them, None where it leaves one without a variance."""
-        variances = self._variances(fit)
-        return 1.0 / np.sqrt(variances) if (variances > 0.0).all() else None
-
-    def _by_own_weights(self, fit: ProductSum) -> ProductSum:
-        """Return a sum with its nats by the variances that it has itself."""
-        return replace(fit, nats=misfit(self._form, self._left(fit), self._variances(fit)) + self._price(fit.kept))
-
-    def _left(self, fit: ProductSum) -> FloatArray:
-        """Return what a sum leaves of the left sides (W,)."""
-        left = self._sides.copy()
-        for coefficient, place in zip(fit.coefficients, fit.kept, strict=True):
-            left -= coefficient * self._columns[place]
-        return left
-
-    def refitted(self, places: Sequence[int], weights: FloatArray) -> ProductSum | None:
-        """Return the sum of these terms, fitted and weighted by turns; None where it leaves one without a variance."""
-        for _ in range(SETTINGS.sparse.reweightings - 1):
-            weighted = (self._columns * weights, self._sides * weights, self._errors(weights, places))
-            fit = ProductSum(tuple(places), self._path(places, *weighted).factors(0), math.inf)
-            its_own = self._weights(fit)
-            if its_own is None:
-                return None
-            weights = its_own
-        left = self._left(fit) * weights
-        squares = self._form.independent * math.fsum((left * left).tolist()) / len(left)
-        return replace(fit, nats=0.5 * squares + self._price(places), squares=squares)
-
-    def _best_sum(self, start: Sequence[int], weights: FloatArray, *, is_extended: bool) -> ProductSum:
-        """Return the sum of the shortest description that is found from the terms of `start`.
-
-        Elimination may lose a term early for others that it nearly depends on. So single terms are taken in again,
-        and what the sum can then do without eliminated, as long as that is shorter by more than the best of so many
-        tries is by chance (Bonferroni).
-        """
-        count = len(self._terms)
-        weighted = (self._columns * weights, self._sides * weights)
-        errors = self._errors(weights, range(count) if is_extended else start)
-        begun = self._eliminated(start, *weighted, errors)
-        if not is_extended:
-            return begun
-
-        def longer(fit: ProductSum) -> Iterator[ProductSum]:
-            others = [place for place in range(count) if place not in fit.kept]
-            tried = (self._eliminated(sorted([*fit.kept, place]), *weighted, errors) for place in others)
-            best = shortest(tried)
-            if best is not None:
-                yield self._by_own_weights(best)
-
-        return improved(self._by_own_weights(begun), longer, log(float(count)))
-
-    def _errors(self, weights: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the covariances of the errors of these terms, summed over windows of these weights, and with the
-        sides'; 0 of all other terms."""
-        form, count = self._form, len(self._terms)
-        squares, halves = form.row_weights(weights * weights, self._rows)
-        own_products, own_cross = np.zeros((len(places), len(places))), np.zeros(len(places))
-        variances = form.measured.noise * form.measured.noise
-        gradients = np.ascontiguousarray(self._gradients[list(places)])
-        sum_error_products(gradients, variances, form.target, squares, halves, own_products, own_cross)
-        products, cross = np.zeros((count, count)), np.zeros(count)
-        products[np.ix_(list(places), list(places))], cross[list(places)] = own_products, own_cross
+    def _errors(self, weights: FloatArray, places: Sequence[int]) -> Errors | None:
+        """Return the covariances of the errors of these terms, summed over the rows; 0 of all other terms."""
+        if self._gradients is None:
+            return None
+        chosen = list(places)
+        own = self.rows.errors(self._gradients[chosen], weights)
+        products, cross = np.zeros((len(self.atoms), len(self.atoms))), np.zeros(len(self.atoms))
+        products[np.ix_(chosen, chosen)], cross[chosen] = own
         return products, cross
 
-    def _path(
-        self, places: Sequence[int], columns: FloatArray, sides: FloatArray, errors: tuple[FloatArray, FloatArray]
-    ) -> Elimination:
-        """Return the sums on the way from these terms to none, errors of the variables in the terms allowed for."""
+    def _path(self, places: Sequence[int], weights: FloatArray, errors: Errors | None, steps: int) -> Elimination:
         chosen = np.asarray(places)
-        return eliminated(columns[chosen], sides, (errors[0][np.ix_(chosen, chosen)], errors[1][chosen]))
-
-    def _eliminated(
-        self, places: Sequence[int], columns: FloatArray, sides: FloatArray, errors: tuple[FloatArray, FloatArray]
-    ) -> ProductSum:
-        """Return the best sum on the way from these terms to none, by the weights of the windows."""
-        path = self._path(places, columns, sides, errors)
-        independent = self._form.independent
-        squares, price = path.squares.tolist(), 0.0
-        best, least = 0, math.inf
-        for step in reversed(range(len(places))):
-            price += self._prices[places[path.order[step]]]
-            nats = 0.5 * independent * log(max(squares[step], 1e-300)) + price
-            if nats <= least:
-                best, least = step, nats
-        return ProductSum(tuple(places[index] for index in path.kept(best)), path.factors(best), least)
+        own = None if errors is None else (errors[0][np.ix_(chosen, chosen)], errors[1][chosen])
+        return eliminated(self._columns[chosen] * weights, self.rows.sides * weights, own, steps)

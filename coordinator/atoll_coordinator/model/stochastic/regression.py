@@ -22,12 +22,13 @@ import numpy as np
 from atoll_coordinator.data.increments.bins import split_into_bins
 from atoll_coordinator.data.increments.moments import lagged, products
 from atoll_coordinator.data.increments.steps import Steps, all_windows
-from atoll_coordinator.model.criteria import constant_nats_of, structure_length, system_length
+from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
-from atoll_coordinator.model.sparse.elimination import eliminated
-from atoll_coordinator.model.sparse.products import libraries, sum_of_products, values_of_products
+from atoll_coordinator.model.sparse.atoms import product_atoms, product_libraries
+from atoll_coordinator.model.sparse.regression import Regression, Sum
+from atoll_coordinator.model.sparse.rows import Rows
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
@@ -193,18 +194,10 @@ def _binned(points: FloatArray, sides: FloatArray, weights: FloatArray, names: t
 
 def _sparse_sums(weighted: WeightedProblem, columns: Sequence[int]) -> list[Program]:
     """Return the best sums of products on the way from each library of them to nothing, by Schwarz's criterion."""
-    inputs, roots = weighted.problem.inputs, np.sqrt(weighted.weights)
-    sides = weighted.problem.target.values * roots
-    rows = len(sides)
-    sums: list[tuple[float, Program]] = []
-    for terms, _ in libraries(columns, rows, range(1, SETTINGS.sparse.degree + 1)):
-        values = values_of_products(terms, inputs) * roots
-        path = eliminated(values, sides)
-        prices = np.array([structure_length(sum_of_products([term], [1.5])) for term in terms]) + constant_nats_of(rows)
-        for step in range(len(terms)):
-            kept = path.kept(step)
-            nats = 0.5 * rows * np.log(max(float(path.squares[step]), 1e-300)) + prices[kept].sum()
-            program = sum_of_products([terms[place] for place in kept], path.factors(step))
-            sums.append((float(nats), program))
-    sums.sort(key=lambda entry: entry[0])
-    return [program for _, program in sums[: SETTINGS.effort.beam // 2]]
+    rows, roots = Rows(weighted.problem.inputs, weighted.problem.target.values), np.sqrt(weighted.weights)
+    sums: list[Sum] = []
+    for terms, _ in product_libraries(columns, len(roots), range(1, SETTINGS.sparse.degree + 1)):
+        regression = Regression(rows, product_atoms(rows.inputs, terms))
+        sums += regression.on_the_way(range(len(terms)), roots)
+    sums.sort(key=lambda fit: fit.nats)
+    return [fit.sum_of_products() for fit in sums[: SETTINGS.effort.beam // 2]]

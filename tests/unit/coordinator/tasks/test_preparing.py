@@ -8,7 +8,7 @@ from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.refinement import Law, Pool, Refinement
 from atoll_coordinator.model.result.result import KNOWN, VariableOutcome
 from atoll_coordinator.model.selection.shortcut import with_laws
-from atoll_coordinator.model.sparse import product_laws
+from atoll_coordinator.model.sparse import laws
 from atoll_coordinator.result.result import timed
 from atoll_coordinator.tasks.preparing import PreparationOutcome, prepare
 from atoll_coordinator.tasks.refining import Searched, refine

@@ -1,10 +1,10 @@
-"""Terms of a sum left out one after another, also where errors of the variables are in the terms, too.
+"""Compiled loops of sparse regression: sums over windows, least squares, elimination. All sums have a fixed order.
 
-Least squares then takes products of errors with each other for products of terms, and is biased towards small
-coefficients and towards terms whose errors are small. Without the mean of these products the estimate is consistent
-(Fuller 1987, section 3.1).
+Where errors of the variables are in the columns, too, least squares takes products of errors for products of columns:
+coefficients become too small, and terms with small errors are preferred. Without the mean of these products the
+estimate is consistent (Fuller 1987, section 3.1).
 
-Letters: K columns, W windows of L rows, N rows, V variables.
+Letters: K columns, N rows (of tables or of sums), W windows of L rows, V variables.
 """
 
 import math
@@ -12,14 +12,84 @@ import math
 import numpy as np
 
 from atoll_coordinator.model.cholesky import factorize, substitute
-from atoll_coordinator.model.sparse.kernels.least_squares import invert_triangle, triangularize
 from atoll_core.compilation.jit import allocating_kernel, kernel
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
+DEPENDENT = 1e-9
+"""A unit column with a smaller rest beside the others is a sum of them."""
 _MOST_CORRECTED = 0.9
-"""Numerics: the share of the square of any sum of columns, at most, that is taken for errors. What is left grows with
-the inverse of the rest, so that beyond, an estimate is chance."""
+"""Numerics: errors are taken to be at most this share of the square of any sum of columns. The variance of an estimate
+grows with the inverse of the rest."""
+
+
+@kernel
+def windowed_sums(first: Ints, factors: FloatArray, values: FloatArray, sums: FloatArray) -> None:
+    """Write for each column of `values` (K, N) and each window its sum times `factors` (W, L), from row `first` on.
+
+    `first` is (W,), `sums` (K, W).
+    """
+    for k in range(values.shape[0]):
+        for w in range(first.shape[0]):
+            total = 0.0
+            for j in range(factors.shape[1]):
+                total += factors[w, j] * values[k, first[w] + j]
+            sums[k, w] = total
+
+
+@kernel
+def triangularize(columns: FloatArray, side: FloatArray, upper: FloatArray, rotated: FloatArray) -> float:
+    """Overwrite `columns` (K, N) by an orthonormal basis and `side` (N,) by the residuals; return their sum of squares.
+
+    Modified Gram-Schmidt, the right side as a last column (Björck 1967). `upper` (K, K) takes the triangle,
+    `rotated` (K,) the side in the basis; a column that depends on those before gets a row of zeros.
+    """
+    count, rows = columns.shape
+    for k in range(count):
+        norm = 0.0
+        for i in range(rows):
+            norm += columns[k, i] * columns[k, i]
+        norm = math.sqrt(norm)
+        upper[k, k] = norm if norm > DEPENDENT else 0.0
+        rotated[k] = 0.0
+        if not norm > DEPENDENT:
+            for j in range(k + 1, count):
+                upper[k, j] = 0.0
+            continue
+        for i in range(rows):
+            columns[k, i] /= norm
+        for j in range(k + 1, count):
+            dot = 0.0
+            for i in range(rows):
+                dot += columns[k, i] * columns[j, i]
+            upper[k, j] = dot
+            for i in range(rows):
+                columns[j, i] -= dot * columns[k, i]
+        dot = 0.0
+        for i in range(rows):
+            dot += columns[k, i] * side[i]
+        rotated[k] = dot
+        for i in range(rows):
+            side[i] -= dot * columns[k, i]
+    left = 0.0
+    for i in range(rows):
+        left += side[i] * side[i]
+    return left
+
+
+@kernel
+def invert_triangle(triangle: FloatArray, inverse: FloatArray) -> None:
+    """Write the inverse of an upper triangle (M, M) into zeros; rows whose diagonal is 0 stay 0."""
+    size = triangle.shape[0]
+    for k in range(size - 1, -1, -1):
+        if triangle[k, k] == 0.0:
+            continue
+        inverse[k, k] = 1.0 / triangle[k, k]
+        for j in range(k + 1, size):
+            total = 0.0
+            for i in range(k + 1, j + 1):
+                total += triangle[k, i] * inverse[i, j]
+            inverse[k, j] = -total / triangle[k, k]
 
 
 @kernel
@@ -52,18 +122,19 @@ def sum_error_products(
 
 @allocating_kernel
 def eliminate(
-    columns: FloatArray, side: FloatArray, products: FloatArray, cross: FloatArray, order: Ints, squares: FloatArray,
-    found: FloatArray, errors: FloatArray,
+    columns: FloatArray, side: FloatArray, products: FloatArray, cross: FloatArray, steps: int, order: Ints,
+    squares: FloatArray, found: FloatArray, errors: FloatArray,
 ) -> None:  # fmt: skip
-    """Fit `side` (N,) by all `columns` (K, N), then leave out the one whose loss costs least, and so on.
+    """Fit `side` (N,) by all `columns` (K, N), remove the column with the smallest loss, and so on for some `steps`.
 
-    Products of columns have the mean `products` (K, K) of errors, with the side `cross` (K,); without any, these have
-    no elements. Of columns that are mostly errors, as in a library that is too large, as much is allowed for as leaves
-    something.
+    Products of columns have the mean `products` (K, K) of errors, with the side `cross` (K,); without errors, these
+    have no elements. Where columns are mostly errors, as in a library that is too large, a part of them is allowed for
+    that leaves the equations solvable.
 
-    `order` (K,) takes the columns in the order in which they go; `squares` (K + 1,) the sums of squares left with the
-    last K, K - 1, ... 0 of that order, `errors` (K + 1,) what errors of columns add to these; `found` (K, K) the
-    coefficients of all columns at each step, 0 for those gone.
+    `order` (K,) takes the columns in the order of their removal, those that stay last; `squares` (K + 1,) the sums of
+    squared residuals with the last K, K - 1, ... 0 of that order, `errors` (K + 1,) the part of errors of columns in
+    these; `found` (K, K) the coefficients of all columns at each step, 0 for removed ones. Only `steps` of the K are
+    computed.
     """
     count, rows = columns.shape
     unit, rest = columns.copy(), side.copy()
@@ -78,7 +149,7 @@ def eliminate(
     upper, rotated = np.zeros((count, count)), np.zeros(count)
     base = triangularize(unit, rest, upper, rotated)
     kept = np.arange(count)
-    for step in range(count):
+    for step in range(steps):
         size = count - step
         part, reached, triangle = np.zeros((size, count)), np.zeros(size), np.zeros((size, size))
         left_over = rotated.copy()
@@ -142,6 +213,8 @@ def eliminate(
         order[step] = kept[worst]
         for j in range(worst, size - 1):
             kept[j] = kept[j + 1]
+    for j in range(count - steps):
+        order[steps + j] = kept[j]
     total = 0.0
     for i in range(rows):
         total += side[i] * side[i]
@@ -150,10 +223,7 @@ def eliminate(
 
 @allocating_kernel
 def _factorize_rest(share: FloatArray, limit: float, factor: FloatArray, sizes: FloatArray) -> bool:
-    """Write Cholesky's factor of what a symmetric matrix leaves of `limit` times the identity; tell whether it has one.
-
-    It has where all eigenvalues of `share` are below the limit.
-    """
+    """Write Cholesky's factor of `limit` times the identity minus `share`; tell whether that is positive definite."""
     size = len(sizes)
     for j in range(size):
         for k in range(size):

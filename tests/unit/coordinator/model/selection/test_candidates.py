@@ -5,7 +5,7 @@ import pytest
 
 from atoll_coordinator.model.batches import FUNCTIONS, Spread
 from atoll_coordinator.model.selection.candidates import RankedCandidates
-from atoll_coordinator.model.structure.term_libraries import libraries
+from atoll_coordinator.model.sparse.atoms import libraries
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program, structure

@@ -5,7 +5,7 @@ import pytest
 
 from atoll_coordinator.model.selection import elimination
 from atoll_coordinator.model.selection.elimination import eliminated
-from atoll_coordinator.model.structure.term_libraries import fractions, libraries, product_of
+from atoll_coordinator.model.sparse.atoms import fractions, libraries, product_of
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.operators import ADD, DIVIDE, MULTIPLY, VARIABLE
 from atoll_core.expression.program import constant_places

@@ -5,10 +5,10 @@ import pytest
 from scipy import special
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.sparse.product_laws import find_laws, laws_among_many, settled_variables
-from atoll_coordinator.model.sparse.products import products
+from atoll_coordinator.model.sparse.atoms import product_atoms, products
+from atoll_coordinator.model.sparse.laws import find_laws, laws_among_many, settled_variables
 from atoll_coordinator.model.sparse.regression import Regression
-from atoll_coordinator.model.sparse.weak_form import Measured, weak_form
+from atoll_coordinator.model.sparse.rows import Measured, weak_rows
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import BudgetConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.expression.operators import BY_NAME
@@ -61,7 +61,7 @@ def test_tolerances_of_a_solver_add_no_terms():
 def test_sums_of_more_nodes_than_programs_may_have_are_no_laws(noise, monkeypatch):
     preparation = prepared(400, noise)
     assert laws_of(preparation, "y")
-    monkeypatch.setattr("atoll_coordinator.model.sparse.product_laws.MAX_NODES", 5)
+    monkeypatch.setattr("atoll_coordinator.model.sparse.laws.MAX_NODES", 5)
     assert not laws_of(preparation, "y")
 
 
@@ -118,11 +118,11 @@ def test_windows_that_differ_much_in_variance_decide_the_terms_of_a_state_in_bur
     sizes = 0.02 * values.std(axis=1)
     noisy = values + sizes[:, None] * generator.normal(size=values.shape)
     measured_states = Measured(times, ((0, len(times)),), noisy, values, sizes)
-    form = weak_form(measured_states, 1, 12)
+    form = weak_rows(measured_states, 1, 12)
     wrong = products((0, 1, 2), 2)
-    law = Regression(form, wrong).law(wrong, is_tested=True)
-    assert terms(law) == {"y", "x*y"}
-    assert 0.7 < law.excess < 1.3
+    found = Regression(form, product_atoms(noisy, wrong)).search(range(len(wrong)))
+    assert monomials(to_infix(found.program(), NAMES)) == {"y", "x*y"}
+    assert 0.7 < found.excess < 1.3
 
 
 def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
@@ -132,13 +132,11 @@ def test_fitted_coefficients_are_no_degrees_of_freedom_of_what_a_law_leaves():
     values = np.array([np.sin(times) + 0.3 * np.sin(2.3 * times), np.cos(times) + 0.69 * np.cos(2.3 * times)])
     sizes = 0.02 * values.std(axis=1)
     noisy = values + sizes[:, None] * generator.normal(size=values.shape)
-    form = weak_form(Measured(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
+    form = weak_rows(Measured(times, ((0, len(times)),), noisy, values, sizes), 0, 20)
     for degree, count in ((1, 3), (2, 6), (3, 10)):
-        terms_of_it = products((0, 1), degree)
-        regression = Regression(form, terms_of_it)
-        law = regression.law_of(regression.refitted(range(count), np.ones(len(form.sides))), is_tested=True)
-        degrees_of_freedom = form.independent - count
-        assert law.probability == pytest.approx(special.chdtrc(degrees_of_freedom, degrees_of_freedom * law.excess**2))
+        regression = Regression(form, product_atoms(noisy, products((0, 1), degree)))
+        found, free = regression.refitted(range(count), np.ones(len(form.sides))), form.independent - count
+        assert found.assessment.probability == pytest.approx(special.chdtrc(free, free * found.excess**2))
 
 
 @pytest.mark.parametrize(

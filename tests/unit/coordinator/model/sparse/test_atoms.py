@@ -1,15 +1,88 @@
-"""Libraries of terms, and their sums."""
+"""The dictionary of terms: products, shapes and their prices, libraries, sums."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_coordinator.model.structure.term_libraries import fractions, libraries, product_of, sum_of
+from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.model.sparse.atoms import (
+    dictionary,
+    fractions,
+    libraries,
+    powers,
+    product_of,
+    products,
+    products_of,
+    shapes,
+    sum_of,
+)
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, BY_NAME, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
 from atoll_core.expression.program import constant_places
+from atoll_core.expression.text.parsing import from_infix
+
+XYZ = ("x", "y", "z")
+
+
+@pytest.mark.parametrize(
+    ("text", "products"),
+    [
+        ("10*(y - x)", ["x", "y"]),
+        ("x*(28 - z) - y", ["x", "y", "xz"]),
+        ("(x + 1)**2/2", ["", "x", "xx"]),
+        ("x*y - y*x + z", ["z"]),
+        ("-(x*x*y)", ["xxy"]),
+    ],
+)
+def test_products_are_those_of_the_expanded_sum(text, products):
+    factors = products_of(from_infix(text, XYZ), 4)
+    assert ["".join(XYZ[variable] for variable in term) for term in factors] == products
+
+
+@pytest.mark.parametrize("text", ["sin(x)", "x/y", "x + 1/(y + 2)", "x*x*x*y*z", "sin(x)*0 + cos(y)"])
+def test_other_functions_and_higher_degrees_are_none(text):
+    assert products_of(from_infix(text, XYZ), 4) is None
+
+
+INPUTS = np.random.default_rng(0).uniform(0.5, 2.0, (2, 20))
+
+
+@pytest.mark.parametrize(
+    ("product", "quotient", "text"),
+    [
+        ((), None, "2.5"),
+        ((0, 0), None, "2.5*(x*x)"),
+        ((), 1, "2.5/(1.5 + x)"),
+        ((0, 1), 1, "2.5*(x*y)/(1.5 + x)"),
+        ((1,), 0, "2.5*y/x"),
+    ],
+)
+def test_a_term_costs_what_it_is_written_as(product, quotient, text):
+    (shape,) = powers(INPUTS, [product])
+    if quotient is not None:  # 1/x, 1/(c + x)
+        allowed = [of for of in shapes(INPUTS, (0,), {BY_NAME["/"].code}, [shape]) if of.argument == (0, 0)]
+        (shape,) = (of for of in allowed if of.has_constant == bool(quotient))
+    program = from_infix(text, ("x", "y"))
+    expected = structure_length(program) + len(constant_places(program)) * constant_nats_of(100)
+    assert shape.price(100) == pytest.approx(expected)
+
+
+def test_products_are_powers_in_the_order_of_degrees():
+    assert products((0, 1), 2) == [(), (0,), (1,), (0, 0), (0, 1), (1, 1)]
+    assert powers(INPUTS, [(0, 1)])[0].product == pytest.approx(INPUTS[0] * INPUTS[1])
+
+
+def test_quotients_keep_their_products_where_all_functions_are_too_many() -> None:
+    inputs = np.random.default_rng(0).uniform(0.1, 1.0, (8, 20))
+    quotients = {BY_NAME["/"].code}
+    alone = dictionary(inputs, range(8), quotients)
+    made = dictionary(inputs, range(8), quotients | {BY_NAME[name].code for name in ("sin", "cos", "exp", "tanh")})
+    assert max(len(shape.factors) for shape in alone) == 2
+    assert sum(len(shape.factors) == 2 for shape in made) == sum(len(shape.factors) == 2 for shape in alone)
+    assert len(made) > len(alone)
+
 
 PLAIN = (ADD, MULTIPLY)
 

@@ -3,11 +3,11 @@
 import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.sparse.rates.screening import screened, with_screened_variables
+from atoll_coordinator.model.sparse.laws import screened, with_screened_variables
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import PRESETS
 from atoll_core.data.table import Table
-from tests.unit.coordinator.model.sparse.rates.test_rate_laws import rows_of
+from tests.unit.coordinator.model.sparse.test_many_variables import rows_of
 
 STATES = tuple(f"x{place}" for place in range(16))
 

@@ -1,0 +1,492 @@
+"""The one dictionary of terms: products of variables, these times functions with a constant inside, libraries of both.
+
+A `Product` is a tuple of variables. A `Shape` is a product times a function, with its values on some rows; its function
+may have a constant inside. An `Atom` is a shape with a number for that constant: a term of a sum without its
+coefficient. A term is written as an expression wherever no values are needed.
+
+Letters: K terms, R rows, V variables.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import combinations, combinations_with_replacement
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.model.criteria import constant_nats_of, structure_length
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.builder import Expression, ProgramBuilder
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import (
+    ABS,
+    ADD,
+    COS,
+    DIVIDE,
+    EXP,
+    LOG,
+    MULTIPLY,
+    POW,
+    SIN,
+    SQRT,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+)
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.simplification import simplify_program
+from atoll_core.expression.writing.expansion import terms_of
+from atoll_core.expression.writing.shortest import collected
+from atoll_core.expression.writing.sums_of_products import UndefinedError
+
+# ------------------------------------------------------------------------------------------------ terms and sums
+
+Product = tuple[int, ...]
+"""Variables (indices) in ascending order, each as often as it is a factor; none: the constant."""
+
+
+def product_of(factors: Sequence[Expression]) -> Expression:
+    """Return a product, 1 where there are no factors."""
+    product = factors[0] if factors else 1.0
+    for factor in factors[1:]:
+        product = (MULTIPLY, product, factor)
+    return product
+
+
+def scaled(term: Expression, factor: float) -> Expression:
+    """Return a term times a number, which becomes the first factor: a numerator of 1 is replaced by it."""
+    match term:
+        case (code, first, second) if code in (MULTIPLY, DIVIDE):
+            return (code, scaled(first, factor), second)
+    return factor if term == 1.0 else (MULTIPLY, factor, term)
+
+
+def sum_of(terms: Sequence[Expression], coefficients: Sequence[float]) -> Program:
+    """Return the program of the sum of `terms`, in their order, with these coefficients."""
+    total, *others = (scaled(term, float(factor)) for term, factor in zip(terms, coefficients, strict=True))
+    for other in others:
+        total = (ADD, total, other)
+    builder = ProgramBuilder()
+    return simplify_program(builder.program(builder.build(total)))
+
+
+def products(columns: Sequence[int], degree: int) -> list[Product]:
+    """Return all products of these variables up to a degree, the constant first."""
+    return [term for order in range(degree + 1) for term in combinations_with_replacement(columns, order)]
+
+
+def values_of_products(terms: Sequence[Product], inputs: FloatArray) -> FloatArray:
+    """Return the values (K, R) at `inputs` (V, R), factors multiplied in their order."""
+    values = np.ones((len(terms), inputs.shape[1]))
+    for row, term in zip(values, terms, strict=True):
+        for variable in term:
+            row *= inputs[variable]
+    return values
+
+
+def expression_of(term: Product) -> Expression:
+    """Return a product as an expression."""
+    return product_of([(VARIABLE, variable) for variable in term])
+
+
+def products_of(program: Program, degree: int) -> list[Product] | None:
+    """Return the products that `program` sums up; None where it is no sum of products of at most this degree."""
+    try:
+        monomials = [monomial for monomial, _ in terms_of(program)]
+    except UndefinedError:
+        return None
+    found: list[Product] = []
+    for monomial in monomials:
+        if any(atom[0] != VARIABLE or exponent < 0 for atom, exponent in monomial):
+            return None
+        found.append(tuple(sorted(atom[1] for atom, exponent in monomial for _ in range(exponent))))
+    return sorted(found, key=lambda term: (len(term), term)) if max(map(len, found), default=0) <= degree else None
+
+
+# ----------------------------------------------------------------------------------------------------- libraries
+
+
+def product_libraries(
+    columns: Sequence[int], rows: float, degrees: Sequence[int]
+) -> Iterator[tuple[list[Product], bool]]:
+    """Yield all products up to each degree that the rows can determine, and whether the largest is among them.
+
+    Each term of a library takes `rows_per_term` of the `rows`, which are independent.
+    """
+    candidates = [products(columns, degree) for degree in degrees]
+    most = min(SETTINGS.sparse.largest_library, rows / SETTINGS.sparse.rows_per_term)
+    allowed = [terms for terms in candidates if len(terms) <= most]
+    for terms in allowed:
+        yield terms, len(allowed) == len(candidates)
+
+
+def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[list[Expression]]:
+    """Yield libraries over these variables, as far as the operators (codes) allow them, the constant term first.
+
+    Powers and products up to the second or third degree; with sines and cosines; products of these; and sines and
+    cosines of sums and differences, by which phases are coupled.
+    """
+    if not {ADD, MULTIPLY} <= set(operators):
+        return
+    plain: list[Expression] = [(VARIABLE, variable) for variable in variables]
+    waves: list[Expression] = [(code, variable) for variable in plain for code in (SIN, COS)]
+    candidates = [list(map(expression_of, products(variables, degree))) for degree in (2, 3)]
+    if {SIN, COS} <= set(operators):
+        candidates += [[*candidates[0], *waves], [1.0, *waves, *map(product_of, combinations(waves, 2))]]
+        if SUBTRACT in operators:
+            pairs = list(combinations(plain, 2))
+            phases = [(join, *pair) for pair in pairs for join in (SUBTRACT, ADD)]
+            candidates.append([1.0, *waves, *((code, phase) for phase in phases for code in (SIN, COS))])
+    yield from (terms for terms in candidates if len(terms) <= SETTINGS.effort.longest_sum)
+
+
+def fractions(
+    variables: Sequence[int], operators: Collection[int], sizes: Sequence[float]
+) -> Iterator[list[Expression]]:
+    """Yield libraries with quotients, the constant term first, as far as the operators (codes) allow them.
+
+    Powers and products up to the second degree, with terms that saturate or fade with one variable v: products of v, or
+    v squared, over a constant and the same (the laws of Monod and of Holling), all with the same constant; and sines,
+    cosines and variables over v.
+
+    Args:
+        variables: indices of the variables.
+        operators: codes that may be used.
+        sizes: the size of each variable, by index; constants of denominators begin there.
+    """
+    if not {ADD, MULTIPLY, DIVIDE} <= set(operators):
+        return
+    plain: list[Expression] = [(VARIABLE, variable) for variable in variables]
+    squares = list(map(expression_of, products(variables, 2)))
+    for variable, own in zip(variables, plain, strict=True):
+        others = [other for other in plain if other != own]
+        for power in (1, 2):
+            below = (ADD, product_of([own] * power), sizes[variable] ** power)
+            mixed: list[Expression] = [(DIVIDE, product_of([other, own]), below) for other in others]
+            for quotients in ([*mixed], [(DIVIDE, own, below), *mixed]):
+                if quotients and len(quotients) + len(squares) <= SETTINGS.effort.longest_sum:
+                    yield [*squares, *quotients]
+    if {SIN, COS} <= set(operators):
+        waves: list[Expression] = [(code, variable) for variable in plain for code in (SIN, COS)]
+        for own in plain:
+            above = [1.0, *(other for other in plain if other != own), *waves]
+            yield [1.0, *plain, *waves, *((DIVIDE, term, own) for term in above)]
+
+
+# ----------------------------------------------------------------------------------------------------- functions
+
+_RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)
+_BOTH_SIGNS: Final = tuple(sign * 0.1 * 2.0 ** (step / 2.0) for sign in (1.0, -1.0) for step in range(13))
+"""Exponentials have a finer grid: where a variable stays far from 0, many of them fit about as well."""
+_SHIFTS: Final = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+_WIDE_SHIFTS: Final = tuple(0.0125 * 2.0 ** (step / 2.0) for step in range(17))
+_KINKS: Final = tuple(eighth / 8.0 for eighth in range(1, 8))
+"""Shares of the range of a variable at which its function has a kink."""
+_EXPONENTS: Final = (-1.5, -0.5, 0.3, 0.7, 1.5, 2.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Function:
+    """A function of an argument u (R,) and of an inner constant.
+
+    `slope` is its derivative by the constant, None where it has none; `constants` are the first guesses for the
+    constant, for an argument u with a given root mean square.
+    """
+
+    value: Callable[[FloatArray, float], FloatArray]
+    expression: Callable[[Expression, float], Expression]
+    slope: Callable[[FloatArray, float], FloatArray] | None = None
+    constants: Callable[[float], Sequence[float]] = lambda _: (1.0,)
+    has_pole: bool = False
+
+
+def _of_scaled(code: int, rates: Sequence[float], value: Callable[[FloatArray], FloatArray],
+               slope: Callable[[FloatArray], FloatArray]) -> Function:  # fmt: skip
+    """Return a function of c u with the inner constant c."""
+    return Function(
+        lambda u, c: value(c * u),
+        lambda u, c: (code, scaled(u, c)),
+        lambda u, c: u * slope(c * u),
+        lambda size: [rate / size for rate in rates],
+    )
+
+
+def _plain(code: int, value: Callable[[FloatArray], FloatArray]) -> Function:
+    return Function(lambda u, _: value(u), lambda u, _: (code, u))
+
+
+_OVER: Final = Function(lambda u, _: 1.0 / u, lambda u, _: (DIVIDE, 1.0, u), has_pole=True)
+_OVER_SUM: Final = Function(
+    lambda u, c: 1.0 / (u + c),
+    lambda u, c: (DIVIDE, 1.0, (ADD, u, c)),
+    lambda u, c: -1.0 / (u + c) ** 2,
+    lambda size: [shift * size for shift in _SHIFTS],
+    has_pole=True,
+)
+_POWER: Final = Function(
+    lambda u, c: u**c, lambda u, c: (POW, u, c), lambda u, c: u**c * np.log(u), lambda _: _EXPONENTS
+)
+_SIGN: Final = Function(lambda u, _: np.sign(u), lambda u, _: (DIVIDE, u, (ABS, u)))
+_KINK: Final = Function(
+    lambda u, c: np.abs(u - c),
+    lambda u, c: (ABS, (ADD, u, -c)),
+    lambda u, c: np.sign(c - u),
+)
+_EXP: Final = _of_scaled(EXP, _BOTH_SIGNS, np.exp, np.exp)
+_OF_ANY: Final = {
+    SIN: _of_scaled(SIN, _RATES, np.sin, np.cos),
+    COS: _of_scaled(COS, _RATES, np.cos, lambda u: -np.sin(u)),
+    EXP: _EXP,
+    TANH: _of_scaled(TANH, _RATES, np.tanh, lambda u: 1.0 - np.tanh(u) ** 2),
+    DIVIDE: _OVER_SUM,
+}
+"""By the operator that they need, functions of any argument."""
+_OF_SQUARES: Final = {EXP: _EXP, DIVIDE: _OVER_SUM}
+_WAVES: Final = {SIN: _plain(SIN, np.sin), COS: _plain(COS, np.cos)}
+_ABS: Final = _plain(ABS, np.abs)
+_OF_POSITIVE: Final = {LOG: _plain(LOG, np.log), SQRT: _plain(SQRT, np.sqrt), POW: _POWER}
+
+
+# --------------------------------------------------------------------------------------------- shapes and atoms
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A product of variables (`factors` by index; `product`, (R,), their values) times a function of `u` (R,), if any.
+
+    `argument` is the expression of u.
+    """
+
+    factors: Product
+    product: FloatArray
+    function: Function | None = None
+    argument: Expression = 0.0
+    u: FloatArray | None = None
+
+    @property
+    def has_constant(self) -> bool:
+        """Whether there is a constant inside."""
+        return self.function is not None and self.function.slope is not None
+
+    def constants(self) -> Sequence[float]:
+        """Return the grid of first guesses for the inner constant."""
+        if self.function is None or self.u is None:
+            return (1.0,)
+        size = float(np.sqrt(np.mean(self.u**2)))
+        return self.function.constants(size) if size > 0.0 else ()
+
+    def value(self, constant: float) -> FloatArray:
+        """Return the values (R,), all NaN where a pole lies between the rows."""
+        if self.function is None or self.u is None:
+            return self.product
+        values = self.function.value(self.u, constant)
+        if self.function.has_pole and (values > 0.0).any() and (values < 0.0).any():
+            return np.full_like(values, np.nan)
+        return np.asarray(self.product * values)
+
+    def slope(self, constant: float) -> FloatArray:
+        """Return the derivatives (R,) by the inner constant, 0 where there is none."""
+        if self.function is None or self.function.slope is None or self.u is None:
+            return np.zeros_like(self.product)
+        return np.asarray(self.product * self.function.slope(self.u, constant))
+
+    def over(self, inputs: FloatArray) -> "Shape":
+        """Return the same shape on other rows of the variables, `inputs` (V, R)."""
+        product = values_of_products([self.factors], inputs)[0]
+        if self.function is None:
+            return Shape(self.factors, product)
+        builder = ProgramBuilder()
+        u = values_of(builder.program(builder.build(self.argument)), inputs)
+        return replace(self, product=product, u=u)
+
+    def expression(self, constant: float) -> Expression:
+        """Return the product with this inner constant."""
+        product = expression_of(self.factors)
+        if self.function is None:
+            return product
+        match self.function.expression(self.argument, constant):
+            case (code, 1.0, below) if code == DIVIDE:
+                return (DIVIDE, product, below)
+            case function:
+                return (MULTIPLY, product, function) if self.factors else function
+
+    @cached_property
+    def _written(self) -> tuple[float, int]:
+        """The nats of its structure as a term of a sum, and how many constants that has."""
+        program = sum_of([self.expression(1.5)], [2.5])
+        return structure_length(program), len(constant_places(program))
+
+    def price(self, rows: float) -> float:
+        """Return the nats of the term in a sum over so many rows: its structure, and 1/2 ln N for each constant."""
+        structure, constants = self._written
+        return structure + constants * constant_nats_of(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Atom:
+    """A term without its coefficient: a shape and its inner constant."""
+
+    shape: Shape
+    constant: float = 1.0
+
+    @property
+    def values(self) -> FloatArray:
+        """The values (R,)."""
+        return self.shape.value(self.constant)
+
+    @property
+    def slopes(self) -> FloatArray:
+        """The derivatives (R,) by the inner constant."""
+        return self.shape.slope(self.constant)
+
+    def over(self, inputs: FloatArray) -> "Atom":
+        """Return the same term on other rows of the variables, `inputs` (V, R)."""
+        return Atom(self.shape.over(inputs), self.constant)
+
+    def moved(self, step: float) -> "Atom":
+        """Return the term with its inner constant after a step, which changes it by half at most."""
+        limit = 0.5 * abs(self.constant)
+        return Atom(self.shape, self.constant + min(max(step, -limit), limit))
+
+    def by_constant(self) -> "Atom":
+        """Return the derivative by the inner constant, which there is, as a term; it has no expression of its own."""
+        assert self.shape.function is not None
+        assert self.shape.function.slope is not None
+        slope = replace(self.shape.function, value=self.shape.function.slope, slope=None, has_pole=False)
+        return Atom(replace(self.shape, function=slope), self.constant)
+
+    def depends_on(self, variable: int) -> bool:
+        """Tell whether a variable (index) is a factor, or in the argument of the function."""
+        return variable in self.shape.factors or _has(self.shape.argument, variable)
+
+
+def _has(expression: object, variable: int) -> bool:
+    if not isinstance(expression, tuple):
+        return False
+    if len(expression) == 2 and expression[0] == VARIABLE:
+        return bool(expression[1] == variable)
+    return any(_has(part, variable) for part in expression[1:])
+
+
+def program_of(atoms: Sequence[Atom], coefficients: Iterable[float]) -> Program:
+    """Return the sum of terms with these coefficients (K,), as a sum of products."""
+    return collected(sum_of([atom.shape.expression(atom.constant) for atom in atoms], [*coefficients]))
+
+
+def powers(inputs: FloatArray, terms: Sequence[Product]) -> list[Shape]:
+    """Return products of the variables `inputs` (V, R) as shapes."""
+    return [Shape(*pair) for pair in zip(terms, values_of_products(terms, inputs), strict=True)]
+
+
+def product_atoms(inputs: FloatArray, terms: Sequence[Product]) -> tuple[Atom, ...]:
+    """Return products of the variables `inputs` (V, R) as atoms."""
+    return tuple(map(Atom, powers(inputs, terms)))
+
+
+def shapes(
+    inputs: FloatArray,
+    columns: Sequence[int],
+    operators: Collection[int],
+    products: Sequence[Shape],
+    *,
+    has_powers: bool = False,
+) -> Iterator[Shape]:
+    """Yield each of the `products` times each function that the operators (codes) allow.
+
+    Where it `has_powers`, quotients are those of Hill's equation: with powers up to the fourth, and wider grids.
+    """
+    arguments = list(_arguments(inputs, columns, set(operators)))
+    if has_powers and DIVIDE in operators:
+        arguments = [
+            (argument, u, [function for function in functions if function is not _OVER_SUM])
+            for argument, u, functions in arguments
+        ]
+        arguments += [quotient for column in columns for quotient in _quotients(inputs[column], column)]
+    for argument, u, functions in arguments:
+        for product in products:
+            for function in functions:
+                yield Shape(product.factors, product.product, function, argument, u)
+
+
+def dictionary(inputs: FloatArray, columns: Sequence[int], operators: Collection[int]) -> list[Shape]:
+    """Return products of up to two variables with functions, of one or none where there are too many.
+
+    Where all functions are too many for two variables, quotients are taken alone: most laws with many variables have
+    these.
+    """
+    both = _products_with_functions(inputs, columns, operators, 2)
+    if both is not None:
+        return both
+    quotients = _products_with_functions(inputs, columns, {DIVIDE} & set(operators), 2)
+    rest = set(operators) if quotients is None else set(operators) - {DIVIDE}
+    fewer = (_products_with_functions(inputs, columns, rest, degree) for degree in (1, 0))
+    return [*(quotients or ()), *next((found for found in fewer if found is not None), [])]
+
+
+def _products_with_functions(
+    inputs: FloatArray, columns: Sequence[int], operators: Collection[int], degree: int
+) -> list[Shape] | None:
+    """Return products of variables up to a degree with functions, None where there are too many."""
+    plain = powers(inputs, products(columns, degree))
+    single = shapes(inputs, columns, operators, plain[:1], has_powers=True)
+    if len(plain) * sum(len(shape.constants()) for shape in single) > SETTINGS.rates.most_atoms:
+        return None
+    return list(shapes(inputs, columns, operators, plain, has_powers=True))
+
+
+def _quotients(values: FloatArray, column: int) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
+    """Yield the powers of a variable with 1/(c + u) of each; shifts are powers of shares of the variable.
+
+    The variable itself also has shifts beyond its largest value: the rest of a conserved amount saturates.
+    """
+    leaf: Expression = (VARIABLE, column)
+    square: Expression = (MULTIPLY, leaf, leaf)
+    arguments: tuple[Expression, ...] = (leaf, square, (MULTIPLY, leaf, square), (MULTIPLY, square, square))
+    for exponent, argument in enumerate(arguments, 1):
+        yield argument, values**exponent, [replace(_OVER_SUM, constants=partial(_powers_of_shifts, exponent))]
+    yield leaf, values, [replace(_OVER_SUM, constants=partial(_beyond, float(values.max())))]
+
+
+def _beyond(most: float, size: float) -> Sequence[float]:
+    """Return shifts for a variable up to `most`, of the root mean square `size`, whose pole lies beyond it."""
+    return [-(most + shift * size) for shift in _WIDE_SHIFTS if most > 0.0]
+
+
+def _within(u: FloatArray, size: float) -> Sequence[float]:
+    """Return places of a kink in the range of u (R,)."""
+    low, high = float(u.min()), float(u.max())
+    return [low + share * (high - low) for share in _KINKS]
+
+
+def _powers_of_shifts(exponent: int, size: float) -> Sequence[float]:
+    """Return shifts for a power of the root mean square `size`."""
+    return [shift**exponent * size for shift in _WIDE_SHIFTS]
+
+
+def _arguments(
+    inputs: FloatArray, columns: Sequence[int], operators: set[int]
+) -> Iterator[tuple[Expression, FloatArray, list[Function]]]:
+    """Yield arguments, their values (R,), and the functions of them that are tried."""
+
+    def allowed(functions: dict[int, Function]) -> list[Function]:
+        return [function for code, function in functions.items() if code in operators]
+
+    waves = allowed(_WAVES)
+    for column in columns:
+        u, leaf = inputs[column], (VARIABLE, column)
+        is_positive = bool((u > 0.0).all())
+        positive = allowed(_OF_POSITIVE) if is_positive else []
+        has_both_signs = bool(u.min() < 0.0 < u.max())
+        kinked = [replace(_KINK, constants=partial(_within, u))] if ABS in operators else []
+        kinked += [_ABS] if ABS in operators and has_both_signs else []
+        kinked += [_SIGN] if {ABS, DIVIDE} <= operators and has_both_signs else []
+        yield leaf, u, [*waves, *allowed(_OF_ANY), *([_OVER] if DIVIDE in operators else []), *positive, *kinked]
+        yield (MULTIPLY, leaf, leaf), u * u, allowed(_OF_SQUARES)
+        if is_positive and {EXP, DIVIDE} <= operators:
+            yield (DIVIDE, 1.0, leaf), 1.0 / u, [_EXP]
+    for first, second in combinations(columns, 2):
+        for join, u in ((SUBTRACT, inputs[first] - inputs[second]), (ADD, inputs[first] + inputs[second])):
+            if join in operators:
+                yield (join, (VARIABLE, first), (VARIABLE, second)), u, waves

@@ -1,0 +1,474 @@
+"""Laws of many variables: short sums of products and of functions with a constant inside, on rates or short windows.
+
+Where there are six variables or more, libraries of all products up to the fourth degree are too large, and laws have
+functions that sums of products do not replace. Each equation is searched for itself: polynomials of low degree, then
+products with functions (quotients as in Hill's equation and others), which are all compared beside the terms that are
+there. At last functions of other laws are terms, too: a flux that leaves one state enters another. The reasons and
+figures: ADR 0043 and 0048.
+
+Letters: A atoms, K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, V variables.
+"""
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.data.differentiation.interpolation import predict_left_out
+from atoll_coordinator.data.differentiation.noise import estimate_value_noise
+from atoll_coordinator.data.differentiation.smoothing import Signal
+from atoll_coordinator.data.recording import Recording
+from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.least_squares import coefficients_of
+from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.sparse.atoms import Atom, Product, Shape, dictionary, product_atoms, product_libraries
+from atoll_coordinator.model.sparse.regression import Regression, Sum, shortest
+from atoll_coordinator.model.sparse.rows import (
+    CAUCHY,
+    NORMAL_DEVIATION,
+    Assessment,
+    Measured,
+    Rows,
+    WeakRows,
+    measured_of,
+    window_integrals,
+    windows_of,
+)
+from atoll_coordinator.model.thinning import thinned_places
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.builder import operators_in
+
+_DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
+_KEPT: Final = 2
+"""Functions beside each of the sums that a search begins with, which are then terms of a library."""
+
+# ------------------------------------------------------------------------------------------------ short windows
+
+_CUBIC, _LINE = 3, 1
+
+
+@dataclass(frozen=True, eq=False)
+class ShortWindows(WeakRows):
+    """Windows as short as the sampling resolves, for states that follow one another.
+
+    Between rows functions are cubics, and the test function is integrated exactly. `coarse` are the weights (W, L) of
+    test functions and their derivatives with straight lines between rows; the difference counts as an error.
+    """
+
+    coarse: tuple[FloatArray, FloatArray]
+
+    @cached_property
+    def _own(self) -> FloatArray:
+        """The variances (W,) of the left sides by errors of measurement."""
+        return np.asarray((self.slope**2).sum(axis=1) * self.measured.noise[self.target] ** 2)
+
+    @cached_property
+    def _target_quadrature(self) -> FloatArray:
+        """The errors (W,) of the integration of the left sides."""
+        target = self.measured.values[self.target : self.target + 1]
+        return np.asarray(-window_integrals(self.first, self.slope - self.coarse[1], target)[0])
+
+    @cached_property
+    def side_errors(self) -> FloatArray:
+        """The standard errors (W,) of the left sides, with errors of the integration."""
+        return np.sqrt(np.maximum(self._own + self.widened(self._target_quadrature) ** 2, 1e-300))
+
+    def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
+        """Return the assessment with errors of the integration; large residuals count less (Cauchy).
+
+        Where states follow one another, a large multiple of a sum that vanishes along their course explains everything,
+        and so does a sum that no quadrature resolves. Hence 1/2 ln(1 + v/s^2) for errors of columns with variance v,
+        where the sides have the typical square s^2, and the ratio of errors of quadrature of the residual and the side.
+        """
+        variances = np.maximum(self.variances(atoms, coefficients), 1e-300)
+        values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
+        difference = window_integrals(self.first, self.bump - self.coarse[0], np.asarray(values)[None])[0]
+        quadrature = self.widened(self._target_quadrature - difference) ** 2
+        deviations = np.sqrt(variances + quadrature)
+        scaled = residuals / deviations
+        far = scaled / CAUCHY
+        typical = max(
+            (NORMAL_DEVIATION * float(np.median(np.abs(self.sides)))) ** 2, float(np.median(self._own)), 1e-300
+        )
+        unresolved = (quadrature + variances) / (self.widened(self._target_quadrature) ** 2 + variances)
+        losses = (
+            CAUCHY * CAUCHY * np.log1p(far * far)
+            + np.log1p(np.maximum(variances - self._own, 0.0) / typical)
+            + np.log(np.maximum(unresolved, 1.0))
+        )
+        misfit = 0.5 * self.independent * math.fsum(losses.tolist()) / len(losses)
+        free = max(self.independent - len(atoms), 1.0)  # as for a variance: Rousseeuw & Leroy 1987, section 5.1
+        median = float(np.sort(np.abs(scaled))[len(scaled) // 2])
+        excess = math.sqrt(self.independent / free) * NORMAL_DEVIATION * median
+        return Assessment(1.0 / (deviations * np.sqrt(1.0 + far * far)), misfit, excess)
+
+    def widened(self, errors: FloatArray) -> FloatArray:
+        """Return for each window the largest of the `errors` (W,) of it and the windows that it overlaps."""
+        largest, sizes = np.abs(errors), np.abs(errors)
+        overlaps = np.diff(self.first) < self.bump.shape[1]
+        largest[1:] = np.where(overlaps, np.maximum(largest[1:], sizes[:-1]), largest[1:])
+        largest[:-1] = np.where(overlaps, np.maximum(largest[:-1], sizes[1:]), largest[:-1])
+        return largest
+
+
+def window_rows(recording: Recording, names: Sequence[str], variable: str) -> ShortWindows | None:
+    """Return short windows for the equation of `variable`, a state; `names` (V,) are symbols of states and inputs.
+
+    They are as long as lines between rows serve each state as well as cubics, by its noise, in enough of the windows.
+    Noise is that by which rows are predicted from their neighbours. None where trajectories are too short for any.
+    """
+    measured = measured_of(recording, names)
+    noise = measured.noise.copy()
+    for place in np.flatnonzero(noise > 0.0).tolist():
+        signals = [
+            Signal(measured.times[start:end], measured.values[place, start:end].copy())
+            for start, end in measured.ranges
+        ]
+        noise[place] = estimate_value_noise(*predict_left_out(signals))
+    measured = replace(measured, smoothed=measured.values, noise=noise)
+    target = names.index(recording.state_symbols[recording.states.index(variable)])
+    rows, half = None, SETTINGS.windows.least_half
+    widest = max(end - start for start, end in measured.ranges) // SETTINGS.sparse.least_windows
+    while half <= widest and (wider := _short_windows(measured, target, half)) is not None:
+        if rows is not None and not _is_resolved(wider):
+            break
+        rows, half = wider, math.ceil(half * SETTINGS.windows.half_ratio)
+    return rows
+
+
+def _is_resolved(rows: ShortWindows) -> bool:
+    measured = rows.measured
+    differences = window_integrals(rows.first, rows.slope - rows.coarse[1], measured.values)
+    own = np.outer(measured.noise**2, (rows.slope**2).sum(axis=1))
+    pairs = zip(differences, own, strict=True)
+    shares = np.array([np.mean(rows.widened(difference) ** 2 <= variance) for difference, variance in pairs])
+    return bool((shares[measured.noise > 0.0] >= SETTINGS.windows.resolved_share).all())
+
+
+def _short_windows(measured: Measured, target: int, half: int) -> ShortWindows | None:
+    """Return windows that each begin in the middle of the one before; None where there are next to none."""
+    length = 2 * half + 1
+    every = np.array(
+        [row for start, end in measured.ranges for row in range(start, end - length + 1, half)], dtype=np.int64
+    )
+    if len(every) < SETTINGS.sparse.least_windows:
+        return None
+    first = every[thinned_places(len(every), SETTINGS.windows.most)]
+    times = measured.times[first[:, None] + np.arange(length)]
+    share = min(0.5 * len(every) / len(first), 1.0)
+    return windows_of(ShortWindows, measured, target, first, _weights(times, _CUBIC), share, _weights(times, _LINE))
+
+
+def _weights(times: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return weights (W, L) of rows at `times` (W, L) that integrate a function times the test function, or its slope.
+
+    Between two rows the function is the polynomial of this order through the nearest rows of the window.
+    """
+    nodes, shares = np.polynomial.legendre.leggauss(SETTINGS.windows.smoothness + _CUBIC)
+    middle, width = 0.5 * (times[:, :1] + times[:, -1:]), 0.5 * (times[:, -1:] - times[:, :1])
+    bump, slope = np.zeros_like(times), np.zeros_like(times)
+    exponent, length = SETTINGS.windows.smoothness, times.shape[1]
+    for gap in range(length - 1):
+        low = min(max(gap - order // 2, 0), length - order - 1)
+        near = times[:, low : low + order + 1]
+        size = 0.5 * (times[:, gap + 1] - times[:, gap])[:, None]
+        places = times[:, gap : gap + 1] + size * (nodes + 1.0)
+        unit = (places - middle) / width
+        inside = np.maximum(1.0 - unit * unit, 0.0)
+        value = inside**exponent * shares * size
+        change = -2.0 * exponent * unit * inside ** (exponent - 1) / width * shares * size
+        for place in range(order + 1):
+            basis = np.ones_like(places)
+            for neighbour in range(order + 1):
+                if neighbour != place:
+                    basis = basis * (places - near[:, neighbour, None]) / (near[:, place] - near[:, neighbour])[:, None]
+            bump[:, low + place] += (value * basis).sum(axis=1)
+            slope[:, low + place] += (change * basis).sum(axis=1)
+    return bump, slope
+
+
+# ---------------------------------------------------------------------------------------- functions beside a sum
+
+_NARROWED = 1e-5
+"""Numerics: the logarithm of an inner constant is found to that."""
+_SHARES_OF_STEPS = (1.0, 0.3, 0.1)
+"""Shares of a step that are tried one after another until one makes the description shorter."""
+_BESIDE = 1e-7
+"""Share of a column beyond the terms that is rounding."""
+
+
+def polished(fit: Sum) -> Sum:
+    """Return the sum with its inner constants fitted: steps of all constants together (Gauss and Newton).
+
+    The derivatives of terms by their inner constants are terms themselves here, with errors of their own.
+    """
+    rows, shared = fit.regression.rows, fit.regression.shared
+    inner = [place for place, atom in enumerate(fit.atoms) if atom.shape.has_constant and atom not in shared]
+    for _ in range(SETTINGS.effort.steps if inner else 0):
+        assert fit.assessment is not None
+        atoms = fit.atoms
+        wider = Regression(rows, [*atoms, *(atoms[place].by_constant() for place in inner)])
+        both = wider.refitted(range(len(wider.atoms)), fit.assessment.weights) if wider.is_solvable else None
+        if both is None:
+            break
+        factors, slopes = both.coefficients, iter(both.coefficients[len(atoms) :])
+        steps = {place: next(slopes) / factors[place] if factors[place] else 0.0 for place in inner}
+        better = None
+        for share in _SHARES_OF_STEPS:
+            moved = [atom.moved(share * steps[place]) if place in steps else atom for place, atom in enumerate(atoms)]
+            regression = Regression(rows, moved, shared)
+            if regression.is_solvable:
+                better = regression.refitted(range(len(moved)), fit.assessment.weights)
+            if better is not None and better.nats < fit.nats:
+                break
+        if better is None or not better.nats < fit.nats:
+            break
+        gain, fit = fit.nats - better.nats, better
+        if gain < SETTINGS.selection.least_gain:
+            break
+    return fit
+
+
+class Beside:
+    """The residuals of a sum, and how much of them other terms explain. Rows weigh by errors and by what is missing.
+
+    The variance of the missing terms, the same on all rows, is the one with which the median residual is normal.
+
+    Args:
+        rows: their sides are described.
+        atoms: terms of the sum, on these rows.
+    """
+
+    def __init__(self, rows: Rows, atoms: Sequence[Atom]) -> None:
+        self._rows = rows
+        columns, values, errors = rows.columns(atoms), rows.sides, rows.side_errors
+        missing, weights = float(values.std()), np.ones(len(values))
+        for _ in range(SETTINGS.effort.steps):
+            weights = 1.0 / np.sqrt(errors**2 + missing**2)
+            left = values - coefficients_of(columns * weights, values * weights) @ columns
+            square = (NORMAL_DEVIATION * float(np.median(np.abs(left)))) ** 2 - float(np.median(errors)) ** 2
+            before, missing = missing, math.sqrt(max(square, 0.0))
+            if abs(missing - before) <= 1e-2 * before:
+                break
+        self._weights = weights
+        sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))[:, None]
+        self._basis = np.linalg.qr((columns * weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0]
+        self._left = self._projected(values[None])[0]
+
+    def _projected(self, values: FloatArray) -> FloatArray:
+        """Return the residuals of weighted `values` (A, N) beside the terms."""
+        remainder = values * self._weights
+        for _ in range(2):  # the second time for rounding errors of the first
+            remainder = remainder - (remainder @ self._basis) @ self._basis.T
+        return np.asarray(remainder)
+
+    def gains(self, values: FloatArray) -> FloatArray:
+        """Return the squares (A,) that functions with these `values` (A, R) explain; 0 where one is not finite."""
+        return self.gains_of(self._rows.sampled(values))
+
+    def gains_of(self, columns: FloatArray) -> FloatArray:
+        """Return the same for columns (A, N)."""
+        sizes = np.sqrt(((columns * self._weights) ** 2).sum(axis=1))
+        beside = self._projected(columns)
+        norms = np.sqrt((beside**2).sum(axis=1))
+        gains = np.where(norms > _BESIDE * sizes, (beside @ self._left) / np.maximum(norms, 1e-300), 0.0) ** 2
+        return np.asarray(np.where(np.isfinite(gains) & np.isfinite(sizes), gains, 0.0))
+
+    def narrowed(self, shape: Shape, near: float) -> tuple[float, Atom]:
+        """Return the atom with the best inner constant between the neighbours of `near` in the grid, after its gain."""
+        from scipy.optimize import minimize_scalar
+
+        def gain(constant: float) -> float:
+            with np.errstate(all="ignore"):
+                return float(self.gains(shape.value(constant)[None])[0])
+
+        best = near
+        if shape.has_constant:
+            sizes = sorted(abs(constant) for constant in shape.constants() if (constant > 0.0) == (near > 0.0))
+            place = sizes.index(abs(near))
+            ratio = sizes[max(place, 1)] / sizes[max(place, 1) - 1] if sizes[1:] else 2.0
+            low = sizes[place - 1] if place else sizes[0] / ratio
+            high = sizes[place + 1] if place + 1 < len(sizes) else sizes[-1] * ratio
+            found = minimize_scalar(
+                lambda size: -gain(math.copysign(math.exp(size), near)), bounds=(math.log(low), math.log(high)),
+                method="bounded", options={"xatol": _NARROWED},
+            )  # fmt: skip
+            best = math.copysign(math.exp(found.x), near)
+        return gain(best), Atom(shape, best)
+
+
+def best_atoms(rows: Rows, begun: Sequence[Sequence[Atom]], tried: Sequence[Shape]) -> Iterator[list[list[Atom]]]:
+    """Yield each of the sums `begun` with each of the terms that explain most beside it, inner constants fitted.
+
+    A shape may come with several constants: those that explain more than their neighbours in its grid.
+    """
+    besides = [Beside(rows, atoms) for atoms in begun]
+    ranked: list[list[tuple[float, int, float]]] = [[] for _ in begun]
+    with np.errstate(all="ignore"):
+        for index, shape in enumerate(tried):
+            constants = list(shape.constants())
+            if not constants:
+                continue
+            columns = rows.sampled(np.array([shape.value(constant) for constant in constants]))
+            for beside, ranking in zip(besides, ranked, strict=True):
+                gains = beside.gains_of(columns)
+                around = np.concatenate([[-1.0], gains, [-1.0]])
+                peaks = np.flatnonzero((gains >= around[:-2]) & (gains >= around[2:]))
+                ranking += [(-float(gains[peak]), index, constants[peak]) for peak in peaks]
+    for atoms, beside, ranking in zip(begun, besides, ranked, strict=True):
+        kept = sorted(ranking)[: SETTINGS.effort.kept]
+        found = sorted((beside.narrowed(tried[index], near) for _, index, near in kept), key=lambda pair: -pair[0])
+        yield [[*atoms, atom] for gain, atom in found[: SETTINGS.effort.beam] if gain > 0.0]
+
+
+# ------------------------------------------------------------------------------------------------- the search
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """The rows of one equation, and the variables (indices) and operators (codes) that it may be made of."""
+
+    rows: Rows
+    columns: Sequence[int]
+    operators: Collection[int]
+
+    def allows(self, atom: Atom) -> bool:
+        """Tell whether a term has nothing but variables and operators that are allowed."""
+        others = set(range(len(self.rows.inputs))) - set(self.columns)
+        operators = set(operators_in(atom.shape.expression(atom.constant)))
+        return operators <= set(self.operators) and not any(map(atom.depends_on, others))
+
+    def is_law(self, found: Sum | None) -> bool:
+        """Tell whether the residuals of a sum are like its errors."""
+        return found is not None and found.excess <= self.rows.largest_excess
+
+
+def find_short_laws(equations: Mapping[str, Equation]) -> dict[str, tuple[Law, ...]]:
+    """Return the law of each state, none where no short sum leaves residuals like their errors."""
+    sums = {name: _short_sum(equation) for name, equation in equations.items()}
+    functions = [
+        atom
+        for name, found in sums.items()
+        if found is not None and equations[name].is_law(found)
+        for atom in found.atoms
+        if atom.shape.function is not None
+    ]
+    laws: dict[str, tuple[Law, ...]] = {}
+    for name, equation in equations.items():
+        found = sums[name]
+        if not (equation.rows.is_precise and equation.is_law(found)):
+            found = _with_functions_of_others(equation, found, functions)
+        laws[name] = ()
+        if found is not None and equation.is_law(found):
+            laws[name] = (Law(found.program(), found.nats, found.excess, is_tested=True, is_of_rates=True),)
+    return laws
+
+
+def _short_sum(equation: Equation) -> Sum | None:
+    """Return the shortest sum: of a polynomial, then with up to two products with functions; None where none is found.
+
+    Polynomials are of the first and second degree. Where rows are precise, a law ends the search, since wrong sums have
+    residuals many times as large; and polynomials of higher degree come last.
+    """
+    rows, best = equation.rows, None
+    degrees = _DEGREES if rows.is_precise else _DEGREES[:2]
+    sizes = list(product_libraries(equation.columns, rows.independent, degrees))
+    for place, (terms, _) in enumerate(sizes):
+        if place == len(_DEGREES[:2]):
+            best = _with_functions(equation, best, sizes[:place])
+            if equation.is_law(best):
+                return best
+        regression = Regression(rows, product_atoms(rows.inputs, terms))
+        best = shortest([best, regression.search(range(len(terms)), 1.0 / rows.side_errors)])
+        if rows.is_precise and equation.is_law(best):
+            return best
+    return _with_functions(equation, best, sizes) if len(sizes) <= len(_DEGREES[:2]) else best
+
+
+def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]) -> Sum | None:
+    """Return the shortest sum with up to two products with functions more, inner constants fitted.
+
+    They are compared on the decisive rows, beside the best sum, a constant, and a polynomial of the first degree. The
+    best are terms of a library with all products of the highest degree.
+    """
+    rows = equation.rows
+    decisive = rows.decisive
+    tried = dictionary(decisive.inputs, equation.columns, equation.operators) if sizes else []
+    for _ in range(SETTINGS.sparse.pursued_functions if tried else 0):
+        if best is None or (rows.is_precise and equation.is_law(best)):
+            break
+        degrees = [[()], *(terms for terms, _ in sizes[: 1 + rows.is_precise])]
+        begun = [[atom.over(decisive.inputs) for atom in best.atoms]]
+        begun += [[*product_atoms(decisive.inputs, terms)] for terms in degrees]
+        most = len(decisive.sides) / SETTINGS.sparse.rows_per_term
+        fits: list[Sum] = []
+        for longer in best_atoms(decisive, [atoms for atoms in begun if len(atoms) <= most], tried):
+            fits += sorted(filter(None, (_fitted(decisive, atoms) for atoms in longer)), key=lambda fit: fit.nats)[
+                :_KEPT
+            ]
+        library, candidate = product_atoms(rows.inputs, sizes[-1][0]), None
+        for fit in sorted(fits, key=lambda fit: fit.nats):
+            atoms = [atom.over(rows.inputs) for atom in fit.atoms]
+            own = [atom for atom in best.atoms if atom.shape.function is not None]
+            plain = [atom for atom in atoms if atom.shape.function is None]
+            candidate = shortest([candidate, _searched(rows, library, [*plain, *own, atoms[-1]])])
+            if rows.is_precise and equation.is_law(candidate):
+                break
+        if candidate is None or not candidate.nats < best.nats - log(float(SETTINGS.rates.most_atoms)):
+            break
+        best = candidate
+    return best
+
+
+def _fitted(rows: Rows, atoms: Sequence[Atom]) -> Sum | None:
+    """Return the sum of all these terms, inner constants fitted, too."""
+    regression = Regression(rows, atoms)
+    fit = regression.refitted(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
+    return None if fit is None else polished(fit)
+
+
+def _searched(
+    rows: Rows, library: Sequence[Atom], begun: Sequence[Atom], shared: frozenset[Atom] = frozenset()
+) -> Sum | None:
+    """Return the shortest sum of the products of a library and the functions of `begun`, inner constants fitted.
+
+    Searches begin with these functions beside the products of `begun`, and beside those of the library up to each
+    degree; they are repeated as long as fitted inner constants make the description shorter.
+    """
+    weights, best = 1.0 / rows.side_errors, None
+    functions = [atom for atom in begun if atom.shape.function is not None]
+    factors = {atom.shape.factors for atom in begun if atom.shape.function is None}
+    while True:
+        regression = Regression(rows, (*library, *functions), shared)
+        inside = [*range(len(library), len(regression.atoms))]
+        starts = [[place for place, atom in enumerate(library) if atom.shape.factors in factors]]
+        orders = [len(atom.shape.factors) for atom in library]
+        starts += [[place for place, order in enumerate(orders) if order <= degree] for degree in {*orders} - {0}]
+        found = shortest(regression.search([*start, *inside], weights) for start in starts if [*start, *inside])
+        found = None if found is None else polished(found)
+        if found is None or (best is not None and not found.nats < best.nats - SETTINGS.selection.least_gain):
+            return best
+        best, shared = found, found.regression.shared
+        functions = [atom for atom in found.atoms if atom.shape.function is not None]
+        factors = {atom.shape.factors for atom in found.atoms if atom.shape.function is None}
+        if not any(atom.shape.has_constant and atom not in shared for atom in functions):
+            return best
+
+
+def _with_functions_of_others(equation: Equation, best: Sum | None, functions: Sequence[Atom]) -> Sum | None:
+    """Return the shortest sum when functions of other states' laws are terms, too, with the inner constants there."""
+    rows = equation.rows
+    for function in functions:
+        if (best is not None and function in best.atoms) or not equation.allows(function):
+            continue
+        atom = function.over(rows.inputs)
+        for terms, _ in list(product_libraries(equation.columns, rows.independent, _DEGREES[:2]))[-1:]:
+            own = () if best is None else best.atoms
+            library = product_atoms(rows.inputs, terms)
+            found = (_searched(rows, library, begun, frozenset([atom])) for begun in ([atom], [*own, atom]))
+            best = shortest([best, *found])
+    return best

@@ -1,0 +1,495 @@
+"""Builders of rows: left sides, columns of terms, and the covariance of their errors, of the equation of one state.
+
+- `Rows` as they stand have columns without errors: targets, bins of the steps of a process.
+- `RateRows` are estimated derivatives with a standard error for each row. These errors are systematic: however many
+  rows there are, they count as `systematic_numbers` numbers, and a few are a hundred times as large as the estimate.
+- `WeakRows` are integrals over windows of the trajectories, so that nothing is differentiated. With a test function b
+  that vanishes at both ends of a window, dx/dt = sum c_k f_k gives, by parts,
+
+      - int b' x dt = sum c_k int b f_k dt
+
+  (Messenger & Bortz 2021). Products of measured states have the expectation of the true ones when powers are Hermite
+  polynomials of the noise's variance. The variance of a residual follows from the variance of the measurements (errors
+  in variables: Bortz, Messenger & Dukic 2023), so that a residual is known to be noise or not. Windows are long, by the
+  trapezoidal rule; `many_variables` has short ones.
+
+Letters: K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, T some of these, V variables.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, TypeVar
+
+import numpy as np
+
+from atoll_coordinator.data.differentiation.interpolation import predict_left_out
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.differentiation.missing_values import make_signal
+from atoll_coordinator.data.differentiation.noise import estimate_value_noise
+from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
+from atoll_coordinator.model.criteria import log
+from atoll_coordinator.model.sparse.atoms import Atom, Product
+from atoll_coordinator.model.sparse.kernels.elimination import sum_error_products, windowed_sums
+from atoll_coordinator.model.thinning import thinned_places
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
+
+CAUCHY = 2.385
+"""Residuals of this many standard errors get half the weight: 95 % efficient where errors are normal (Holland & Welsch
+1977)."""
+NORMAL_DEVIATION = 1.4826
+"""A normal error's standard deviation over its median size."""
+_LEAST_SCALE = 1e-6
+"""Guard: smaller residuals, in standard errors, are rounding."""
+
+Errors = tuple[FloatArray, FloatArray]
+"""Sums over rows of the covariances of the errors of columns: with each other (K, K), with minus the side's (K,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """The residuals of a sum by its own errors: the `weights` (N,) of rows, the `misfit` in nats.
+
+    `excess` says how many times as large as their errors the residuals are, `probability` how probable residuals this
+    large are where all are noise (1: not known).
+    """
+
+    weights: FloatArray
+    misfit: float
+    excess: float
+    probability: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """What a sum of terms is fitted to; as it stands, columns have no errors, and the variance of residuals is fitted.
+
+    `inputs` (V, R) are the variables where atoms have values, `sides` (N,) the left sides. A sum is fitted and rows are
+    weighted by turns, `turns` times at most. The residuals of a law are at most `largest_excess` times as large as
+    their errors; where rows are `is_precise`, those of other sums are many times as large.
+    """
+
+    inputs: FloatArray
+    sides: FloatArray
+    turns: ClassVar[int] = 1
+    largest_excess: ClassVar[float] = SETTINGS.inference.excess
+    is_precise: ClassVar[bool] = False
+
+    @property
+    def independent(self) -> float:
+        """How many rows there are that share no measurements."""
+        return float(len(self.sides))
+
+    @property
+    def numbers(self) -> float:
+        """How many independent numbers count in a misfit."""
+        return self.independent
+
+    @property
+    def side_errors(self) -> FloatArray:
+        """The standard errors (N,) of the sides, up to a common factor."""
+        return np.ones(len(self.sides))
+
+    @property
+    def decisive(self) -> "Rows":
+        """The rows by which functions are compared."""
+        return self
+
+    def columns(self, atoms: Sequence[Atom]) -> FloatArray:
+        """Return the columns (K, N) of terms."""
+        return self.sampled(np.array([atom.values for atom in atoms]))
+
+    def sampled(self, values: FloatArray) -> FloatArray:
+        """Return the columns (K, N) of functions with these `values` (K, R)."""
+        return values
+
+    def gradients(self, atoms: Sequence[Atom]) -> FloatArray | None:
+        """Return the derivatives (K, V, ...) of terms by the variables; None where the variables have no errors."""
+        del atoms
+        return None
+
+    def errors(self, gradients: FloatArray, weights: FloatArray) -> Errors:
+        """Return the covariances of the errors of terms with these gradients, for weights (N,) of the rows."""
+        raise NotImplementedError
+
+    def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment | None:
+        """Return the assessment of a sum with these `residuals` (N,); None where one of them has no variance."""
+        del atoms, coefficients
+        square = math.fsum((residuals * residuals).tolist())
+        return Assessment(np.ones(len(residuals)), 0.5 * self.numbers * log(max(square, 1e-300)), math.inf)
+
+
+# -------------------------------------------------------------------------------------------------- derivatives
+
+
+@dataclass(frozen=True, eq=False)
+class RateRows(Rows):
+    """Derivatives (N,) as `sides` with their standard errors `uncertainty` (N,), above 0; `inputs` are (V, N)."""
+
+    uncertainty: FloatArray
+    turns = SETTINGS.effort.steps
+    largest_excess = 1.0
+    is_precise = True
+
+    @property
+    def side_errors(self) -> FloatArray:
+        """The standard errors (N,)."""
+        return self.uncertainty
+
+    @property
+    def numbers(self) -> float:
+        """As many numbers as have the same misfit, ``systematic_numbers`` ln(scale), with the variance fitted."""
+        return 2.0 * SETTINGS.selection.systematic_numbers
+
+    @property
+    def decisive(self) -> "RateRows":
+        """The share of the rows with the smallest errors.
+
+        Errors of interpolation are not normal: where a state changes too fast for the sampling, a few are a hundred
+        times as large as the estimate says.
+        """
+        count = max(int(SETTINGS.rates.trusted_share * len(self.sides)), 1)
+        rows = self.side_errors <= np.sort(self.side_errors)[count - 1]
+        return RateRows(np.ascontiguousarray(self.inputs[:, rows]), self.sides[rows], self.side_errors[rows])
+
+    def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
+        """Return the assessment by the scale of residuals in standard errors, by the median (Cauchy's weights)."""
+        del atoms, coefficients
+        sizes = np.abs(residuals) / self.side_errors
+        scale = max(NORMAL_DEVIATION * float(np.sort(sizes)[len(sizes) // 2]), _LEAST_SCALE)
+        weights = 1.0 / (self.side_errors * np.sqrt(1.0 + (sizes / (CAUCHY * scale)) ** 2))
+        return Assessment(weights, SETTINGS.selection.systematic_numbers * log(scale), scale)
+
+
+def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> RateRows | None:
+    """Return the derivatives of `variable`, a state; `names` (V,) are symbols of states, rates and inputs.
+
+    None where derivatives were not kept, or all are alike. Errors are at least those of a solver. More rows than
+    `RowSettings.most` are thinned, as those of the search are.
+    """
+    parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
+    symbols = (*recording.state_symbols, *recording.velocity_symbols, *recording.input_symbols)
+    places, state = [symbols.index(name) for name in names], recording.states.index(variable)
+    columns, values, errors = [], [], []
+    for part in parts:
+        if part.rates is None or part.rate_errors is None:
+            return None
+        velocities = part.slopes if recording.velocity_symbols else part.slopes[:0]
+        columns.append(np.concatenate([part.smoothed, velocities, part.inputs])[places])
+        values.append(part.rates[state])
+        ends = part.rate_errors[state]  # the largest of a row and its neighbours: one may be small by chance
+        wider = ends.copy()
+        wider[1:] = np.maximum(wider[1:], ends[:-1])
+        wider[:-1] = np.maximum(wider[:-1], ends[1:])
+        errors.append(wider)
+    inputs, rates, uncertainty = np.concatenate(columns, axis=1), np.concatenate(values), np.concatenate(errors)
+    known = np.isfinite(uncertainty) & np.isfinite(rates) & np.isfinite(inputs).all(axis=0)
+    if not known.any():
+        return None
+    least = SETTINGS.shooting.exact * moments(rates[known])[1]
+    if not least > 0.0:
+        return None
+    rows = np.flatnonzero(known)
+    rows = rows[thinned_places(len(rows), SETTINGS.rows.most)]
+    return RateRows(np.ascontiguousarray(inputs[:, rows]), rates[rows], np.maximum(uncertainty[rows], least))
+
+
+# ------------------------------------------------------------------------------------------------- measurements
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Rows of the trajectories that are not held out: `times` (R,), `ranges` of consecutive rows.
+
+    Large tables are subsampled in stretches, spread evenly.
+
+    `values` (V, R) are the variables as measured, smoothed where they are missing; `smoothed` (V, R); `noise` (V,) the
+    standard deviations of the errors, 0 for inputs and for states that were interpolated.
+    """
+
+    times: FloatArray
+    ranges: tuple[tuple[int, int], ...]
+    values: FloatArray
+    smoothed: FloatArray
+    noise: FloatArray
+
+
+def measured_of(recording: Recording, names: Sequence[str]) -> Measured:
+    """Return the rows of the variables `names` (V,), symbols of states and inputs."""
+    parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
+    symbols = (*recording.state_symbols, *recording.input_symbols)
+    places = [symbols.index(name) for name in names]
+    states = np.concatenate([part.measured for part in parts], axis=1)
+    smoothed = np.concatenate([part.smoothed for part in parts], axis=1)
+    inputs = np.concatenate([_mean_inputs(part) for part in parts], axis=1)
+    noise = [_noise(parts, place, smoothing) for place, smoothing in enumerate(recording.smoothing)]
+    stretches = _stretches([len(part.times) for part in parts])
+    rows = np.concatenate([np.arange(first, end) for first, end in stretches])
+    ends = np.cumsum([end - first for first, end in stretches]).tolist()
+    return Measured(
+        np.concatenate([part.times for part in parts])[rows],
+        tuple(zip([0, *ends[:-1]], ends, strict=True)),
+        np.concatenate([np.where(np.isfinite(states), states, smoothed), inputs])[places][:, rows],
+        np.concatenate([smoothed, inputs])[places][:, rows],
+        np.array([*noise, *([0.0] * len(inputs))])[places],
+    )
+
+
+def _mean_inputs(part: Trajectory) -> FloatArray:
+    """Return the inputs (U, R) at the rows; for held ones the mean over the steps before and after, by their lengths.
+
+    With these a trapezoidal rule integrates test functions times a held input as it jumps.
+    """
+    held = np.asarray(np.isnan(part.input_slopes).any(axis=1))
+    if not held.any():
+        return part.inputs
+    steps = np.diff(part.times)
+    before, after = np.append(0.0, steps), np.append(steps, 0.0)
+    previous = np.concatenate([part.inputs[:, :1], part.inputs[:, :-1]], axis=1)
+    means = (before * previous + after * part.inputs) / (before + after)
+    return np.where(held[:, None], means, part.inputs)
+
+
+def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:
+    """Return first row and end of the stretches that stand for trajectories with these `lengths`: whole ones if few."""
+    parts = -(-sum(lengths) // SETTINGS.sparse.most_rows)
+    stretch = SETTINGS.sparse.stretch if parts > 1 else max(lengths)
+    ends = np.cumsum(lengths).tolist()
+    return [
+        (first, min(first + stretch, end))
+        for begun, end in zip([0, *ends[:-1]], ends, strict=True)
+        for first in range(begun, end, stretch)
+    ][::parts]
+
+
+def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> float:
+    """Return the standard deviation of a state's errors: the smoother's, or the prediction error of most rows, if less.
+
+    The smoother's residuals in fast passages are no errors of measurement.
+    """
+    if smoothing.method == "interpolation" or smoothing.quantisation is not None:
+        return 0.0 if smoothing.method == "interpolation" else smoothing.noise
+    signals = [
+        make_signal(part.times, part.measured[place].copy(), None).measured
+        for part in parts
+        if np.count_nonzero(np.isfinite(part.measured[place])) >= SETTINGS.checks.min_rows
+    ]
+    return min(smoothing.noise, estimate_value_noise(*predict_left_out(signals))) if signals else smoothing.noise
+
+
+# ---------------------------------------------------------------------------------------------------- weak form
+
+
+@dataclass(frozen=True, eq=False)
+class WeakRows(Rows):
+    """Windows along trajectories for the equation of variable `target`; `share` of them are independent.
+
+    `first` (W,) is the first row of each window; `bump` and `slope` (W, L) are the test functions and their
+    derivatives, times the weights of a rule of integration. Atoms have values on the rows as measured.
+    """
+
+    measured: Measured
+    target: int
+    first: Ints
+    bump: FloatArray
+    slope: FloatArray
+    share: float
+    turns = SETTINGS.sparse.reweightings - 1
+
+    @property
+    def independent(self) -> float:
+        """How many windows there are that share no rows."""
+        return len(self.first) * self.share
+
+    def columns(self, atoms: Sequence[Atom]) -> FloatArray:
+        """Return the integrals (K, W) of the terms, noise in products of measured variables corrected for."""
+        degree = max((len(atom.shape.factors) for atom in atoms if atom.shape.function is None), default=0)
+        powers = _powers(self.measured.values, self.measured.noise, degree)
+        return self.sampled(np.array([
+            _product(atom.shape.factors, powers) if atom.shape.function is None else atom.values for atom in atoms
+        ]))  # fmt: skip
+
+    def sampled(self, values: FloatArray) -> FloatArray:
+        """Return the integrals (K, W) of functions with these `values` (K, R)."""
+        return self._sums(self.bump, values)
+
+    @cached_property
+    def _thinned(self) -> Ints:
+        """Rows that stand for all in sums of errors."""
+        return thinned_places(len(self.measured.times), SETTINGS.rows.most)
+
+    def gradients(self, atoms: Sequence[Atom]) -> FloatArray:
+        """Return the derivatives (K, V, T) of terms by the variables on the thinned rows."""
+        return np.array([self._slopes([atom], [1.0], self._thinned) for atom in atoms])
+
+    def _slopes(self, atoms: Sequence[Atom], coefficients: Sequence[float], rows: Ints | slice) -> FloatArray:
+        """Return the derivatives (V, T) of a sum by the variables on some rows.
+
+        Functions are differentiated over the standard deviation of the errors, which averages higher orders.
+        """
+        smoothed, noise = np.ascontiguousarray(self.measured.smoothed[:, rows]), self.measured.noise
+        degree = max((len(atom.shape.factors) for atom in atoms), default=0)
+        powers = _powers(smoothed, np.zeros(len(noise)), degree)
+        slopes = np.zeros_like(smoothed)
+        for atom, coefficient in zip(atoms, coefficients, strict=True):
+            for variable, size in enumerate(noise.tolist()):
+                if atom.shape.function is None:
+                    if variable in atom.shape.factors:
+                        slopes[variable] += coefficient * _product(atom.shape.factors, powers, variable)
+                elif size > 0.0 and atom.depends_on(variable):
+                    step = np.zeros((len(noise), 1))
+                    step[variable] = size
+                    with np.errstate(all="ignore"):
+                        above, below = atom.over(smoothed + step).values, atom.over(smoothed - step).values
+                    slopes[variable] += coefficient * (above - below) / (2.0 * size)
+        return slopes
+
+    def errors(self, gradients: FloatArray, weights: FloatArray) -> Errors:
+        """Return the covariances of the errors of integrals of terms with these gradients (K, V, T), summed."""
+        squares, halves = self._row_weights(weights * weights)
+        products, cross = np.zeros((len(gradients), len(gradients))), np.zeros(len(gradients))
+        variances = self.measured.noise * self.measured.noise
+        sum_error_products(np.ascontiguousarray(gradients), variances, self.target, squares, halves, products, cross)
+        return products, cross
+
+    def _row_weights(self, weights: FloatArray) -> Errors:
+        """Return how much errors of the thinned rows (T,) count in products of integrals, and in those with left sides.
+
+        Windows have these `weights` (W,).
+        """
+        sums = np.zeros((2, len(self.measured.times)))
+        for place in range(self.bump.shape[1]):
+            part = weights * self.bump[:, place]
+            np.add.at(sums[0], self.first + place, part * self.bump[:, place])
+            np.add.at(sums[1], self.first + place, part * self.slope[:, place])
+        share = len(self.measured.times) / len(self._thinned)
+        return share * sums[0, self._thinned], share * sums[1, self._thinned]
+
+    def variances_of(self, slopes: FloatArray) -> FloatArray:
+        """Return the variance (W,) of the residuals of a function with these derivatives (V, R) by the variables.
+
+        To first order in the noise. Sums have a fixed order: laws decided by them may end a search.
+        """
+        squares = self.measured.noise * self.measured.noise
+        own = squares[self.target]
+        variances = own * self._sums(self.slope * self.slope, np.ones((1, slopes.shape[1])))[0]
+        variances += 2.0 * own * self._sums(self.slope * self.bump, slopes[self.target : self.target + 1])[0]
+        for square, sums in zip(squares.tolist(), self._sums(self.bump * self.bump, slopes * slopes), strict=True):
+            variances += square * sums
+        return np.asarray(variances)
+
+    def variances(self, atoms: Sequence[Atom], coefficients: Sequence[float]) -> FloatArray:
+        """Return the variance (W,) of the residuals of a sum."""
+        return self.variances_of(self._slopes(atoms, coefficients, slice(None)))
+
+    def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment | None:
+        """Return the assessment by the variance of each residual, which depends on the sum."""
+        variances = self.variances(atoms, coefficients)
+        if not (variances > 0.0).all():
+            return None
+        return self.by_squares(residuals, variances, len(atoms))
+
+    def by_squares(self, residuals: FloatArray, variances: FloatArray, fitted: int) -> Assessment:
+        """Return minus the log-likelihood of the residuals, each counted by its share in a new one.
+
+        The likelihood is that of the nearest true states for which the equation holds, to first order: half the square
+        over its variance. The variance depends on the equation, the density of the measurements about these states does
+        not: with its logarithm, sums that vary little with the states would be preferred (errors in variables,
+        functional case: Fuller 1987, section 2.3). Of the degrees of freedom, fitted coefficients are subtracted.
+        """
+        from scipy import special
+
+        weights = 1.0 / np.sqrt(variances)
+        scaled = residuals * weights
+        squares = self.independent * math.fsum((scaled * scaled).tolist()) / len(scaled)
+        free = max(self.independent - fitted, 1.0)
+        return Assessment(weights, 0.5 * squares, math.sqrt(squares / free), float(special.chdtrc(free, squares)))
+
+    def _sums(self, weights: FloatArray, values: FloatArray) -> FloatArray:
+        return window_integrals(self.first, weights, values)
+
+
+WindowRows = TypeVar("WindowRows", bound=WeakRows)
+
+
+def windows_of(
+    kind: type[WindowRows], measured: Measured, target: int, first: Ints, weights: tuple[FloatArray, FloatArray],
+    share: float, *more: object,
+) -> WindowRows:  # fmt: skip
+    """Return the windows with these weights of rows, see `WeakRows`, and their left sides."""
+    sides = -window_integrals(first, weights[1], measured.values[target : target + 1])[0]
+    return kind(measured.values, np.asarray(sides), measured, target, first, *weights, share, *more)
+
+
+def window_integrals(first: Ints, weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the sums (K, W) of `values` (K, R) times `weights` (W, L), over the rows from `first` (W,) on."""
+    sums = np.zeros((len(values), len(first)))
+    windowed_sums(first, np.ascontiguousarray(weights), np.ascontiguousarray(values), sums)
+    return sums
+
+
+def _powers(values: FloatArray, noise: FloatArray, highest: int) -> list[FloatArray]:
+    """Return the powers (V, R) of the true values, by exponent, as far as the expectation goes.
+
+    E He_n(x + e) = x^n for Hermite polynomials of the variance of e: He_(n+1) = x He_n - n var He_(n-1).
+    """
+    powers = [np.ones_like(values), values]
+    for exponent in range(1, highest):
+        powers.append(values * powers[exponent] - exponent * (noise * noise)[:, None] * powers[exponent - 1])
+    return powers
+
+
+def _product(term: Product, powers: Sequence[FloatArray], without: int | None = None) -> FloatArray:
+    """Return the values (R,) of a product; with one factor `without`, times its exponent: the derivative."""
+    product = np.ones(powers[0].shape[1])
+    for variable, exponent in Counter(term).items():
+        if variable == without:
+            product = product * (exponent * powers[exponent - 1][variable])
+        else:
+            product = product * powers[exponent][variable]
+    return product
+
+
+def weak_rows(measured: Measured, target: int, half: int) -> WeakRows | None:
+    """Return windows of ``2 half + 1`` rows by the trapezoidal rule; None where trajectories are too short for any."""
+    length, step = 2 * half + 1, max(1, round(half * SETTINGS.sparse.step * 2.0))
+    first = [row for start, end in measured.ranges for row in range(start, end - length + 1, step)]
+    if not first:
+        return None
+    rows = np.array(first, dtype=np.int64)
+    times = measured.times[rows[:, None] + np.arange(length)]
+    width = (times[:, -1:] - times[:, :1]) / 2.0
+    place = (times - times[:, :1]) / width - 1.0
+    steps = np.diff(times, axis=1)
+    weights = np.zeros_like(times)
+    weights[:, 1:] += 0.5 * steps
+    weights[:, :-1] += 0.5 * steps
+    order = SETTINGS.sparse.smoothness
+    inside = np.maximum(1.0 - place * place, 0.0)
+    below = np.ones_like(inside)
+    for _ in range(order - 1):  # multiplications alone: equal bits on every machine
+        below = below * inside
+    bump, slope = below * inside, -2.0 * order * place * below / width
+    return windows_of(WeakRows, measured, target, rows, (bump * weights, slope * weights), 2.0 * SETTINGS.sparse.step)
+
+
+def half_width(measured: Measured, smoothing: Smoothing, variables: int) -> int:
+    """Return the rows of half a window: half of the smoother's span, as far as windows suffice for the largest library.
+
+    In longer windows, errors of terms that nearly depend on each other are larger compared with their differences; in
+    shorter ones errors of the trapezoidal rule, of which the noise should be ten times as large: those of the left side
+    fall as h^-(p + 1) with the width h (p: `smoothness`), those of noise as h^-1.5.
+    """
+    terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
+    most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))
+    longest = max(end - start for start, end in measured.ranges)
+    half = min(smoothing.span // 2 if smoothing.span else most, most, longest // SETTINGS.sparse.least_windows)
+    least, exponent = SETTINGS.sparse.least_half, 2 * SETTINGS.sparse.smoothness - 1
+    share = SETTINGS.sparse.least_half_noise / max(smoothing.relative_noise, SETTINGS.selection.least_noise)
+    while (least / SETTINGS.sparse.least_half) ** exponent < share * share:
+        least += 1
+    return max(half, least)

@@ -1,0 +1,163 @@
+"""The engine: elimination against numpy, errors in columns, robust weights, searches among sums."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from atoll_coordinator.model.sparse.atoms import product_atoms
+from atoll_coordinator.model.sparse.kernels.elimination import windowed_sums
+from atoll_coordinator.model.sparse.regression import (
+    Regression,
+    eliminated,
+    improved,
+    on_the_way,
+    selected_forward,
+    shortest,
+    without_one,
+)
+from atoll_coordinator.model.sparse.rows import RateRows
+from atoll_coordinator.settings import SETTINGS
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Terms whose description is the longer the farther their sum is from ten."""
+
+    kept: tuple[int, ...]
+
+    @property
+    def nats(self):
+        return abs(sum(self.kept) - 10) + 0.5 * len(self.kept)
+
+
+def test_terms_leave_as_long_as_that_is_shorter_by_more_than_the_least_gain():
+    def fewer(fit):
+        return map(Fit, without_one(fit.kept))
+
+    assert improved(Fit((1, 2, 7, 3)), fewer).kept == (1, 2, 7)
+    assert improved(Fit((1, 2, 7, 3)), fewer, 4.0).kept == (1, 2, 7, 3)
+
+
+def test_every_sum_on_the_way_may_be_the_shortest():
+    way = list(on_the_way(Fit((1, 2, 7, 3)), lambda fit: Fit(fit.kept[1:]) if fit.kept[1:] else None))
+    assert [len(fit.kept) for fit in way] == [4, 3, 2, 1]
+    assert shortest([None, *way]) is way[2]
+    assert shortest([None]) is None
+
+
+def test_a_single_term_stays_and_long_sums_are_left_alone():
+    assert list(without_one((1,))) == []
+    assert list(without_one(range(SETTINGS.effort.longest_sum + 1))) == []
+    assert list(without_one((1, 2))) == [(2,), (1,)]
+
+
+def test_the_column_that_explains_most_comes_first():
+    generator = np.random.default_rng(3)
+    columns = generator.normal(size=(6, 100))
+    columns[5] = columns[0]
+    side = 5.0 * columns[4] + columns[1]
+    steps = list(selected_forward(columns, side))
+    chosen = [place for place, _ in steps]
+    assert chosen[:2] == [4, 1]
+    assert steps[1][1] < 1e-20 * float(side @ side)
+    assert not {0, 5} <= set(chosen)
+
+
+def test_nothing_is_chosen_where_no_column_is_left():
+    assert list(selected_forward(np.array([[1.0, 1.0]]), np.array([1.0, 2.0]))) == [(0, pytest.approx(0.5))]
+
+
+def run(columns, side, errors=None):
+    path = eliminated(columns, side, errors)
+    return path.order, path.squares, path.coefficients
+
+
+def by_numpy(columns, side):
+    """Yield what is kept, its coefficients and the sum of squares left, the least needed column gone at each step."""
+    kept = list(range(len(columns)))
+    while kept:
+        matrix = columns[kept].T
+        solution, *_ = np.linalg.lstsq(matrix, side, rcond=None)
+        yield list(kept), solution, float(((side - matrix @ solution) ** 2).sum())
+        variances = np.diag(np.linalg.inv(matrix.T @ matrix))
+        kept.pop(int(np.argmin(solution**2 / variances)))
+
+
+def test_steps_are_those_of_least_squares():
+    generator = np.random.default_rng(1)
+    columns = generator.normal(size=(5, 40)) * np.array([1.0, 1e3, 1e-3, 1.0, 10.0])[:, None]
+    side = 2.0 * columns[0] - 0.3 * columns[3] + 0.1 * generator.normal(size=40)
+    order, squares, solved_side = run(columns, side)
+    for step, (kept, solution, left) in enumerate(by_numpy(columns, side)):
+        assert sorted(order[step:]) == kept
+        assert solved_side[step, kept] == pytest.approx(solution, rel=1e-9)
+        assert squares[step] == pytest.approx(left, rel=1e-9)
+    assert squares[-1] == pytest.approx(float(side @ side))
+    first = eliminated(columns, side, steps=1)
+    assert first.factors(0) == pytest.approx(solved_side[0], rel=1e-12)
+    assert set(order[-2:]) == {0, 3}
+
+
+def test_a_column_that_is_a_sum_of_others_goes_first():
+    generator = np.random.default_rng(2)
+    columns = generator.normal(size=(3, 30))
+    columns = np.vstack([columns, columns[0] + columns[1]])
+    side = columns[0] + columns[2]
+    order, squares, _ = run(columns, side)
+    assert order[0] == 3
+    assert squares[:3] == pytest.approx(0.0, abs=1e-20)
+
+
+def test_sums_begin_at_the_first_row_of_a_window():
+    sums = np.zeros((2, 2))
+    values = np.array([[1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 0.0]])
+    windowed_sums(np.array([0, 2]), np.array([[1.0, 10.0], [1.0, 1.0]]), values, sums)
+    assert sums.tolist() == [[21.0, 7.0], [0.0, 1.0]]
+
+
+def test_coefficients_are_those_of_the_true_columns_where_errors_of_columns_are_as_large():
+    """Means of 40 draws; least squares gives 0.5 and 0.5."""
+    generator = np.random.default_rng(3)
+    true = np.vstack([generator.normal(size=(2, 4000)), np.zeros((1, 4000))])
+    true[1] += 2.0 * true[0]
+    found = []
+    for _ in range(40):
+        columns = true + generator.normal(size=true.shape)
+        side = 3.0 * true[0] - true[1] + 0.1 * generator.normal(size=4000)
+        order, _, solved = run(columns, side, (4000.0 * np.eye(3), np.zeros(3)))
+        assert order[0] == 2
+        found.append(solved[1])
+    assert np.mean(found, axis=0) == pytest.approx([3.0, -1.0, 0.0], abs=0.15)
+
+
+def rows_of(errors, side):
+    """Return three columns as variables, and rates with these errors that they describe."""
+    columns = np.random.default_rng(1).normal(size=(3, len(errors))) * np.array([1.0, 1e3, 1e-3])[:, None]
+    rows = RateRows(columns, side(columns), errors)
+    return rows, Regression(rows, product_atoms(columns, [(0,), (1,), (2,)]))
+
+
+def test_rows_that_err_far_more_than_they_should_count_little():
+    generator = np.random.default_rng(2)
+    errors = np.full(300, 1e-3)
+    outliers = np.where(np.arange(300) < 60, generator.uniform(0.1, 1.0, 300), 0.0)
+    rows, regression = rows_of(
+        errors, lambda columns: columns.T @ [1.0, -2e-3, 0.0] + errors * generator.normal(size=300) + outliers
+    )
+    fit = regression.refitted((0, 1), 1.0 / errors)
+    assert fit.coefficients == pytest.approx([1.0, -2e-3], abs=5e-4)
+    assert fit.excess < 2.0
+    assert fit.assessment.weights[:60].max() < 0.1 * fit.assessment.weights[60:].mean()
+
+
+def test_without_outliers_a_fit_is_least_squares():
+    generator = np.random.default_rng(3)
+    errors = generator.uniform(0.1, 10.0, 300)
+    rows, regression = rows_of(
+        errors, lambda columns: columns.T @ [2.0, -1e-3, 5e2] + errors * generator.normal(size=300)
+    )
+    expected = np.linalg.lstsq((rows.inputs / errors).T, rows.sides / errors, rcond=None)[0]
+    fit = regression.refitted((0, 1, 2), 1.0 / errors)
+    assert fit.coefficients == pytest.approx(expected, rel=0.2)
+    assert 0.8 < fit.excess < 1.2
