@@ -28,18 +28,22 @@ from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.views import Counters, WorkerState
 from atoll_core.wire.rejects import Rejects
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
-from atoll_island_worker.connection.connection import (
+from atoll_island_worker.connection import (
+    FETCH,
+    FETCH_INPUTS,
     GRACE,
     GRACE_S,
     GREET,
     LIFETIME,
     START_S,
     CoordinatorConnection,
+    Request,
+    Requests,
 )
-from atoll_island_worker.connection.requests import FETCH, FETCH_INPUTS, Request, Requests
-from atoll_island_worker.datasets import Datasets
+from atoll_island_worker.downloads import Datasets
 from atoll_island_worker.job_logs import JobLogs
-from atoll_island_worker.session import actions, events
+from atoll_island_worker.session import interface as actions
+from atoll_island_worker.session import interface as events
 from atoll_island_worker.session.worker_session import Session
 from atoll_island_worker.tasks.task_process import Starter, TaskProcess
 from atoll_island_worker.tasks.task_runner import TaskRunner

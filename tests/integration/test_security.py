@@ -284,7 +284,7 @@ def worker_error(lab: Lab, router: ZenohBus, name: str, wait_s: float = LIMIT_S)
 def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
     lab: Lab, role_bindings: RoleBindings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atoll_island_worker.connection.connection.GREET_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("atoll_island_worker.connection.GREET_TIMEOUT_S", 0.2)
     old = RoleBindings({name: role for name, role in role_bindings.roles.items() if name not in ("bob", "lab2")})
     stop = threading.Event()
     with Store.open(None) as store, open_router(serving(lab), role_bindings=old) as router:

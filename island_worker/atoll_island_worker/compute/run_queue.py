@@ -12,8 +12,17 @@ from typing import Protocol
 
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
-from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
+from atoll_island_worker.session.interface import (
+    Abandoned,
+    Broken,
+    Computed,
+    Outcome,
+    Rejected,
+    ShardKey,
+    Snapshot,
+    Task,
+    TaskKey,
+)
 
 
 class Work(Protocol):

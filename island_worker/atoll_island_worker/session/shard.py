@@ -4,8 +4,9 @@ An island waits for exactly the senders that the reshuffle names, and the immigr
 that begins at a checkpoint begins with the states of its islands, which are pulled from the coordinator.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
@@ -22,13 +23,101 @@ from atoll_core.wire.messages.epochs import (
     States,
 )
 from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement
-from atoll_island_worker.session.actions import Send, SendReport
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
-from atoll_island_worker.session.events import Computed, Snapshot
-from atoll_island_worker.session.local_island import PULL_AFTER_S, LocalIsland
-from atoll_island_worker.session.mail import Mailbox
-from atoll_island_worker.session.retransmit_buffer import RetransmitBuffer
-from atoll_island_worker.session.state_transfer import StateTransfer
+from atoll_core.wire.state_pieces import Assembly
+from atoll_island_worker.session.interface import Computed, Send, SendReport, ShardKey, Snapshot, Task, TaskKey
+from atoll_island_worker.session.kept_messages import Mailbox, RetransmitBuffer
+
+IslandState = Literal["restoring", "ready", "computing", "waiting", "at barrier", "stopped"]
+IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "reach barrier"]
+
+ISLAND_TRANSITIONS: Final[Mapping[IslandState, Mapping[IslandStep, IslandState]]] = {
+    "restoring": {"restore": "ready", "end": "stopped"},
+    "ready": {"begin": "computing", "end": "stopped"},
+    "computing": {"emigrate": "waiting", "end": "stopped", "reject": "waiting", "reach barrier": "at barrier"},
+    "waiting": {"complete": "ready", "end": "stopped"},
+    "at barrier": {"end": "stopped"},
+    "stopped": {},
+}
+"""State of one island -> what happens -> its next state. `restoring`: its state is on its way; `computing`: it is in
+the run queue; `at barrier`: it waits at a checkpoint for a placement. `end`: a hit here or elsewhere, or the last
+epoch."""
+
+PULL_AFTER_S: Final = 1.0
+"""An island that has waited this long asks the senders; the pause doubles with every question."""
+
+PULL_PAUSE_MAX_S: Final = 8.0
+
+
+@dataclass(slots=True)
+class LocalIsland:
+    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources once it waits."""
+
+    index: int
+    state: IslandState = "ready"
+    epoch: int = 0
+    needs: frozenset[int] = frozenset()
+    pause_s: float = PULL_AFTER_S
+    pull_at: float | None = None
+
+    def step(self, step: IslandStep) -> None:
+        """Go to the next state by the table; raises LocalProtocolError for a pair that is not in it."""
+        following = ISLAND_TRANSITIONS[self.state].get(step)
+        if following is None:
+            raise LocalProtocolError(f"island {self.index} in epoch {self.epoch} cannot {step} while {self.state}")
+        self.state = following
+
+    def is_pull_due(self, now: float) -> bool:
+        """Tell whether an island that waits is to ask now."""
+        return self.pull_at is not None and now >= self.pull_at
+
+    def schedule_pull(self, now: float) -> None:
+        """Set when to ask: after the first pause at first, and after a longer one each time that has come."""
+        if self.pull_at is None:
+            self.pull_at = now + self.pause_s
+        elif now >= self.pull_at:
+            self.pause_s = min(2 * self.pause_s, PULL_PAUSE_MAX_S)
+            self.pull_at = now + self.pause_s
+
+
+class StateTransfer:
+    """The states of some islands at the epoch at which a placement begins; one question at a time."""
+
+    def __init__(self, placement: Placement, islands: Sequence[int]) -> None:
+        self._placement = placement
+        self._assembly = Assembly(islands)
+        self._is_asked = False
+
+    def due_fetch(self) -> PullStates | None:
+        """Return the question for what is still missing, if there is anything and no question is under way."""
+        wanted = self._assembly.wanted
+        if not wanted or self._is_asked:
+            return None
+        self._is_asked = True
+        placed = self._placement
+        return PullStates(
+            job=placed.job,
+            variable=placed.variable,
+            term=placed.term,
+            epoch=placed.epoch,
+            islands=wanted,
+            offset=self._assembly.offset,
+        )
+
+    def take(self, body: States | None) -> tuple[bool, list[int]]:
+        """Take in an answer; return whether it brought anything, and the islands whose states are whole by it.
+
+        Raises:
+            RemoteProtocolError: A state was damaged on its way.
+        """
+        self._is_asked = False
+        before = (self._assembly.wanted, self._assembly.offset)
+        whole = self._assembly.take(body.pieces if body is not None else ())
+        return (self._assembly.wanted, self._assembly.offset) != before, whole
+
+    def hand_over(self, island: int) -> bytes:
+        """Return the state of an island, once."""
+        return self._assembly.states.pop(island).data
+
 
 MOST_AHEAD: Final = 1024
 """Mail is filed of epochs at most so far beyond the last one that may begin here."""

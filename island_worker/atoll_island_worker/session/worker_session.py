@@ -1,8 +1,7 @@
 """A worker's session: what it computes next, what it sends, keeps, asks and answers. A pure state machine.
 
-Events in (`atoll_island_worker.session.events`), actions out (`atoll_island_worker.session.actions`); no clock, no I/O,
-no thread. `Session.handle` is called by the worker's loop, by the simulation and by tests alike. The rules it keeps are
-those of docs/protocol.md.
+Events go in, actions come out (both in `atoll_island_worker.session.interface`); there is no clock, I/O or thread.
+`Session.handle` is called by the worker's loop, by the simulation and by tests. It keeps the rules of docs/protocol.md.
 """
 
 from collections.abc import Mapping
@@ -28,24 +27,17 @@ from atoll_core.wire.messages.workers import (
     IslandFailure,
     Placement,
 )
-from atoll_island_worker.session.actions import (
+from atoll_island_worker.session.interface import (
+    Abandoned,
     Action,
     AskPeer,
+    Broken,
+    Computed,
     Discard,
     DiscardJob,
     FetchJob,
     FetchPlacements,
     FetchStates,
-    Respond,
-    RunTask,
-    SendHeartbeat,
-    StopAt,
-)
-from atoll_island_worker.session.epoch_tasks import TaskKey
-from atoll_island_worker.session.events import (
-    Abandoned,
-    Broken,
-    Computed,
     JobReady,
     LoadFailed,
     Mailed,
@@ -53,12 +45,17 @@ from atoll_island_worker.session.events import (
     PullAsked,
     Rejected,
     Reset,
+    Respond,
+    RunTask,
+    SendHeartbeat,
     SessionEvent,
     Snapshot,
     StatesCame,
+    StopAt,
+    TaskKey,
     Tick,
 )
-from atoll_island_worker.session.mail import PendingMessages
+from atoll_island_worker.session.kept_messages import PendingMessages
 from atoll_island_worker.session.shard import Shard
 
 JobState = Literal["unknown", "loading", "loaded"]

@@ -42,8 +42,8 @@ from atoll_core.wire.messages.tasks import (
     TaskState,
     TaskStatus,
 )
-from atoll_island_worker.connection.requests import Request, Requests
-from atoll_island_worker.tasks.downloads import ByteCache, Download
+from atoll_island_worker.connection import Request, Requests
+from atoll_island_worker.downloads import ByteCache, Download
 from atoll_island_worker.tasks.task_process import TaskProcess
 
 NEXT: Final = {"prepare": "refine"}

@@ -6,9 +6,8 @@ from atoll_core import PROTOCOL_VERSION, VERSION
 from atoll_core.errors import RefusedError, RemoteProtocolError, UnreachableError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
-from atoll_island_worker.connection.connection import ALONE_S, RETURN_S, START_S, CoordinatorConnection
-from atoll_island_worker.connection.requests import Request, Requests
-from atoll_island_worker.session.events import Reset
+from atoll_island_worker.connection import ALONE_S, RETURN_S, START_S, CoordinatorConnection, Request, Requests
+from atoll_island_worker.session.interface import Reset
 from tests.simulation.bus.network import SimulatedNetwork
 
 WAIT_S = 10.0

@@ -38,7 +38,7 @@ from atoll_core.wire.messages.tasks import (
     TaskFailed,
     TaskInput,
 )
-from atoll_island_worker.connection.requests import Request
+from atoll_island_worker.connection import Request
 from atoll_island_worker.tasks.task_runner import TASK_TRANSITIONS, TaskRunner
 
 A, B = "a" * 64, "b" * 64

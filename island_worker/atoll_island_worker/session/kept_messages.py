@@ -1,10 +1,10 @@
-"""What a worker keeps of one archipelago for those who may ask: emigrants, reports and snapshots. Pure.
+"""Mail between islands: a mailbox of immigrants, and what comes before its placement. Pure; what is lost is pulled.
 
-Emigrants and reports are kept until every island has reported their epoch, snapshots until a later checkpoint, or their
-own, is durable at the coordinator.
+Blocks are filed by (epoch, destination, source), each once: so the order in which mail arrives cannot matter.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+import math
+from collections.abc import Collection, Container, Iterable, KeysView, Mapping
 from typing import Final
 
 from atoll_core.wire.messages.epochs import (
@@ -21,6 +21,81 @@ from atoll_core.wire.messages.epochs import (
 )
 from atoll_core.wire.messages.workers import Placement
 from atoll_core.wire.state_pieces import State, split_states
+from atoll_island_worker.session.interface import Mailed
+
+MAX_PENDING: Final = 256
+"""Messages kept of terms whose placement has not come yet."""
+
+
+class Mailbox:
+    """The immigrants that came for the islands of a shard and have not been handed over."""
+
+    def __init__(self) -> None:
+        self._blocks: dict[tuple[int, int], dict[int, bytes]] = {}
+
+    def file(self, epoch: int, block: Block) -> bool:
+        """File a block of an epoch; return whether it is the first of its source and destination."""
+        filed = self._blocks.setdefault((epoch, block.destination), {})
+        is_first = block.source not in filed
+        filed.setdefault(block.source, block.data)
+        return is_first
+
+    def sources(self, epoch: int, destination: int) -> KeysView[int]:
+        """Return the islands whose blocks of an epoch are there for `destination`."""
+        return self._blocks.get((epoch, destination), {}).keys()
+
+    def blocks(self, epoch: int, destination: int, sources: Iterable[int]) -> dict[int, bytes]:
+        """Return the blocks of these sources, by source in ascending order; all of them must be there."""
+        filed = self._blocks[epoch, destination]
+        return {source: filed[source] for source in sorted(sources)}
+
+    def keep_only(self, epoch: int, destination: int, sources: Container[int]) -> None:
+        """Forget the blocks of other sources than these."""
+        filed = self._blocks[epoch, destination]
+        self._blocks[epoch, destination] = {source: data for source, data in filed.items() if source in sources}
+
+    def forget(self, epoch: int, destination: int) -> None:
+        """Forget the blocks of an epoch for `destination`, if any."""
+        self._blocks.pop((epoch, destination), None)
+
+    def filed(self) -> KeysView[tuple[int, int]]:
+        """Return (epoch, destination) of all that is there."""
+        return self._blocks.keys()
+
+
+class PendingMessages:
+    """The last messages of terms whose placement has not come yet, in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._messages: list[Mailed] = []
+
+    def keep(self, mail: Mailed) -> bool:
+        """Keep a message; return whether it is the first of its archipelago."""
+        is_first = all(
+            (message.body.job, message.body.variable) != (mail.body.job, mail.body.variable)
+            for message in self._messages
+        )
+        self._messages = [*self._messages[-(MAX_PENDING - 1) :], mail]
+        return is_first
+
+    def take(self, job: str, variable: str) -> list[Mailed]:
+        """Remove the messages of an archipelago and return them."""
+        taken = [message for message in self._messages if (message.body.job, message.body.variable) == (job, variable)]
+        self.forget(job, variable)
+        return taken
+
+    def forget(self, job: str, variable: str | None = None, term: float = math.inf) -> None:
+        """Forget the messages of an archipelago, or of all of a job (`variable` None), up to a term."""
+        self._messages = [
+            message
+            for message in self._messages
+            if message.body.job != job or variable not in (None, message.body.variable) or message.body.term > term
+        ]
+
+    def clear(self) -> None:
+        """Forget all messages."""
+        self._messages.clear()
+
 
 ADDITIONS_PER_ANSWER: Final = 20_000
 """An answer with reports ends after this many additions to the front; the rest is asked for again."""
