@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.verbs.router import upstream_settings
+from atoll.cli.verbs.serve import upstream_settings
 from atoll.client.client import Client, connected
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store

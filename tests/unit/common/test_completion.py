@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.options.parser import build_parser
+from atoll.cli.options import build_parser
 from atoll_core.completion import SHELLS, complete
 
 
