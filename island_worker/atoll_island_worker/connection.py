@@ -20,16 +20,7 @@ from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, 
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.tasks import PullBatch, TaskChunk, TaskFailed, TaskReport
 from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
-from atoll_island_worker.session.interface import (
-    AskPeer,
-    FetchPlacements,
-    FetchStates,
-    Outgoing,
-    Reset,
-    Respond,
-    Send,
-    SendReport,
-)
+from atoll_island_worker.session import interface as io
 
 PULL_TIMEOUT_S: Final = 5.0
 FETCH_TIMEOUT_S: Final = 20.0
@@ -110,22 +101,22 @@ class Requests:
         """Send lines of our log."""
         self._bus.put(topics.worker(self.cluster, self._name, "log"), encode(log))
 
-    def send(self, action: Outgoing) -> None:
+    def send(self, action: io.Outgoing) -> None:
         """Send, answer or ask what the session wants."""
         match action:
-            case Send():
+            case io.Send():
                 self._bus.put(topics.mail(self.cluster, self._name, action.peer), encode(Mail(body=action.body)))
-            case SendReport():
+            case io.SendReport():
                 self._bus.put(topics.worker(self.cluster, self._name, "report"), encode(action.report))
-            case AskPeer():
+            case io.AskPeer():
                 key = topics.worker(self.cluster, action.peer, "pull")
                 self.ask(key, encode(Pull(body=action.body)), PULL_TIMEOUT_S, Request("pull", action.peer))
-            case Respond():
+            case io.Respond():
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
-            case FetchStates():
+            case io.FetchStates():
                 key, request = topics.state(self.cluster, action.body.job), Request("states", states=action.body)
                 self.ask(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, request)
-            case FetchPlacements():
+            case io.FetchPlacements():
                 key = topics.placement(self.cluster, action.job)
                 self.ask(key, b"", PULL_TIMEOUT_S, Request("placement", action.job))
 
@@ -213,7 +204,7 @@ class CoordinatorConnection:
         request = Request("hello", self._fingerprint, self._welcomes)
         self._requests.ask(topics.hello(self._name), self._hello(), GREET_TIMEOUT_S, request)
 
-    def handle_answer(self, fingerprint: str, payload: bytes | None, welcomes: int | None = None) -> Reset | None:
+    def handle_answer(self, fingerprint: str, payload: bytes | None, welcomes: int | None = None) -> io.Reset | None:
         """Handle the answer (None: there was none) to a greeting that carried `fingerprint` ("": kernels not ready).
 
         Returns what the session is to drop when the coordinator, or its store, is another one than before. Without an
@@ -249,7 +240,7 @@ class CoordinatorConnection:
         if former is None or (former.realm, former.incarnation) == (welcome.realm, welcome.incarnation):
             return None
         _LOG.info("the coordinator started anew; what was held is dropped")
-        return Reset(welcome.incarnation if former.realm == welcome.realm else 0)
+        return io.Reset(welcome.incarnation if former.realm == welcome.realm else 0)
 
     def _refuse_stale(self, incarnation: int) -> None:
         """Join no coordinator of which a later incarnation has been heard: it hung, or its store was copied back."""

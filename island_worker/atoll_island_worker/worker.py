@@ -42,8 +42,7 @@ from atoll_island_worker.connection import (
 )
 from atoll_island_worker.downloads import Datasets
 from atoll_island_worker.job_logs import JobLogs
-from atoll_island_worker.session import interface as actions
-from atoll_island_worker.session import interface as events
+from atoll_island_worker.session import interface as io
 from atoll_island_worker.session.worker_session import Session
 from atoll_island_worker.tasks.task_process import Starter, TaskProcess
 from atoll_island_worker.tasks.task_runner import TaskRunner
@@ -157,25 +156,25 @@ class Worker:
                 self._connection.kernels_ready(item.fingerprint)
             case ComputeFailed():
                 self._connection.fail(AtollError(item.sentence))
-            case events.JobReady() | events.LoadFailed():
+            case io.JobReady() | io.LoadFailed():
                 if self._datasets.finish_loading(item.job):
                     self._tell(item)
                     self._handle(item)
             case Said():
                 if self._tasks.process_said(item):
                     self._send_heartbeat()
-            case events.Snapshot() | events.Computed() | events.Rejected() | events.Broken() | events.Abandoned():
+            case io.Snapshot() | io.Computed() | io.Rejected() | io.Broken() | io.Abandoned():
                 self._tell(item)
                 self._handle(item)
 
     def _tell(self, item: object) -> None:
         """Log what people may want to know of a job."""
         match item:
-            case events.JobReady():
+            case io.JobReady():
                 _LOG.info("data are loaded", extra=fields(job=item.job))
-            case events.LoadFailed():
+            case io.LoadFailed():
                 _LOG.error("data cannot be read", extra=fields(job=item.job, reason=item.sentence))
-            case events.Broken():
+            case io.Broken():
                 key = item.key
                 where = {"variable": key.variable, "island": key.island, "epoch": key.epoch, "term": key.term}
                 _LOG.error("an island broke", extra=fields(job=key.job, **where, reason=item.sentence))
@@ -196,7 +195,7 @@ class Worker:
                 self._drain()
             if self._tasks.is_idle:
                 self._task_process.stop_if_idle()
-            self._handle(events.Tick(self._bus.now()))
+            self._handle(io.Tick(self._bus.now()))
             self._bus.call_later(TICK_S, _TICK)
         elif event.name == LIFETIME:
             self._drain()
@@ -225,7 +224,7 @@ class Worker:
                 self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
             case topics.MailKey():
                 self._check_cluster(key.cluster)
-                self._handle(events.Mailed(key.worker, decode(event.payload, epochs.Mail, MAX_MESSAGE).body))
+                self._handle(io.Mailed(key.worker, decode(event.payload, epochs.Mail, MAX_MESSAGE).body))
             case _:
                 raise RemoteProtocolError(f"nothing is expected on key {event.key}")
 
@@ -239,7 +238,7 @@ class Worker:
         if isinstance(body, task_messages.PullBatch):
             self._tasks.batch_asked(event, body)
         else:
-            self._handle(events.PullAsked(event, body))
+            self._handle(io.PullAsked(event, body))
 
     @_on.register
     def _on_reply(self, event: Reply) -> None:  # noqa: C901  # a table of what was asked
@@ -270,7 +269,7 @@ class Worker:
         answer = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body
         if isinstance(answer, task_messages.GivenBatch | task_messages.NoTask):
             raise RemoteProtocolError(f"epochs were asked for, and {answer.kind!r} came")
-        self._handle(events.PullAnswered(peer, answer))
+        self._handle(io.PullAnswered(peer, answer))
 
     # -------------------------------------------------------------------------------------- coordinator
 
@@ -315,9 +314,9 @@ class Worker:
         try:
             body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
         except RemoteProtocolError:
-            self._handle(events.StatesCame(pull, None))
+            self._handle(io.StatesCame(pull, None))
             raise
-        self._handle(events.StatesCame(pull, body if isinstance(body, epochs.States) else None))
+        self._handle(io.StatesCame(pull, body if isinstance(body, epochs.States) else None))
 
     def _drain(self) -> None:
         """Have this worker end when the coordinator says that nothing is left here, or after a while."""
@@ -377,7 +376,7 @@ class Worker:
         if log is not None:
             self._requests.send_log(log)
 
-    def _handle(self, event: events.SessionEvent) -> None:
+    def _handle(self, event: io.SessionEvent) -> None:
         """Give the session an event, and do what it wants."""
         now = self._bus.now()
         self.session.elapse(now - self._last_event_at)
@@ -385,19 +384,19 @@ class Worker:
         for action in self.session.handle(event):
             self._act(action)
 
-    def _act(self, action: actions.Action) -> None:
+    def _act(self, action: io.Action) -> None:
         match action:
-            case actions.RunTask():
+            case io.RunTask():
                 self._compute.run(action.task)
-            case actions.StopAt():
+            case io.StopAt():
                 self._compute.stop_at(action.shard, action.hit, action.commit_order)
-            case actions.Discard():
+            case io.Discard():
                 self._compute.discard(action.shard)
-            case actions.DiscardJob():
+            case io.DiscardJob():
                 self._datasets.forget(action.job)
-            case actions.FetchJob():
+            case io.FetchJob():
                 self._datasets.fetch(action.job)
-            case actions.SendHeartbeat():
+            case io.SendHeartbeat():
                 self._send_heartbeat()
             case _:
                 self._requests.send(action)

@@ -1,4 +1,4 @@
-"""What goes into a worker's session and what comes out: names of epochs and tasks, events, actions. Plain data."""
+"""What goes into a worker's session and what comes out: keys of shards and epochs, events, actions. Plain data."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,20 +6,7 @@ from typing import NamedTuple
 
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.bus.interface import Query
-from atoll_core.wire.messages.epochs import (
-    EpochReport,
-    Finished,
-    IslandReport,
-    Migrants,
-    NewerTerm,
-    NotYet,
-    PullMigrants,
-    PullReports,
-    PullStates,
-    Reports,
-    Sent,
-    States,
-)
+from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement
 
 
@@ -33,7 +20,7 @@ class ShardKey(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TaskKey:
-    """One island's one epoch, under one term."""
+    """One epoch of one island under one term."""
 
     job: str
     variable: str
@@ -49,11 +36,11 @@ class TaskKey:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Begin epoch `key.epoch` (with the immigrants `blocks` by source island; None at the term's first) and finish it.
+    """Begin epoch `key.epoch` with the immigrants `blocks`, and finish it.
 
-    Emigrants are wanted unless the epoch `is_last`; by the `commit_order` its slices count before or after others.
-    `state` is what the island goes on from when its term begins at a checkpoint. A snapshot is wanted at a checkpoint;
-    an epoch that `is_at_barrier` is begun for the snapshot alone.
+    `blocks` are by source island; None at the first epoch of a term. Emigrants are wanted unless the epoch `is_last`.
+    The `commit_order` ranks its slices. `state` is the island's state when its term begins at a checkpoint. At a
+    checkpoint a snapshot is wanted; an epoch that `is_at_barrier` is begun for the snapshot alone.
     """
 
     key: TaskKey
@@ -65,16 +52,19 @@ class Task:
     is_at_barrier: bool = False
 
 
+# ---------------------------------------------------------------------------------------------- events
+
+
 @dataclass(frozen=True, slots=True)
 class JobReady:
-    """The job's configuration and dataset are loaded: its islands can be computed."""
+    """The configuration and dataset of the job are loaded: its islands can be computed."""
 
     job: str
 
 
 @dataclass(frozen=True, slots=True)
 class LoadFailed:
-    """The dataset of a job cannot be read, although its bytes are those announced."""
+    """The dataset of a job cannot be read, although its bytes have the announced digest."""
 
     job: str
     sentence: str
@@ -82,18 +72,18 @@ class LoadFailed:
 
 @dataclass(frozen=True, slots=True)
 class Mailed:
-    """Another worker sent migrants, or the statement that none will come."""
+    """Another worker sent migrants, or a message that none will come."""
 
     sender: str
-    body: Migrants | Finished
+    body: epochs.Migrants | epochs.Finished
 
 
 @dataclass(frozen=True, slots=True)
 class PullAsked:
-    """Somebody asks for what we sent; to be answered under `handle`."""
+    """Another worker or the coordinator asks for what we sent; the answer refers to `handle`."""
 
     handle: Query
-    body: PullMigrants | PullReports | PullStates
+    body: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,20 +91,20 @@ class PullAnswered:
     """Worker `peer` answered our pull."""
 
     peer: str
-    body: Sent | Reports | States | NotYet | NewerTerm
+    body: epochs.Sent | epochs.Reports | epochs.States | epochs.NotYet | epochs.NewerTerm
 
 
 @dataclass(frozen=True, slots=True)
 class StatesCame:
-    """The coordinator answered a question for states; None: not in time, or it has none."""
+    """The coordinator answered a request for states; None: not in time, or it has none."""
 
-    asked: PullStates
-    body: States | None
+    asked: epochs.PullStates
+    body: epochs.States | None
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The state of an island before generation 0 of an epoch; when it `is_at_barrier`, that is all that was wanted."""
+    """The state of an island before generation 0 of an epoch; at a barrier nothing else is computed."""
 
     key: TaskKey
     data: bytes
@@ -123,21 +113,21 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """An island finished an epoch, or came as far with it as is needed.
+    """An island finished an epoch, or the part of it that is needed.
 
     `emigrants`: blocks by destination island, its own included (only after a whole epoch that is not the last);
     `senders`: the other islands whose blocks it needs to begin the next epoch.
     """
 
     key: TaskKey
-    report: IslandReport
+    report: epochs.IslandReport
     emigrants: Mapping[int, bytes]
     senders: frozenset[int]
 
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """An island refused its immigrants' blocks as malformed and is unchanged."""
+    """An island refused its immigrants' blocks as malformed, and is unchanged."""
 
     key: TaskKey
     sentence: str
@@ -145,7 +135,7 @@ class Rejected:
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """Something of ours broke while an island computed."""
+    """An island raised an unexpected error."""
 
     key: TaskKey
     sentence: str
@@ -159,7 +149,7 @@ class Abandoned:
 
 
 Outcome = Computed | Rejected | Broken | Abandoned
-"""What can come of a task that is not at a barrier."""
+"""The end of a task that is not at a barrier."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,33 +161,21 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """Another coordinator, or another incarnation of ours, is there: what others have placed is void.
+    """Another coordinator, or another incarnation of ours, has taken over: placements by others are void.
 
-    What `incarnation`, of our coordinator, has placed already is kept; 0: nothing is.
+    Placements by `incarnation`, of our coordinator, are kept; 0: none are.
     """
 
     incarnation: int = 0
 
 
 SessionEvent = (
-    Placement
-    | Commit
-    | Close
-    | CloseJob
-    | JobReady
-    | LoadFailed
-    | Mailed
-    | PullAsked
-    | PullAnswered
-    | StatesCame
-    | Snapshot
-    | Computed
-    | Rejected
-    | Broken
-    | Abandoned
-    | Tick
-    | Reset
-)
+    Placement | Commit | Close | CloseJob | JobReady | LoadFailed | Mailed | PullAsked | PullAnswered | StatesCame
+    | Snapshot | Outcome | Tick | Reset
+)  # fmt: skip
+
+
+# --------------------------------------------------------------------------------------------- actions
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,24 +196,24 @@ class FetchPlacements:
 class FetchStates:
     """Ask the coordinator for states of a checkpoint; StatesCame follows."""
 
-    body: PullStates
+    body: epochs.PullStates
 
 
 @dataclass(frozen=True, slots=True)
 class SendHeartbeat:
-    """Tell the coordinator at once what is held."""
+    """Send the coordinator a heartbeat at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunTask:
-    """Give the task to the compute thread; a Snapshot, Computed, Rejected, Broken or Abandoned follows."""
+    """Give the task to the compute thread; a Snapshot or an Outcome follows."""
 
     task: Task
 
 
 @dataclass(frozen=True, slots=True)
 class StopAt:
-    """Compute nothing of the shard that is not needed when the target was met at `hit`."""
+    """Compute nothing more of the shard that is not needed after the target was met at `hit`."""
 
     shard: ShardKey
     hit: Position
@@ -244,7 +222,7 @@ class StopAt:
 
 @dataclass(frozen=True, slots=True)
 class Discard:
-    """Forget the islands of one archipelago under one term, also those that are being computed."""
+    """Forget the islands of one archipelago under one term, also while they are computed."""
 
     shard: ShardKey
 
@@ -261,14 +239,14 @@ class Send:
     """Send mail to worker `peer`."""
 
     peer: str
-    body: Migrants | Finished
+    body: epochs.Migrants | epochs.Finished
 
 
 @dataclass(frozen=True, slots=True)
 class SendReport:
     """Report to the coordinator."""
 
-    report: EpochReport
+    report: epochs.EpochReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +254,7 @@ class AskPeer:
     """Pull from worker `peer`; PullAnswered may follow."""
 
     peer: str
-    body: PullMigrants
+    body: epochs.PullMigrants
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +262,7 @@ class Respond:
     """Answer the pull that came under `handle`."""
 
     handle: Query
-    body: Sent | Reports | States | NotYet | NewerTerm
+    body: epochs.Sent | epochs.Reports | epochs.States | epochs.NotYet | epochs.NewerTerm
 
 
 Outgoing = Send | SendReport | AskPeer | Respond | FetchPlacements | FetchStates

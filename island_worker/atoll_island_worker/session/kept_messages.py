@@ -1,24 +1,15 @@
-"""Mail between islands: a mailbox of immigrants, and what comes before its placement. Pure; what is lost is pulled.
+"""Messages that a worker keeps: immigrants, mail that came before its placement, and what others may ask for. Pure.
 
-Blocks are filed by (epoch, destination, source), each once: so the order in which mail arrives cannot matter.
+Immigrants are filed by (epoch, destination, source), each once, so the order in which mail arrives cannot matter.
+Emigrants and reports are kept until every island has reported their epoch; snapshots are kept until they, or a later
+checkpoint, are durable at the coordinator.
 """
 
 import math
 from collections.abc import Collection, Container, Iterable, KeysView, Mapping
-from typing import Final
+from typing import Any, Final
 
-from atoll_core.wire.messages.epochs import (
-    Block,
-    EpochReport,
-    IslandReport,
-    Migrants,
-    NotYet,
-    PullMigrants,
-    PullReports,
-    PullStates,
-    Reports,
-    States,
-)
+from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages.workers import Placement
 from atoll_core.wire.state_pieces import State, split_states
 from atoll_island_worker.session.interface import Mailed
@@ -26,14 +17,17 @@ from atoll_island_worker.session.interface import Mailed
 MAX_PENDING: Final = 256
 """Messages kept of terms whose placement has not come yet."""
 
+ADDITIONS_PER_ANSWER: Final = 20_000
+"""An answer with reports ends after this many additions to the front; the rest is asked for again."""
+
 
 class Mailbox:
-    """The immigrants that came for the islands of a shard and have not been handed over."""
+    """The immigrants that have arrived for the islands of a shard and have not been handed over."""
 
     def __init__(self) -> None:
         self._blocks: dict[tuple[int, int], dict[int, bytes]] = {}
 
-    def file(self, epoch: int, block: Block) -> bool:
+    def file(self, epoch: int, block: epochs.Block) -> bool:
         """File a block of an epoch; return whether it is the first of its source and destination."""
         filed = self._blocks.setdefault((epoch, block.destination), {})
         is_first = block.source not in filed
@@ -41,11 +35,11 @@ class Mailbox:
         return is_first
 
     def sources(self, epoch: int, destination: int) -> KeysView[int]:
-        """Return the islands whose blocks of an epoch are there for `destination`."""
+        """Return the islands whose blocks of an epoch for `destination` have arrived."""
         return self._blocks.get((epoch, destination), {}).keys()
 
     def blocks(self, epoch: int, destination: int, sources: Iterable[int]) -> dict[int, bytes]:
-        """Return the blocks of these sources, by source in ascending order; all of them must be there."""
+        """Return the blocks of these sources, by source in ascending order; all of them have arrived."""
         filed = self._blocks[epoch, destination]
         return {source: filed[source] for source in sorted(sources)}
 
@@ -59,7 +53,7 @@ class Mailbox:
         self._blocks.pop((epoch, destination), None)
 
     def filed(self) -> KeysView[tuple[int, int]]:
-        """Return (epoch, destination) of all that is there."""
+        """Return (epoch, destination) of all blocks."""
         return self._blocks.keys()
 
 
@@ -71,10 +65,8 @@ class PendingMessages:
 
     def keep(self, mail: Mailed) -> bool:
         """Keep a message; return whether it is the first of its archipelago."""
-        is_first = all(
-            (message.body.job, message.body.variable) != (mail.body.job, mail.body.variable)
-            for message in self._messages
-        )
+        key = (mail.body.job, mail.body.variable)
+        is_first = all((message.body.job, message.body.variable) != key for message in self._messages)
         self._messages = [*self._messages[-(MAX_PENDING - 1) :], mail]
         return is_first
 
@@ -85,7 +77,7 @@ class PendingMessages:
         return taken
 
     def forget(self, job: str, variable: str | None = None, term: float = math.inf) -> None:
-        """Forget the messages of an archipelago, or of all of a job (`variable` None), up to a term."""
+        """Forget the messages of an archipelago, or of a whole job (`variable` None), up to a term."""
         self._messages = [
             message
             for message in self._messages
@@ -97,26 +89,22 @@ class PendingMessages:
         self._messages.clear()
 
 
-ADDITIONS_PER_ANSWER: Final = 20_000
-"""An answer with reports ends after this many additions to the front; the rest is asked for again."""
-
-
 class RetransmitBuffer:
-    """What the islands `islands` of one worker have sent, reported and been, under one term."""
+    """Emigrants, reports and snapshots of the islands `islands` of one worker under one term."""
 
     def __init__(self, placement: Placement, islands: Collection[int]) -> None:
-        self._placement = placement
+        self._shard: dict[str, Any] = {"job": placement.job, "variable": placement.variable, "term": placement.term}
         self._islands = islands
         self._sent: dict[tuple[int, int], dict[int, bytes]] = {}
-        self._reports: dict[int, dict[int, IslandReport]] = {}
+        self._reports: dict[int, dict[int, epochs.IslandReport]] = {}
         self._snapshots: dict[int, dict[int, State]] = {}
 
     def keep_emigrants(self, epoch: int, island: int, emigrants: Mapping[int, bytes]) -> None:
-        """Keep what an island sends, by destination."""
+        """Keep the emigrants of an island, by destination."""
         self._sent[epoch, island] = dict(emigrants)
 
-    def keep_report(self, epoch: int, report: IslandReport) -> None:
-        """Keep what an island says of an epoch."""
+    def keep_report(self, epoch: int, report: epochs.IslandReport) -> None:
+        """Keep the report of an island on an epoch."""
         self._reports.setdefault(epoch, {})[report.island] = report
 
     def keep_snapshot(self, epoch: int, island: int, data: bytes) -> None:
@@ -136,44 +124,43 @@ class RetransmitBuffer:
         return (epoch for epoch, _ in self._sent)
 
     def forget(self, reported: int, commit: int) -> None:
-        """Forget what was sent and reported in epochs below `reported`, and snapshots up to `commit`."""
+        """Forget emigrants and reports of epochs below `reported`, and snapshots up to `commit`."""
         self._sent = {key: blocks for key, blocks in self._sent.items() if key[0] >= reported}
         self._reports = {epoch: reports for epoch, reports in self._reports.items() if epoch >= reported}
         self._snapshots = {epoch: states for epoch, states in self._snapshots.items() if epoch > commit}
 
-    def report(self, epoch: int) -> EpochReport:
+    def report(self, epoch: int) -> epochs.EpochReport:
         """Return the report of one epoch, islands in order."""
-        placed, kept = self._placement, self._reports[epoch]
+        kept = self._reports[epoch]
         islands = tuple(kept[island] for island in sorted(kept))
-        return EpochReport(job=placed.job, variable=placed.variable, term=placed.term, epoch=epoch, islands=islands)
+        return epochs.EpochReport(**self._shard, epoch=epoch, islands=islands)
 
-    def migrants(self, epoch: int, blocks: Iterable[Block]) -> Migrants:
+    def migrants(self, epoch: int, blocks: Iterable[epochs.Block]) -> epochs.Migrants:
         """Return a message with blocks of one epoch."""
-        placed = self._placement
-        return Migrants(job=placed.job, variable=placed.variable, term=placed.term, epoch=epoch, blocks=tuple(blocks))
+        return epochs.Migrants(**self._shard, epoch=epoch, blocks=tuple(blocks))
 
-    def sent(self, pull: PullMigrants) -> Migrants | None:
-        """Return what islands here have sent to one destination in one epoch; None: nothing that is kept."""
+    def sent(self, pull: epochs.PullMigrants) -> epochs.Migrants | None:
+        """Return the emigrants of islands here to one destination in one epoch; None: none are kept."""
         blocks = [
-            Block(source=source, destination=pull.destination, data=data)
+            epochs.Block(source=source, destination=pull.destination, data=data)
             for source in pull.sources
             if (data := self._sent.get((pull.epoch, source), {}).get(pull.destination)) is not None
         ]
         return self.migrants(pull.epoch, blocks) if blocks else None
 
-    def answer_reports(self, pull: PullReports, reported: int) -> Reports | NotYet:
-        """Return the reports asked for of epochs below `reported` that are kept, as many as one message bears."""
-        reports: list[EpochReport] = []
+    def answer_reports(self, pull: epochs.PullReports, reported: int) -> epochs.Reports | epochs.NotYet:
+        """Return the reports asked for, of epochs below `reported` that are kept, as many as fit one message."""
+        reports: list[epochs.EpochReport] = []
         additions = 0
         for epoch in range(pull.first, min(pull.last, reported)):
             if epoch in self._reports and additions < ADDITIONS_PER_ANSWER:
                 reports.append(self.report(epoch))
                 additions += sum(len(island.additions) for island in reports[-1].islands)
-        return Reports(reports=tuple(reports)) if reports else NotYet()
+        return epochs.Reports(reports=tuple(reports)) if reports else epochs.NotYet()
 
-    def answer_states(self, pull: PullStates) -> States | NotYet:
-        """Return states of a checkpoint, as many as one message bears."""
+    def answer_states(self, pull: epochs.PullStates) -> epochs.States | epochs.NotYet:
+        """Return states of a checkpoint, as many as fit one message."""
         states = self._snapshots.get(pull.epoch, {})
         if not states.keys() >= set(pull.islands) or pull.offset >= len(states[pull.islands[0]].data):
-            return NotYet()
-        return States(pieces=split_states(pull.islands, pull.offset, states.__getitem__))
+            return epochs.NotYet()
+        return epochs.States(pieces=split_states(pull.islands, pull.offset, states.__getitem__))

@@ -23,19 +23,7 @@ from multiprocessing.connection import Connection
 from typing import Final, Protocol
 
 from atoll_core.errors import AtollError
-from atoll_core.tasks.frames import (
-    Batch,
-    Ended,
-    Failure,
-    Finished,
-    FromProcess,
-    Load,
-    Logged,
-    Run,
-    Said,
-    Started,
-    ToProcess,
-)
+from atoll_core.tasks import frames
 from atoll_core.tasks.installation import OTHER_VERSION, version
 from atoll_island_worker.processes.fork_server import Forked, request_parent_death_signal
 
@@ -144,15 +132,15 @@ class TaskProcess:
         """Whether a process is there, which need not be started for the next task."""
         return self._running is not None and self._running.is_alive
 
-    def send(self, message: ToProcess) -> int:
+    def send(self, message: frames.ToProcess) -> int:
         """Send a message to the process, starting one for a task or a batch if need be; return its `Said.life`.
 
         When the system starts no more processes, `Ended` is posted.
         """
         self._used_at = self._clock()
-        if isinstance(message, Run) and (self._done >= MAX_TASKS or self._memory >= MAX_MEMORY):
+        if isinstance(message, frames.Run) and (self._done >= MAX_TASKS or self._memory >= MAX_MEMORY):
             self.stop()
-        if not self.is_started and isinstance(message, Run | Batch):
+        if not self.is_started and isinstance(message, frames.Run | frames.Batch):
             self._start()
         if self._running is not None:
             self._running.send(message)
@@ -161,7 +149,7 @@ class TaskProcess:
     def load_next(self, function: str) -> None:
         """Have a process that is there load what tasks of this function need."""
         if self.is_started:
-            self.send(Load(function))
+            self.send(frames.Load(function))
 
     def stop(self) -> None:
         """End the process with what it runs; that it has ended is not posted."""
@@ -182,27 +170,27 @@ class TaskProcess:
             self._running = _Running(self._starter, lambda message: self._take(life, message))
         except AtollError as error:
             self._running = None
-            self._post(Said(life, Ended("crash", str(error))))
+            self._post(frames.Said(life, frames.Ended("crash", str(error))))
 
-    def _take(self, life: int, message: FromProcess) -> None:
+    def _take(self, life: int, message: frames.FromProcess) -> None:
         """Take in a message, on the reading thread."""
-        if isinstance(message, Logged):
+        if isinstance(message, frames.Logged):
             record = logging.makeLogRecord(dict(message.values))
             logging.getLogger(record.name).handle(record)
             return
-        if isinstance(message, Finished) and life == self._life:
+        if isinstance(message, frames.Finished) and life == self._life:
             self._done, self._memory = self._done + 1, message.memory_bytes
         self._used_at = self._clock()
-        self._post(Said(life, message))
+        self._post(frames.Said(life, message))
 
 
 class _Running:
     """One process, the thread that reads what it says, and the one that writes to it."""
 
-    def __init__(self, starter: Starter, take: Callable[[FromProcess], None]) -> None:
+    def __init__(self, starter: Starter, take: Callable[[frames.FromProcess], None]) -> None:
         """Start them; raises AtollError when the system starts no more."""
         self._connection, theirs = Pipe()
-        self._outgoing: queue.SimpleQueue[ToProcess | None] = queue.SimpleQueue()
+        self._outgoing: queue.SimpleQueue[frames.ToProcess | None] = queue.SimpleQueue()
         self._take = take
         self._is_stopped = False
         try:
@@ -225,7 +213,7 @@ class _Running:
     def is_alive(self) -> bool:
         return self._reading.is_alive()
 
-    def send(self, message: ToProcess) -> None:
+    def send(self, message: frames.ToProcess) -> None:
         self._outgoing.put(message)
 
     def stop(self) -> None:
@@ -257,14 +245,14 @@ class _Running:
         self._process.close()
         if not self._is_stopped:
             failure, sentence = cause_of(code)
-            self._take(Ended(failure, why or sentence))
+            self._take(frames.Ended(failure, why or sentence))
 
     def _read_all(self) -> str:
         """Hand on what the process says until its end; return in words why that could not be read, if so."""
         try:
             while True:
                 message = self._connection.recv()
-                if isinstance(message, Started):
+                if isinstance(message, frames.Started):
                     self._process.set_pid(message.pid)
                 else:
                     self._take(message)
@@ -274,7 +262,7 @@ class _Running:
             return f"what it said could not be read: {type(error).__name__}: {error}"
 
 
-def cause_of(code: int | None) -> tuple[Failure, str]:
+def cause_of(code: int | None) -> tuple[frames.Failure, str]:
     """Return in words how a process ended by itself."""
     if code is None:
         return "crash", "its process ended"

@@ -10,38 +10,12 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.tasks.frames import (
-    Ask,
-    Batch,
-    Begun,
-    Computed,
-    Ended,
-    Failed,
-    Failure,
-    Finished,
-    Give,
-    Progressed,
-    Run,
-    Said,
-    Take,
-)
+from atoll_core.tasks import frames
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode
+from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.epochs import NotYet, PullAnswer
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
-from atoll_core.wire.messages.tasks import (
-    BatchResult,
-    GivenBatch,
-    Help,
-    Lease,
-    NoTask,
-    PullBatch,
-    Release,
-    TaskChunk,
-    TaskFailed,
-    TaskState,
-    TaskStatus,
-)
 from atoll_island_worker.connection import Request, Requests
 from atoll_island_worker.downloads import ByteCache, Download
 from atoll_island_worker.tasks.task_process import TaskProcess
@@ -51,7 +25,7 @@ NEXT: Final = {"prepare": "refine"}
 
 TaskStep = Literal["fetched", "begun", "finished", "failed", "release"]
 
-TASK_TRANSITIONS: Final[dict[TaskState, dict[TaskStep, TaskState | None]]] = {
+TASK_TRANSITIONS: Final[dict[messages.TaskState, dict[TaskStep, messages.TaskState | None]]] = {
     "fetching": {"fetched": "waiting", "failed": "failed", "release": None},
     "waiting": {"begun": "running", "finished": "done", "failed": "failed", "release": None},
     "running": {"finished": "done", "failed": "failed", "release": None},
@@ -69,13 +43,13 @@ class _Leased:
     `inputs` are those that have come, until it runs; `life` says which process runs it.
     """
 
-    lease: Lease
-    state: TaskState = "fetching"
+    lease: messages.Lease
+    state: messages.TaskState = "fetching"
     downloads: dict[str, Download] = field(default_factory=dict)
     inputs: dict[str, bytes] = field(default_factory=dict)
     life: int = 0
     result: bytes = b""
-    failed: TaskFailed | None = None
+    failed: messages.TaskFailed | None = None
     began: float = 0.0
     seconds: float = 0.0
     compared: int = 0
@@ -92,7 +66,7 @@ class _Leased:
 class _Helped:
     """A task of another worker; `batch` is the one that is computed here now, by the process of that `life`."""
 
-    help: Help
+    help: messages.Help
     batch: int | None = None
     life: int = 0
 
@@ -125,30 +99,30 @@ class TaskRunner:
         """Whether a process for tasks is there already."""
         return self._process.is_started
 
-    def statuses(self) -> tuple[TaskStatus, ...]:
+    def statuses(self) -> tuple[messages.TaskStatus, ...]:
         """Return what the heartbeat says of tasks."""
         own = (
-            TaskStatus(task=task, job=leased.lease.job, state=leased.state, compared=leased.compared)
+            messages.TaskStatus(task=task, job=leased.lease.job, state=leased.state, compared=leased.compared)
             for task, leased in self._leased.items()
         )
         if self._helped is None:
             return tuple(own)
         helped = self._helped.help
-        return (*own, TaskStatus(task=helped.task, job=helped.job, state="helping"))
+        return (*own, messages.TaskStatus(task=helped.task, job=helped.job, state="helping"))
 
     # ------------------------------------------------------------------------------------- the coordinator
 
-    def told(self, body: Lease | Help | Release) -> None:
+    def told(self, body: messages.Lease | messages.Help | messages.Release) -> None:
         """Take in what the coordinator says of a task."""
         match body:
-            case Lease():
+            case messages.Lease():
                 self._lease(body)
-            case Help():
+            case messages.Help():
                 self._help(body)
-            case Release():
+            case messages.Release():
                 self._release(body.task)
 
-    def _lease(self, lease: Lease) -> None:
+    def _lease(self, lease: messages.Lease) -> None:
         """Begin a task; of one that is done already push again what came of it.
 
         One that failed begins anew when the term is another: the coordinator has it tried again.
@@ -168,7 +142,7 @@ class TaskRunner:
         self.fetch(lease.task)
         self._run_next()
 
-    def _help(self, wanted: Help) -> None:
+    def _help(self, wanted: messages.Help) -> None:
         """Help another worker with its task, until it is done or released; one task at a time, its own first."""
         if self._helped is not None and self._helped.help.task == wanted.task:
             return
@@ -245,41 +219,43 @@ class TaskRunner:
         lease, inputs = leased.lease, tuple(leased.inputs[given.digest] for given in leased.lease.inputs)
         leased.inputs.clear()
         leased.life = self._process.send(
-            Run(lease.task, lease.function, inputs, lease.seconds, lease.threads, lease.job)
+            frames.Run(lease.task, lease.function, inputs, lease.seconds, lease.threads, lease.job)
         )
 
     # ------------------------------------------------------------------------------------------- process
 
-    def process_said(self, said: Said) -> bool:
+    def process_said(self, said: frames.Said) -> bool:
         """Take in what the process says; return whether the coordinator is to be told at once."""
         message = said.message
         match message:
-            case Begun() | Progressed() | Finished() | Failed():
+            case frames.Begun() | frames.Progressed() | frames.Finished() | frames.Failed():
                 leased = self._leased.get(message.task)
                 if leased is not None and leased.life == said.life:  # else a process said it that was stopped since
                     self._advance(leased, message)
-                    return not isinstance(message, Progressed)
-            case Ended():
+                    return not isinstance(message, frames.Progressed)
+            case frames.Ended():
                 return self._ended(said.life, message)
-            case Give():
+            case frames.Give():
                 self._give(message)
-            case Computed():
+            case frames.Computed():
                 self._computed(message)
         return False
 
-    def _advance(self, leased: _Leased, message: Begun | Progressed | Finished | Failed) -> None:
+    def _advance(
+        self, leased: _Leased, message: frames.Begun | frames.Progressed | frames.Finished | frames.Failed
+    ) -> None:
         match message:
-            case Begun():
+            case frames.Begun():
                 leased.step("begun")
-            case Progressed():
+            case frames.Progressed():
                 leased.compared = message.compared
-            case Finished():
+            case frames.Finished():
                 self._finish(leased, message)
-            case Failed():
+            case frames.Failed():
                 self._fail(leased, message.failure, message.sentence)
                 self._run_next()
 
-    def _ended(self, life: int, message: Ended) -> bool:
+    def _ended(self, life: int, message: frames.Ended) -> bool:
         """Take in that a process has ended by itself, with what it did; return whether it had a task."""
         if self._helped is not None and self._helped.batch is not None and self._helped.life == life:
             self._stop_helping()
@@ -289,7 +265,7 @@ class TaskRunner:
         self._run_next()
         return bool(lost)
 
-    def _finish(self, leased: _Leased, message: Finished) -> None:
+    def _finish(self, leased: _Leased, message: frames.Finished) -> None:
         leased.step("finished")
         leased.result, leased.seconds = message.result, self._clock() - leased.began
         self._push(leased)
@@ -299,10 +275,10 @@ class TaskRunner:
         if following is not None and all(one.state in ("fetching", "done", "failed") for one in self._leased.values()):
             self._process.load_next(following)
 
-    def _fail(self, leased: _Leased, failure: Failure, sentence: str) -> None:
+    def _fail(self, leased: _Leased, failure: frames.Failure, sentence: str) -> None:
         leased.step("failed")
         lease = leased.lease
-        leased.failed = TaskFailed(task=lease.task, term=lease.term, failure=failure, sentence=sentence[:4000])
+        leased.failed = messages.TaskFailed(task=lease.task, term=lease.term, failure=failure, sentence=sentence[:4000])
         self._push(leased)
         self._answer_helpers(lease.task)
 
@@ -314,18 +290,18 @@ class TaskRunner:
             digest, size = hashlib.sha256(leased.result).hexdigest(), len(leased.result)
             for offset in range(0, max(size, 1), CHUNK_SIZE):
                 data = leased.result[offset : offset + CHUNK_SIZE]
-                chunk = TaskChunk(
+                chunk = messages.TaskChunk(
                     task=leased.lease.task, digest=digest, size=size, offset=offset, data=data, seconds=leased.seconds
                 )
                 self._requests.send_task_report(chunk)
 
     # ------------------------------------------------------------------------------- batches, as who helps
 
-    def _pull_batch(self, result: BatchResult | None) -> None:
+    def _pull_batch(self, result: messages.BatchResult | None) -> None:
         assert self._helped is not None
         helped = self._helped.help
         contexts = self._cache.digests[-64:]
-        self._requests.ask_batch(helped.worker, PullBatch(task=helped.task, result=result, contexts=contexts))
+        self._requests.ask_batch(helped.worker, messages.PullBatch(task=helped.task, result=result, contexts=contexts))
 
     def _batch_came(self, task: str, payload: bytes | None) -> None:
         """Take in a batch; without any, or without a task there, helping has ended."""
@@ -333,40 +309,42 @@ class TaskRunner:
         if helped is None or helped.help.task != task:
             return
         self._helped = None  # also where what came cannot be read: the coordinator has it help again
-        body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else NoTask()
+        body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else messages.NoTask()
         match body:
-            case GivenBatch():
+            case messages.GivenBatch():
                 if body.context:
                     self._cache.add(hashlib.sha256(body.context).hexdigest(), body.context)
                 context = self._cache.get(body.digest)
                 if context is None:
                     raise RemoteProtocolError(f"a batch came with the context {body.digest}, which is not here")
                 self._helped, helped.batch = helped, body.number
-                helped.life = self._process.send(Batch(body.number, body.function, body.digest, context, body.item))
+                helped.life = self._process.send(
+                    frames.Batch(body.number, body.function, body.digest, context, body.item)
+                )
             case NotYet():
                 self._helped = helped
                 self._pull_batch(None)
 
-    def _computed(self, message: Computed) -> None:
+    def _computed(self, message: frames.Computed) -> None:
         if self._helped is not None and self._helped.batch == message.number:
             self._helped.batch = None
-            self._pull_batch(BatchResult(number=message.number, result=message.result))
+            self._pull_batch(messages.BatchResult(number=message.number, result=message.result))
 
     # ----------------------------------------------------------------------- batches, as who has the task
 
-    def batch_asked(self, query: Query, pull: PullBatch) -> None:
+    def batch_asked(self, query: Query, pull: messages.PullBatch) -> None:
         """Take in a helper's question: its result goes to the process, which gives it a batch when there is one."""
         leased = self._leased.get(pull.task)
         if leased is None or leased.state != "running":
-            self._reply(query, PullAnswer(body=NoTask()))
+            self._reply(query, PullAnswer(body=messages.NoTask()))
             return
         if pull.result is not None:
-            self._process.send(Take(pull.result.number, pull.result.result))
+            self._process.send(frames.Take(pull.result.number, pull.result.result))
         self._tokens += 1
         self._asked[self._tokens] = (pull.task, query)
-        self._process.send(Ask(self._tokens, frozenset(pull.contexts)))
+        self._process.send(frames.Ask(self._tokens, frozenset(pull.contexts)))
 
-    def _give(self, message: Give) -> None:
+    def _give(self, message: frames.Give) -> None:
         asked = self._asked.pop(message.token, None)
         if asked is None:
             return
@@ -374,7 +352,7 @@ class TaskRunner:
         if batch is None:
             self._reply(asked[1], PullAnswer(body=NotYet()))
             return
-        given = GivenBatch(
+        given = messages.GivenBatch(
             number=batch.number, function=batch.function, digest=batch.digest, context=batch.context, item=batch.item
         )
         self._reply(asked[1], PullAnswer(body=given))
@@ -383,7 +361,7 @@ class TaskRunner:
         """Tell helpers who wait for batches of a task that there is no such task any more."""
         for token in [token for token, (asked, _) in self._asked.items() if asked == task]:
             _, query = self._asked.pop(token)
-            self._reply(query, PullAnswer(body=NoTask()))
+            self._reply(query, PullAnswer(body=messages.NoTask()))
 
     def close(self) -> None:
         """End the process."""

@@ -501,7 +501,7 @@ def test_a_dataset_that_cannot_be_read_is_trouble(session: Session) -> None:
 
 def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
     begun(session, "me", "peer")
-    with pytest.raises(LocalProtocolError, match="nobody asked"):
+    with pytest.raises(LocalProtocolError, match="not asked for"):
         session.handle(computed(key(0, 1), {}))
 
 
