@@ -300,7 +300,7 @@ def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
                 connected(bob, wait_s=1.0),
             ):
                 pass
-            assert "access control on the way" in worker_error(lab, router, "lab2", wait_s=0.8)
+            assert "access control" in worker_error(lab, router, "lab2", wait_s=0.8)
         finally:
             stop.set()
             thread.join(LIMIT_S)
