@@ -25,7 +25,8 @@ from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.inference.target_evidence import target_evidence
 from atoll_coordinator.model.inference.unexplained import unexplained_remarks
 from atoll_coordinator.model.inference.verdict import judge
-from atoll_coordinator.model.refinement import LawsByGroup, Member, Pools, Refined, Refinement, Simulation
+from atoll_coordinator.model.pools import LawsByGroup, Member, Pools
+from atoll_coordinator.model.refinement import Refined, Refinement, Simulation
 from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates

@@ -12,7 +12,7 @@ from typing import Final
 
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
+from atoll_coordinator.model.pools import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.elimination import eliminate_all

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.elimination import shortest
 from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
-from atoll_coordinator.model.refinement import decode_members
+from atoll_coordinator.model.pools import decode_members
 from atoll_coordinator.model.regression.covariance import description_length, estimate_constants, standard_errors
 from atoll_coordinator.model.regression.equation import _spread, _spread_weights, fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
