@@ -6,20 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.analysis.sentences import Listing, describe
-from atoll.experiments.determination import Direction, Identifiability, ProfiledConstant
+from atoll.analysis.rendering import Listing, describe
+from atoll.experiments.identifiability import Direction, Identifiability, ProfiledConstant
 from atoll.experiments.suggestion import Candidate, Suggestion, Suggestions
 from atoll.model.model import Model
 from atoll.model.simulation import ExtrapolationWarning
-from atoll.report.choice import choice
-from atoll.report.constants import constants
-from atoll.report.dynamics import dynamics as section_of_dynamics
+from atoll.report.equations import choice, constants, origin, overview
 from atoll.report.findings import MOST_PROFILES, Findings
-from atoll.report.fit import trajectories
 from atoll.report.markup import Element, table, to_text
-from atoll.report.origin import origin
-from atoll.report.overview import overview
 from atoll.report.page import as_html
+from atoll.report.trajectories import dynamics as section_of_dynamics
+from atoll.report.trajectories import trajectories
 from atoll.text.conclusion import conclusion
 from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, process, regression
