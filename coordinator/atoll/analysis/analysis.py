@@ -23,8 +23,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.errors import UsageError
-from atoll_core.hints import did_you_mean
-from atoll_core.quoting import first_lines, shown
+from atoll_core.quoting import did_you_mean, first_lines, shown
 
 if TYPE_CHECKING:
     import polars

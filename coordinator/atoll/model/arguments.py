@@ -33,11 +33,10 @@ from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.masked import plain_array
+from atoll_core.data.frames import plain_array
 from atoll_core.data.table import Table
 from atoll_core.errors import Field, UsageError
-from atoll_core.hints import did_you_mean
-from atoll_core.quoting import shown
+from atoll_core.quoting import did_you_mean, shown
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
