@@ -1,5 +1,6 @@
 """Arrays from what Python users pass in, missing entries marked, and data frames of polars or pandas for output."""
 
+import importlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
@@ -50,17 +51,15 @@ _LIBRARIES: Final[tuple[str, ...]] = get_args(FrameLibrary)
 def frame_of(columns: Mapping[str, object], library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
     """Return columns of one length by name, arrays (N,) or lists, as a frame of a library.
 
-    Raises UsageError where the library is no such one, or is not installed.
+    Raises UsageError where the library is neither of them, or is not installed.
     """
     if library not in _LIBRARIES:
-        raise UsageError(f"frames are those of {' or '.join(_LIBRARIES)}, but {shown(library)} was given")
-    if library == "polars":
-        import polars
-
-        return polars.DataFrame(dict(columns))
+        raise UsageError(f"a frame is of {' or '.join(_LIBRARIES)}, but {shown(library)} was given")
     try:
-        import pandas
+        frames: Any = importlib.import_module(library)
     except ImportError:
-        hint = "pandas is not installed; run: pip install pandas, or call to_frame() for a frame of polars"
-        raise UsageError(hint) from None
-    return pandas.DataFrame(dict(columns))
+        other = next(name for name in _LIBRARIES if name != library)
+        install = {"polars": "'atoll[parquet]'", "pandas": "pandas"}[library]
+        message = f'{library} is not installed; run: pip install {install}, or call to_frame("{other}")'
+        raise UsageError(message) from None
+    return frames.DataFrame(dict(columns))

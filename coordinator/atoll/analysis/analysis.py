@@ -78,7 +78,7 @@ class Analysis:
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the isolated fixed points, a row each: the states, `kind`, `is_stable` and `attracts_in_box`.
 
-        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas.
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
         """
         points = self.fixed_points.points
         states = {name: [float(point.point[place]) for point in points] for place, name in enumerate(self.field.states)}
