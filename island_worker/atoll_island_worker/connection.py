@@ -20,8 +20,7 @@ from uuid import uuid4
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
 from atoll_core.logs import fields
-from atoll_core.machine.cores import usable_cores
-from atoll_core.machine.usage import total_memory_bytes
+from atoll_core.machine import total_memory_bytes, usable_cores
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import decode, encode
@@ -123,10 +122,13 @@ class Requests:
             case io.Respond():
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case io.FetchStates():
-                key, request = topics.state(self.cluster, action.body.job), PendingRequest("states", states=action.body)
+                key, request = (
+                    topics.job(self.cluster, action.body.job, "state"),
+                    PendingRequest("states", states=action.body),
+                )
                 self.ask(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, request)
             case io.FetchPlacements():
-                key = topics.placement(self.cluster, action.job)
+                key = topics.job(self.cluster, action.job, "placement")
                 self.ask(key, b"", PULL_TIMEOUT_S, PendingRequest("placement", action.job))
 
 

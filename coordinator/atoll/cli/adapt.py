@@ -2,7 +2,7 @@
 
 Words may have ``{name}`` of the jobs, ``{job}`` the id of one, ``{cores}`` of each and ``{user}``; scripts have
 ``{worker}``, the command of a job's workers. To add a system, add a template here and the variable of its job ids to
-`atoll_core.machine.batch_jobs`.
+`atoll_core.machine`.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from atoll.client.client import Client, connected
 from atoll.terminal.output import note, say
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.logs import configure, fields
-from atoll_core.machine.batch_jobs import job_of
+from atoll_core.machine import job_of
 from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import WorkerView

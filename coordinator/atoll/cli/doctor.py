@@ -16,8 +16,7 @@ from atoll.cli.exit_codes import DONE, FAILED
 from atoll.terminal.output import as_json, say
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, DataError, UsageError
-from atoll_core.machine.cores import usable_cores
-from atoll_core.machine.file_systems import file_system, is_networked
+from atoll_core.machine import file_system, is_networked, usable_cores
 from atoll_core.wire.addresses import Destination, addresses_in, bindable, destination, parse_address, why_unreachable
 from atoll_core.wire.security.credentials import Credentials, credentials_of
 

@@ -12,8 +12,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NoReturn, TypeVar
 
 from atoll.client.options import GROUPS, MOST_WORKERS
-from atoll_core.command_line import Parser, add_log_options, add_tls_options, duration, seconds, whole_number
-from atoll_core.completion import SHELLS, complete
+from atoll_core.command_line import (
+    SHELLS,
+    Parser,
+    add_log_options,
+    add_tls_options,
+    complete,
+    duration,
+    seconds,
+    whole_number,
+)
 from atoll_core.errors import UsageError
 from atoll_core.wire.topics import is_id
 

@@ -16,11 +16,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
+from atoll_core import task_frames as frames
 from atoll_core.logs import fields
-from atoll_core.machine.usage import collect_rarely, memory_bytes
+from atoll_core.machine import collect_rarely, memory_bytes
 from atoll_core.signals import ENDING, ignore
-from atoll_core.tasks import frames
-from atoll_core.tasks.installation import OTHER_VERSION, version
+from atoll_core.task_frames import OTHER_VERSION, version
 
 _STDIN: Final = 0
 _STDOUT: Final = 1

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from atoll_core.expression.bounds import EquationBounds
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
 from atoll_core.expression.program import Program, constant_places
-from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.restrictions import EquationBounds, Restrictions
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll_core.expression.writing.shortest import collected
 from atoll_core.search.pareto import FrontEntry, merge, runners_up

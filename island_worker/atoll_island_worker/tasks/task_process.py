@@ -22,9 +22,9 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Final, Protocol
 
+from atoll_core import task_frames as frames
 from atoll_core.errors import AtollError
-from atoll_core.tasks import frames
-from atoll_core.tasks.installation import OTHER_VERSION, version
+from atoll_core.task_frames import OTHER_VERSION, version
 from atoll_island_worker.processes.fork_server import Forked, request_parent_death_signal
 
 END_LIMIT_S: Final = 2.0

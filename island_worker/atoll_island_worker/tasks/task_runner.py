@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from atoll_core import task_frames as frames
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.tasks import frames
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import tasks as messages

@@ -20,11 +20,10 @@ from atoll.cli.options import finite_number, if_given, interval, intervals, natu
 from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result, result_of
 from atoll.cli.result_files import REPORT, write_page
 from atoll.client.client import connected
-from atoll.model.arguments import ReadColumns
+from atoll.model.arguments import FileStart, ReadColumns, start_of_file, times_until
 from atoll.model.files import write_text
 from atoll.model.model import Model
 from atoll.model.simulation import SimulationWarning
-from atoll.model.start import Start, start_of_file, times_of
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_coordinator.result.result import Result
@@ -97,20 +96,20 @@ def simulate(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _start_of(model: Model, text: str | None) -> Start:
+def _start_of(model: Model, text: str | None) -> FileStart:
     """Return the initial state of ``--initial``: numbers by name, or a data file; raises UsageError or DataError."""
     if text is None:
-        return Start()
+        return FileStart()
     if Path(text).is_file():
         return start_of_file(model, Path(text))
     if "=" not in text:
         raise UsageError(f"--initial wants numbers such as x=1,y=3 or a data file, and {text!r} is neither")
-    return Start(numbers([text], "--initial", "NAME=NUMBER, separated by commas"))
+    return FileStart(numbers([text], "--initial", "NAME=NUMBER, separated by commas"))
 
 
-def _chosen_times(model: Model, start: Start, options: argparse.Namespace) -> FloatArray:
+def _chosen_times(model: Model, start: FileStart, options: argparse.Namespace) -> FloatArray:
     end = if_given(finite_number, options.until, "--until")
-    return times_of(model, start, end, if_given(finite_number, options.step, "--step"))
+    return times_until(model, start, end, if_given(finite_number, options.step, "--step"))
 
 
 def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
@@ -131,7 +130,7 @@ def ask(options: argparse.Namespace, *questions: "Question", name: str | None = 
     With ``--data``, these measurements are used in place of those in the result.
     """
     from atoll.api.tables import table_of
-    from atoll.experiments.measured import config_of
+    from atoll.experiments.fits import config_of
     from atoll.tasks.analyses import FUNCTIONS, answer, answered
 
     name = options.result if name is None else name
@@ -187,10 +186,10 @@ def analyse(options: argparse.Namespace) -> int:
 
 def suggest(options: argparse.Namespace) -> int:
     """Suggest experiments for ``options.result``."""
-    from atoll.experiments.space import Request
+    from atoll.experiments.designs import DesignRequest
     from atoll.tasks.analyses import Suggest
 
-    request = Request(
+    request = DesignRequest(
         bounds=intervals(options.box, "--box"),
         duration=if_given(finite_number, options.duration, "--duration"),
         samples=if_given(natural_number, options.samples, "--samples"),
@@ -276,7 +275,7 @@ def compare(options: argparse.Namespace) -> int:
     """Compare the models ``options.first`` and ``options.second``."""
     from atoll.api.tables import table_of
     from atoll.experiments.comparison import compare as compare_results
-    from atoll.experiments.measured import config_of
+    from atoll.experiments.fits import config_of
 
     first, number = _name_and_candidate(options.first)
     second, other = _name_and_candidate(options.second)

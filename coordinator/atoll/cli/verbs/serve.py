@@ -24,12 +24,11 @@ from atoll.terminal.output import as_json, note, say
 from atoll_core import VERSION
 from atoll_core.errors import NotNowError, RefusedError, UnreachableError, UsageError
 from atoll_core.logs import configure, fields
-from atoll_core.machine.file_systems import file_system, is_networked
+from atoll_core.machine import file_system, is_networked
 from atoll_core.signals import raising_interrupts, reloading, stopping
-from atoll_core.wire.addresses import Address, Destination, bindable, destination, parse_address, resolved
-from atoll_core.wire.connect_file import announced
+from atoll_core.wire.addresses import Address, Destination, announced, bindable, destination, parse_address, resolved
 from atoll_core.wire.security.credentials import credentials_of
-from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
+from atoll_core.wire.security.roles import RoleBindings, read_role_bindings
 
 if TYPE_CHECKING:
     from atoll_coordinator.service.scheduling.limits import Limits
