@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import pytest
-from atoll.cli.options.parser import build_parser
+from atoll.cli.options import build_parser
 
 from atoll.cli.main import main
 from atoll_core.command_line import SHELLS, Parser, complete, duration, seconds, whole_number
