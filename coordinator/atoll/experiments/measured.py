@@ -8,7 +8,7 @@ import numpy as np
 
 from atoll.model.groups import differing_groups
 from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
-from atoll_coordinator.data.trajectories.trajectories import format_number
+from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.result.base import Curve
 from atoll_coordinator.result.findings import Errors, Noise

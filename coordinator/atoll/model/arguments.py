@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, TypeGuard
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.data.trajectories.measurements import RADIANS_PER_DEGREE
-from atoll_coordinator.data.trajectories.trajectories import unwrap
+from atoll_coordinator.data.trajectories.measurements import RADIANS_PER_DEGREE, unwrap
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import plain_array

@@ -13,7 +13,7 @@ from atoll.model.beginnings import ROWS, beginning_of
 from atoll.model.model import Model
 from atoll.model.simulation import MOST_NUMBERS
 from atoll_coordinator.data.differentiation.inputs import InputCurve
-from atoll_coordinator.data.roles.trajectory_column import TRAJECTORY_NAME
+from atoll_coordinator.data.roles.columns import TRAJECTORY_NAME
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
