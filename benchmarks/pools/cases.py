@@ -184,8 +184,8 @@ def _case(words: Sequence[str], folders: Folders) -> Job:
 
     def judged(result: Result) -> list[Judged]:
         return [
-            Judged(one.variable, None if one.form is None else one.form == "right", one.grade, not one.is_allowed,
-                   one.expression)
+            Judged(one.variable, None if one.form is None else one.form == "right", one.grade,
+                   one.grade in CONFIDENT and not one.is_allowed and one.form != "right", one.expression)
             for one in listed.judged(case, columns, result)
         ]  # fmt: skip
 

@@ -96,7 +96,7 @@ def report(outcomes: Sequence[PoolOutcome], reference: Mapping[str, PoolOutcome]
     failures = [f"FAILED {one.title}: {one.failure}" for one in outcomes if one.failure is not None]
     unknown = [one.title for one in outcomes if one.title not in reference]
     if unknown:
-        lines.append(f"{len(unknown)} pools are not in the reference: {', '.join(unknown)}")
+        lines.append(f"not in the reference: {len(unknown)} pools, {unknown[0]} for one")
     return "\n".join([*lines, *failures]), not failures and not (right.is_worse or honest.is_worse)
 
 
