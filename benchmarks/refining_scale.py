@@ -25,7 +25,7 @@ from atoll.terminal.output import say, table
 from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.batches import FUNCTIONS, Batches, Spread
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Pools
+from atoll_coordinator.model.pools import Pools
 from atoll_coordinator.tasks.preparing import prepare_job
 from benchmarks.harness.command_line import option, program, whole
 from benchmarks.pools.campaign import POOLS

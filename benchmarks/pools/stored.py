@@ -16,7 +16,8 @@ from typing import Any, Final
 from atoll.terminal.output import note
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Pool, Pools, Refinement
+from atoll_coordinator.model.pools import Pool, Pools
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
 from atoll_coordinator.service.tasks.outcomes import RefiningFailed
 from atoll_coordinator.service.tasks.task_controller import TaskController
