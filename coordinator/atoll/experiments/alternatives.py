@@ -13,8 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.experiments.measured import Measured
-from atoll.experiments.systems import Equations, Fitted, fit_equations
+from atoll.experiments.fits import EquationSet, FitData, FittedEquations, fit_equations
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -40,20 +39,20 @@ _WANTED: Final = ("shown", "given")
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class WeightedSystem:
     """A system fitted to the data: `nats` are ln of the best weight over its own; weights sum to 1.
 
     `length` is the description length by which equations are compared and shown, in nats.
     """
 
-    fitted: Fitted
+    fitted: FittedEquations
     origin: str
     nats: float
     weight: float
     length: float
 
 
-def rivals_of(result: Result, shown: Fitted, given: Sequence[Mapping[str, str]]) -> tuple[Rival, ...]:
+def rivals_of(result: Result, shown: FittedEquations, given: Sequence[Mapping[str, str]]) -> tuple[WeightedSystem, ...]:
     """Return the system that a result shows and those that describe the data about as well, the best first.
 
     Candidates of the result take the place of equations `shown` one at a time and in pairs; systems `given` are
@@ -61,7 +60,7 @@ def rivals_of(result: Result, shown: Fitted, given: Sequence[Mapping[str, str]])
     cannot be simulated.
     """
     measured = shown.measured
-    fits: list[tuple[Fitted, str]] = [(shown, "shown")]
+    fits: list[tuple[FittedEquations, str]] = [(shown, "shown")]
     for texts in given:
         equations = _given(shown.equations, texts)
         fitted = fit_equations(measured, equations)
@@ -75,10 +74,10 @@ def rivals_of(result: Result, shown: Fitted, given: Sequence[Mapping[str, str]])
     return _weighed(fits)
 
 
-def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
+def _weighed(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSystem, ...]:
     lengths = [_half_akaike(fitted) for fitted, _ in fits]
     least = min(lengths)
-    kept: list[tuple[float, Fitted, str]] = []
+    kept: list[tuple[float, FittedEquations, str]] = []
     ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _WANTED, entry[0]))
     for nats, (fitted, origin) in ordered:
         is_plausible = nats - least <= -math.log(_LEAST_WEIGHT) and len(kept) < MOST_RIVALS
@@ -92,11 +91,11 @@ def _weighed(fits: Sequence[tuple[Fitted, str]]) -> tuple[Rival, ...]:
     for (nats, fitted, origin), share in zip(kept, shares, strict=True):
         constant_nats = constant_nats_of(float(fitted.measured.rows))
         length = system_length(fitted.misfit, fitted.equations.programs, len(fitted.values), constant_nats)
-        rivals.append(Rival(fitted, origin, nats - least, share, length))
+        rivals.append(WeightedSystem(fitted, origin, nats - least, share, length))
     return tuple(rivals)
 
 
-def weighed_pair(first: Fitted, second: Fitted) -> tuple[float, float]:
+def weighed_pair(first: FittedEquations, second: FittedEquations) -> tuple[float, float]:
     """Return ln of the odds for the first of two systems, fitted to the same data, and how much longer the second is.
 
     Both in nats: by how well they describe the data, and by the length of the description with the equations included.
@@ -111,12 +110,12 @@ def half_akaike(misfit: float, count: int, numbers: float) -> float:
     return misfit + count + count * (count + 1.0) / max(numbers - count - 1.0, 1.0)
 
 
-def _half_akaike(fitted: Fitted) -> float:
+def _half_akaike(fitted: FittedEquations) -> float:
     count = len(fitted.values) + fitted.fit.starts.size
     return half_akaike(fitted.misfit, count, float(fitted.measured.independent.sum()))
 
 
-def _given(shown: Equations, texts: Mapping[str, str]) -> Equations:
+def _given(shown: EquationSet, texts: Mapping[str, str]) -> EquationSet:
     for name, text in texts.items():
         if name not in shown.variables:
             raise UsageError(f"a rival names '{name}'; equations are those of {', '.join(shown.variables)}")
@@ -125,7 +124,7 @@ def _given(shown: Equations, texts: Mapping[str, str]) -> Equations:
     return shown
 
 
-def _systems(result: Result, measured: Measured, shown: Equations) -> Iterator[tuple[Equations, str]]:
+def _systems(result: Result, measured: FitData, shown: EquationSet) -> Iterator[tuple[EquationSet, str]]:
     """Yield systems with one or two other equations than those that are shown."""
     options: list[tuple[int, Program, str]] = []
     for place, entry in enumerate(result.equations):
@@ -148,7 +147,7 @@ def _systems(result: Result, measured: Measured, shown: Equations) -> Iterator[t
         yield shown.exchanged(place, first).exchanged(other, second), origins
 
 
-def without_poles(program: Program, equations: Equations, measured: Measured) -> Iterator[Program]:
+def without_poles(program: Program, equations: EquationSet, measured: FitData) -> Iterator[Program]:
     """Yield the program with another denominator: for n/d n/(d + c) and n d/(d**2 + c), for n/(d + c) the latter alone.
 
     Where d is never near 0 in the data, these describe them as well as n/d, and where it is, they have no pole.
@@ -174,7 +173,7 @@ def _without_constant(nodes: Sequence[Node], node: int) -> int:
     return left if code == ADD and nodes[right][0] == CONSTANT else node
 
 
-def _size(program: Program, node: int, equations: Equations, measured: Measured) -> float | None:
+def _size(program: Program, node: int, equations: EquationSet, measured: FitData) -> float | None:
     """Return the mean of a part of a program over the data; None where it is a number or changes its sign."""
     measurements = measured.measurements
     rows = [measurements.variables.index(name) for name in equations.names]
@@ -203,7 +202,7 @@ def _rebuilt(program: Program, index: int, divisor: int, constant: float, *, is_
     return builder.program(new[-1])
 
 
-def _has_pole(fitted: Fitted) -> bool:
+def _has_pole(fitted: FittedEquations) -> bool:
     """Tell whether a constant that was added to a denominator has the sign that makes it vanish somewhere."""
     programs = fitted.fit.system.programs[-len(fitted.equations.programs) :]
     for before, after in zip(fitted.equations.explicit, programs, strict=True):
