@@ -14,7 +14,7 @@ from atoll.experiments.profiles import Profile, profile
 from atoll.experiments.relations import directions
 from atoll.experiments.systems import Constant, Fitted, constants_of, equations_of, fit_shown
 from atoll_coordinator.model.batches import BatchFunction, Spread
-from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table

@@ -13,12 +13,11 @@ import numpy as np
 
 from atoll.experiments.measured import Measured, starts_of
 from atoll.model.equations import program_of
-from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import System, system_of, variable_program
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
