@@ -16,7 +16,8 @@ from atoll.terminal.output import note
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
+from atoll_coordinator.model.pools import LawsByGroup, Pools
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.service.tasks.outcomes import RefiningFailed
 from atoll_coordinator.service.tasks.task_controller import TaskController

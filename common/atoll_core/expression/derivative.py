@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.evaluation import value_of
 from atoll_core.expression.operators import (
     ABS,
@@ -35,7 +34,7 @@ from atoll_core.expression.operators import (
     definitions,
     partial_definitions,
 )
-from atoll_core.expression.program import Program, constant_places, dependent_nodes
+from atoll_core.expression.program import Program, ProgramBuilder, constant_places, dependent_nodes
 
 
 def derivative(program: Program, variable: int) -> Program:

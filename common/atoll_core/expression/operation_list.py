@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from atoll_core.errors import UsageError
-from atoll_core.expression.builder import ProgramBuilder, live_nodes
 from atoll_core.expression.operators import (
     ADD,
     ARITY,
@@ -21,7 +20,7 @@ from atoll_core.expression.operators import (
     SQUARE,
     SUBTRACT,
 )
-from atoll_core.expression.program import Node, Program, moved
+from atoll_core.expression.program import Node, Program, ProgramBuilder, live_nodes, moved
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.parsing import from_infix
 

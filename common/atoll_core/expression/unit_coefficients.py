@@ -9,9 +9,8 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SQUARE, SUBTRACT
-from atoll_core.expression.program import Node, Program, constant_places, with_constants
+from atoll_core.expression.program import Node, Program, ProgramBuilder, constant_places, with_constants
 from atoll_core.expression.writing.shortest import collected
 
 ONE: Final = 1.0

@@ -25,8 +25,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.errors import UsageError
-from atoll_core.hints import did_you_mean
-from atoll_core.quoting import first_lines, shown
+from atoll_core.quoting import did_you_mean, first_lines, shown
 
 if TYPE_CHECKING:
     import polars
@@ -79,7 +78,7 @@ class Analysis:
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the isolated fixed points, a row each: the states, `kind`, `is_stable` and `attracts_in_box`.
 
-        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas.
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
         """
         points = self.fixed_points.points
         states = {name: [float(point.point[place]) for point in points] for place, name in enumerate(self.field.states)}

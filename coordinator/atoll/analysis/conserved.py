@@ -19,11 +19,10 @@ import numpy as np
 from atoll.analysis.box import Box
 from atoll.analysis.flow import Flow
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import live_nodes
 from atoll_core.expression.derivative import derivative
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import COS, SIN
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, live_nodes
 
 DEGREE: Final = 4
 """Of the largest powers: energies of oscillators with cubic forces have it."""

@@ -15,10 +15,9 @@ from atoll.analysis.flow import Flow
 from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ARITY, CONSTANT
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Program, ProgramBuilder, constant_places
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 

@@ -113,7 +113,7 @@ class Identifiability:
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the constants, a row each, with the ends `lower` and `upper` of their intervals (infinite: open).
 
-        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas.
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
         """
         constants = self.constants
         named = ("name", "variable", "estimate", "std_error", "verdict")

@@ -18,10 +18,9 @@ from atoll.experiments.systems import Equations, Fitted, fit_equations
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
-from atoll_core.expression.builder import ProgramBuilder, live_nodes
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, INVERSE, MULTIPLY
-from atoll_core.expression.program import Node, Program, constant_places
+from atoll_core.expression.program import Node, Program, ProgramBuilder, constant_places, live_nodes
 from atoll_core.expression.text.parsing import from_infix
 
 MOST_RIVALS: Final = 8

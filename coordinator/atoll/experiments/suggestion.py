@@ -172,7 +172,7 @@ class Suggestions:
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the experiments, a row each: initial state and inputs by name, `since`, `until`, `samples`, `cost`, …
 
-        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas.
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
         """
         experiments = self.experiments
         names = [*experiments[0].initial, *experiments[0].inputs] if experiments else []

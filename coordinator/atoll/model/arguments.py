@@ -14,7 +14,7 @@ from atoll_coordinator.data.trajectories.measurements import RADIANS_PER_DEGREE
 from atoll_coordinator.data.trajectories.trajectories import unwrap
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.masked import plain_array
+from atoll_core.data.frames import plain_array
 from atoll_core.errors import UsageError
 from atoll_core.quoting import shown
 

@@ -17,7 +17,7 @@ from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
 
 if TYPE_CHECKING:
     from atoll.model.model import Model

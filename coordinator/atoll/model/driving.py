@@ -16,7 +16,7 @@ from atoll.model.simulation import Inputs
 from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
 
 if TYPE_CHECKING:
     from atoll.model.model import Model

@@ -196,7 +196,7 @@ class Shortcuts:
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the constants, a row each: `name`, `equation`, `value`, `stderr`, ends of the 95 % interval, `unit`.
 
-        As a frame of ``"polars"`` or ``"pandas"``; null where it is not known. Raises UsageError without pandas.
+        As a frame of ``"polars"`` or ``"pandas"``; null where it is not known. Raises UsageError if it is missing.
         """
         constants = self.itself.params.values()
         intervals = [constant.interval or (None, None) for constant in constants]

@@ -112,7 +112,7 @@ class Simulation:
         return np.asarray(self.lower[:, place]), np.asarray(self.upper[:, place])
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas."""
+        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing."""
         return frame_of(self.columns(), library)
 
     def columns(self) -> dict[str, FloatArray]:

@@ -44,7 +44,7 @@ from atoll_coordinator.service.workers.worker_logs import WorkerLogs
 from atoll_core import VERSION
 from atoll_core.errors import RemoteProtocolError, StoreError
 from atoll_core.logs import fields
-from atoll_core.machine.usage import memory_bytes
+from atoll_core.machine import memory_bytes
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
@@ -63,7 +63,7 @@ from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import CoordinatorView, Counters, EventKind, JobState, UserView, Workforce
 from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_core.wire.rejects import Rejects
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings
 
 _LOG = logging.getLogger(__name__)
 

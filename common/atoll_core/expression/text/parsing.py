@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, NoReturn, cast
 
 from atoll_core.errors import UsageError
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import (
     ABS,
     ADD,
@@ -32,8 +31,8 @@ from atoll_core.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll_core.expression.program import MAX_NODES, Program
-from atoll_core.hints import did_you_mean
+from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder
+from atoll_core.quoting import did_you_mean
 
 LARGEST_POWER: Final = 64
 """Largest natural exponent that is written as multiplications."""

@@ -13,10 +13,8 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Final, TypeAlias
 
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import ADD, CONSTANT, DIVIDE, INVERSE, MULTIPLY, NEGATE, POW, SUBTRACT, VARIABLE
-from atoll_core.expression.program import MAX_NODES, Program, structure
-from atoll_core.expression.writing.failures import contained
+from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder, structure
 from atoll_core.expression.writing.layout import in_order
 from atoll_core.expression.writing.shortest import sum_of
 from atoll_core.expression.writing.sums_of_products import (
@@ -26,6 +24,7 @@ from atoll_core.expression.writing.sums_of_products import (
     Sum,
     UndefinedError,
     add,
+    contained,
     distribute,
     kept,
     merged,

@@ -11,7 +11,6 @@ from functools import lru_cache
 from operator import itemgetter
 from typing import Final
 
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.operators import (
     ADD,
     COS,
@@ -25,6 +24,7 @@ from atoll_core.expression.operators import (
     TANH,
     VARIABLE,
 )
+from atoll_core.expression.program import Expression
 from atoll_core.expression.writing.sums_of_products import (
     ONE,
     Atom,

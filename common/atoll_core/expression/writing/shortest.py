@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import (
     ADD,
@@ -24,10 +23,9 @@ from atoll_core.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll_core.expression.program import MAX_NODES, Program
+from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.infix import tree_size
-from atoll_core.expression.writing.failures import contained
 from atoll_core.expression.writing.identities import equal_sums
 from atoll_core.expression.writing.layout import NODE, written
 from atoll_core.expression.writing.sums_of_products import (
@@ -35,6 +33,7 @@ from atoll_core.expression.writing.sums_of_products import (
     UndefinedError,
     add,
     constant,
+    contained,
     function,
     multiply,
     power,

@@ -1,24 +1,55 @@
-"""Sums of products: expressions in which much of real algebra needs no rules.
+"""Sums of products: a normal form of expressions in which much of real algebra needs no rules.
 
-A `Sum` maps monomials to coefficients, a `Monomial` atoms to whole powers, both sorted; an `Atom` is a variable, a
-function of a sum, a power with any exponent, or a sum of several terms as a factor. So the order of terms and factors,
-like terms, quotients that cancel and products of constants have one form. The makers below bring each function to one
-form, too: a phase lies within an eighth of a turn of 0, arguments begin positive, there is one exponential in a
-product.
+A `Sum` maps monomials to coefficients, a `Monomial` maps atoms to integer powers, both sorted; an `Atom` is a variable,
+a function of a sum, a power with any exponent, or a sum of several terms as a factor. The order of terms and factors,
+like terms, cancelling quotients and products of constants therefore have one form. The constructors below bring
+functions to one form as well: a phase lies within an eighth of a turn of 0, arguments begin with a positive term, and
+a product has one exponential.
 
-Values may differ where the given expression has none: ``x/x`` is 1.
+Values may differ where the original expression has none: ``x/x`` is 1.
 
-One module, since a product joins its exponentials, powers and roots by functions of sums, and these are made of
-products: neither half comes without the other.
+All of it is one module because products join exponentials, powers and roots by functions of sums, and these functions
+are made of products.
 """
 
+import logging
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable
-from functools import partial
-from typing import Any, Final, TypeAlias
+from functools import partial, wraps
+from typing import Any, Final, ParamSpec, TypeAlias, TypeVar
 
 from atoll_core.expression.evaluation import value_of
 from atoll_core.expression.operators import ABS, ADD, COS, EXP, LOG, POW, SIN, SQRT, TANH, VARIABLE
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+FAILURES: Final[Counter[str]] = Counter()
+"""How often rewriting failed, by function and kind of error."""
+
+
+def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Make any mistake in rewriting an `UndefinedError`, which leaves an expression as it was.
+
+    Writing decides how an equation is shown, and not what it is: no mistake in it may cost an island or a job. What
+    fails, fails at the same program always, so that the same seed still gives the same bits.
+    """
+
+    @wraps(function)
+    def guarded(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        try:
+            return function(*arguments, **named)
+        except UndefinedError:
+            raise
+        except Exception as error:
+            kind = f"{function.__name__}: {type(error).__name__}"
+            FAILURES[kind] += 1
+            if FAILURES[kind] == 1:
+                logging.getLogger(__name__).warning("an expression stays as it was, rewriting failed: %s", kind)
+            raise UndefinedError from error
+
+    return guarded
+
 
 Atom: TypeAlias = tuple[Any, ...]
 """``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the code tells what

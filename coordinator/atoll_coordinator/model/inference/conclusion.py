@@ -34,10 +34,10 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     simulated,
 )
 from atoll_coordinator.model.inference.verdict import judge
+from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import (
     Alternative,
     Chaos,
-    Origin,
     Prediction,
     Refined,
     Refinement,

@@ -8,7 +8,8 @@ from functools import cached_property
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Law, LawsByGroup, Refined, may_be_shown
+from atoll_coordinator.model.pools import Law, LawsByGroup, may_be_shown
+from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows

@@ -8,8 +8,14 @@ import pytest
 
 from atoll_core.errors import UsageError
 from atoll_core.wire import topics
-from atoll_core.wire.security.access_control import Flow, access_control, permissions
-from atoll_core.wire.security.role_bindings import RoleBindings, checked_role_bindings, read_role_bindings
+from atoll_core.wire.security.roles import (
+    Flow,
+    RoleBindings,
+    access_control,
+    checked_role_bindings,
+    permissions,
+    read_role_bindings,
+)
 
 ROLE_BINDINGS = RoleBindings({"lab1": "worker", "lab2": "worker", "ann": "submitter", "eve": "admin"})
 CLUSTER = "0123456789ab"

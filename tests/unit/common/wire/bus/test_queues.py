@@ -1,7 +1,9 @@
 """The inbox keeps order and bounds memory; alarms ring once."""
 
-from atoll_core.wire.bus.inbox import INBOX_BYTES, Inbox, Timers
+import threading
+
 from atoll_core.wire.bus.interface import Message, Posted, Query, Reply
+from atoll_core.wire.bus.queues import INBOX_BYTES, Inbox, Outbox, Timers
 
 
 def test_events_come_in_the_order_in_which_they_were_added() -> None:
@@ -53,3 +55,19 @@ def test_an_alarm_set_again_rings_only_at_its_new_time() -> None:
     assert timers.next_time() == 3.0
     timers.add(0.5, "one")
     assert [timers.pop_due(3.0) for _ in range(2)] == ["one", None]
+
+
+LIMIT_S = 30.0
+
+
+def fail() -> None:
+    raise ValueError("broken")
+
+
+def test_an_answer_that_breaks_keeps_no_later_one_of_its_party_from_being_sent(caplog) -> None:
+    outbox, sent = Outbox(), threading.Event()
+    assert outbox.add("ann", 1, fail)
+    assert outbox.add("ann", 1, sent.set)
+    assert sent.wait(LIMIT_S)
+    outbox.close()
+    assert "an answer could not be sent" in caplog.text

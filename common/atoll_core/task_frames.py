@@ -1,12 +1,14 @@
-"""What passes between a worker and its task process, through a pipe of their own on one machine.
+"""Messages between a worker and its task process, through a pipe on one machine.
 
-`multiprocessing.connection.Connection` carries them: both ends are processes that one of them started, so that pickles
-are as safe as the fork of a process; nothing of this goes over a network.
+`multiprocessing.connection.Connection` carries them as pickles. That is safe because one of the two processes started
+the other and both load the same version (`version`); none of these messages goes over a network.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
+
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 
 Failure = Literal["error", "memory", "crash", "time"]
 """Why a task has no result: something of ours broke; memory ran out; its process died; it took too long."""
@@ -142,3 +144,12 @@ class Said:
 
 ToProcess = Run | Load | Ask | Take | Batch
 FromProcess = Started | Begun | Progressed | Finished | Failed | Give | Computed | Logged | Ended
+
+
+OTHER_VERSION: Final = 71
+"""Exit code of a task process that was loaded from another version than its worker: the program was replaced."""
+
+
+def version() -> str:
+    """Return in one word what of an installation decides which bits come of a task."""
+    return f"{VERSION}/{PROTOCOL_VERSION}/{ENGINE_REVISION}"

@@ -5,8 +5,8 @@ import math
 import pytest
 
 from atoll_core.errors import UsageError
-from atoll_core.expression.bounds import EquationBounds, parse_bound
 from atoll_core.expression.program import constant_places, with_constants
+from atoll_core.expression.restrictions import EquationBounds, parse_bound
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
