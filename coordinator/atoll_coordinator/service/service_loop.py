@@ -138,7 +138,7 @@ class Service:
         self._deletion = JobDeletion(self.controller, store, dependencies.retention)
         self._followers = Followers(
             store.incarnation, self.controller.shown, self.controller.events, self._workforce,
-            lambda client, payload: self._bus.put(topics.changes(store.cluster, client), payload),
+            lambda client, payload: self._bus.put(topics.client(store.cluster, client, "changes"), payload),
         )  # fmt: skip
         self.controller.changed, self.controller.events.told = self._note_change, self._note_event
         self._metrics = metrics
@@ -165,7 +165,7 @@ class Service:
         self._bus.watch(topics.all_workers(cluster, "alive"))
         for expression in (topics.all_jobs(cluster), topics.all_blobs(cluster), topics.all_clients(cluster)):
             self._bus.serve(expression)
-        for expression in (topics.HELLO, topics.all_greetings()):
+        for expression in (topics.HELLO, topics.ALL_GREETINGS):
             self._bus.serve(expression)
         self._bus.post(_TimeCheck())  # jobs that were taken over are prepared at once
         self._tick_later()

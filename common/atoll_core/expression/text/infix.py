@@ -16,30 +16,14 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Any, Final, Generic, TypeVar
 
-from atoll_core.expression.operators import (
-    ADD,
-    ARITY,
-    BASE_LOG,
-    CONSTANT,
-    COS,
-    DIVIDE,
-    FUNCTIONS,
-    INVERSE,
-    LOG,
-    MULTIPLY,
-    NEGATE,
-    SIN,
-    SQUARE,
-    SUBTRACT,
-    VARIABLE,
-)
+from atoll_core.expression import operators as op
 from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.text.parsing import LARGEST_POWER
 
 TANGENT: Final = -1
 COTANGENT: Final = -2
 """Codes of the quotients of sine and cosine, beside those of operators."""
-_QUOTIENTS: Final = {(SIN, COS): TANGENT, (COS, SIN): COTANGENT}
+_QUOTIENTS: Final = {(op.SIN, op.COS): TANGENT, (op.COS, op.SIN): COTANGENT}
 
 
 class Kind(Enum):
@@ -160,11 +144,11 @@ def form_of(
     writer = _Writer(quotients)
     operands: list[Signed] = []
     for place, (code, left, right, value) in enumerate(program.nodes()):
-        if code == VARIABLE:
+        if code == op.VARIABLE:
             operands.append(Signed(writer.form(Kind.NAME, index=left)))
-        elif code == CONSTANT:
+        elif code == op.CONSTANT:
             operands.append(writer.number(value, constants.get(place, "")))
-        elif ARITY[code] == 2:
+        elif op.ARITY[code] == 2:
             operands.append(writer.binary(code, operands[left], operands[right]))
         else:
             operands.append(writer.unary(code, operands[left]))
@@ -201,24 +185,24 @@ class _Writer:
         return Signed(self.form(Kind.NUMBER, value=abs(value), name=""), is_negative)
 
     def binary(self, code: int, left: Signed, right: Signed) -> Signed:
-        if code == ADD:
+        if code == op.ADD:
             return self._multiplied(self.number(2.0), left) if left == right else self._added(left, right)
-        if code == SUBTRACT:
+        if code == op.SUBTRACT:
             return self._added(left, self._negated(right))
-        if code == MULTIPLY:
+        if code == op.MULTIPLY:
             return self._multiplied(left, right)
-        if code == DIVIDE:
+        if code == op.DIVIDE:
             return self._divided(left, right)
-        if code == BASE_LOG:  # in derivatives by an exponent; the power beside it tells where it is 0
-            return self.unary(LOG, left)
+        if code == op.BASE_LOG:  # in derivatives by an exponent; the power beside it tells where it is 0
+            return self.unary(op.LOG, left)
         return Signed(self.form(Kind.POWER, left, right))
 
     def unary(self, code: int, operand: Signed) -> Signed:
-        if code == NEGATE:
+        if code == op.NEGATE:
             return self._negated(operand)
-        if code == SQUARE:
+        if code == op.SQUARE:
             return self._multiplied(operand, operand)
-        if code == INVERSE:
+        if code == op.INVERSE:
             return self._divided(self.number(1.0, "1"), operand)
         return Signed(self.form(Kind.CALL, operand, code=code))
 
@@ -292,7 +276,7 @@ class Notation:
 
     def call(self, code: int) -> str:
         """Return the name of the function of an operator, or of a quotient of sine and cosine."""
-        ours = FUNCTIONS | {TANGENT: self.tangent, COTANGENT: self.cotangent}
+        ours = op.FUNCTIONS | {TANGENT: self.tangent, COTANGENT: self.cotangent}
         return self.functions.get(code) or self.prefix + ours[code]
 
     @property
@@ -357,9 +341,9 @@ def tree_size(program: Program) -> int:
     sizes: list[int] = []
     for code, left, right, _ in program.nodes():
         size = 1
-        if ARITY[code]:
+        if op.ARITY[code]:
             size += sizes[left]
-        if ARITY[code] == 2 and (left != right or code not in (ADD, MULTIPLY)):
+        if op.ARITY[code] == 2 and (left != right or code not in (op.ADD, op.MULTIPLY)):
             size += sizes[right]
         sizes.append(size)
     return sizes[-1]

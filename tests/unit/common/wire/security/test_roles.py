@@ -86,7 +86,7 @@ def test_a_client_asks_under_its_own_name_and_does_nothing_else(name: str) -> No
         topics.control(CLUSTER),
         topics.control(CLUSTER, "lab1"),
         topics.job(CLUSTER, "j"),
-        topics.placement(CLUSTER, "j"),
+        topics.job(CLUSTER, "j", "placement"),
         topics.blob(CLUSTER, DIGEST, 0),
         topics.mail(CLUSTER, name, "lab1"),
         *(
