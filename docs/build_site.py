@@ -86,7 +86,7 @@ _API: Final = (
     ("class", "atoll.model.model.Model"),
     ("class", "atoll.model.shortcuts.Shortcuts"),
     ("class", "atoll.model.model.Equation"),
-    ("class", "atoll.model.parameters.Parameter"),
+    ("class", "atoll.model.equations.Parameter"),
     ("class", "atoll.model.simulation.Simulation"),
     ("class", "atoll.analysis.analysis.Analysis"),
     ("function", "atoll.workers.start.start_on"),
@@ -216,7 +216,7 @@ def place(path: str) -> str | None:
 
 def command_line() -> str:
     """Return the help of both programs and of every command."""
-    from atoll.cli.options.parser import build_parser
+    from atoll.cli.options import build_parser
 
     os.environ["COLUMNS"] = "100"
     parser = build_parser()

@@ -19,17 +19,13 @@ FEEDS_THE_SEARCH = [
     COORDINATOR / "data",
     COORDINATOR / "service/jobs",
     COORDINATOR / "model/cholesky.py",
-    *(
-        SPARSE / name
-        for name in ("product_laws.py", "regression.py", "elimination.py", "weak_form.py", "products.py", "kernels")
-    ),
-    *(SPARSE / "rates" / name for name in ("rate_rows.py", "screening.py")),
+    *(SPARSE / name for name in ("laws.py", "regression.py", "rows.py", "kernels")),
     ROOT / "common/atoll_core/data",
     ROOT / "common/atoll_core/search",
     ROOT / "common/atoll_core/expression/kernels",
     ROOT / "island_worker/atoll_island_worker",
 ]
-"""Among many variables, laws by `rates` and `windows` decide which searches end soon, and are not among these; see
+"""Among many variables, laws by `many_variables` decide which searches end soon, and are not among these; see
 docs/reproducibility.md."""
 
 REDUCTIONS = {
@@ -51,10 +47,10 @@ ALLOWED = {
     ("gaps.py", "np.cumsum"): "of whole numbers",
     ("row_means.py", "np.cumsum"): "adds one after another",
     ("row_means.py", ".sum"): "of whole numbers",
-    ("weak_form.py", "np.cumsum"): "of whole numbers",
+    ("rows.py", "np.cumsum"): "of whole numbers",
     ("checks.py", ".sum"): "counts",
     ("migration.py", ".sum"): "counts",
-    ("regression.py", "scipy"): "a probability, which is compared with a level; no sum of ours depends on it",
+    ("rows.py", "scipy"): "a probability, which is compared with a level; no sum of ours depends on it",
 }
 
 

@@ -35,10 +35,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(argv: Sequence[str]) -> int:
-    from atoll.cli.options.parser import HANDLERS, parse
+    from atoll.cli.options import VERBS, parse
 
     options = parse(argv)
-    handler = getattr(importlib.import_module(HANDLERS[options.verb]), options.verb)
+    handler = getattr(importlib.import_module(f"atoll.cli.{VERBS[options.verb][0]}"), options.verb)
     raise_interrupts()
     code: int = handler(options)
     sys.stdout.flush()
@@ -60,7 +60,7 @@ def _record(error: Exception) -> str:
     import traceback
 
     from atoll_core.errors import UsageError
-    from atoll_core.machine.folders import user_folder
+    from atoll_core.machine import user_folder
     from atoll_core.redaction import without_secrets
 
     text = without_secrets("".join(traceback.format_exception(error)))

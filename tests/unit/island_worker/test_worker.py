@@ -16,7 +16,7 @@ from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.handshake import GreetingAnswer, Welcome
 from atoll_core.wire.messages.workers import CloseJob, Control, JobAnnouncement, Placement, Placements
 from atoll_island_worker.compute.compute_thread import ComputeFailed, WarmedUp
-from atoll_island_worker.session.events import JobReady
+from atoll_island_worker.session.interface import JobReady
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.network import SimulatedNetwork
 
@@ -54,7 +54,7 @@ class Pair:
         self.compute = RecordingCompute()
         self._coordinator = self.network.bus("coordinator", is_router=True)
         self._coordinator.handle_with(self._answer)
-        self._coordinator.serve(topics.all_greetings())
+        self._coordinator.serve(topics.ALL_GREETINGS)
         self._coordinator.serve(topics.all_blobs("cluster"))
         bus = self.network.bus("w")
         self.worker = Worker(bus, self.compute, "w", wait_s=60.0)  # type: ignore[arg-type]

@@ -18,7 +18,6 @@ import numpy as np
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import (
     ABS,
@@ -35,7 +34,7 @@ from atoll_core.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Expression, Program, ProgramBuilder, constant_places
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.writing.expansion import terms_of
 from atoll_core.expression.writing.shortest import collected

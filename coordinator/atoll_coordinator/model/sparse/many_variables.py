@@ -23,7 +23,7 @@ from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.least_squares import coefficients_of
-from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.atoms import Atom, Product, Shape, dictionary, product_atoms, product_libraries
 from atoll_coordinator.model.sparse.regression import Regression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
@@ -40,7 +40,7 @@ from atoll_coordinator.model.sparse.rows import (
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import operators_in
+from atoll_core.expression.program import operators_in
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 _KEPT: Final = 2
@@ -401,15 +401,13 @@ def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[
     for _ in range(SETTINGS.sparse.pursued_functions if tried else 0):
         if best is None or (rows.is_precise and equation.is_law(best)):
             break
-        degrees = [[()], *(terms for terms, _ in sizes[: 1 + rows.is_precise])]
-        begun = [[atom.over(decisive.inputs) for atom in best.atoms]]
-        begun += [[*product_atoms(decisive.inputs, terms)] for terms in degrees]
+        begun = [[atom.over(decisive.inputs) for atom in best.atoms], [*product_atoms(decisive.inputs, [()])]]
+        begun += [[*product_atoms(decisive.inputs, terms)] for terms, _ in sizes[: 1 + rows.is_precise]]
         most = len(decisive.sides) / SETTINGS.sparse.rows_per_term
         fits: list[Sum] = []
         for longer in best_atoms(decisive, [atoms for atoms in begun if len(atoms) <= most], tried):
-            fits += sorted(filter(None, (_fitted(decisive, atoms) for atoms in longer)), key=lambda fit: fit.nats)[
-                :_KEPT
-            ]
+            sums = filter(None, (_fitted(decisive, atoms) for atoms in longer))
+            fits += sorted(sums, key=lambda fit: fit.nats)[:_KEPT]
         library, candidate = product_atoms(rows.inputs, sizes[-1][0]), None
         for fit in sorted(fits, key=lambda fit: fit.nats):
             atoms = [atom.over(rows.inputs) for atom in fit.atoms]

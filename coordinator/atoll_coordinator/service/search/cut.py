@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from atoll_coordinator.model.refinement import Pool
+from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.service.search.ending import Why
 from atoll_core.config import Frozen
 from atoll_core.search.pareto import FrontEntry

@@ -5,7 +5,8 @@ import json
 import pytest
 
 from atoll_coordinator.model import pipeline
-from atoll_coordinator.model.refinement import Law, Pool, Refinement
+from atoll_coordinator.model.pools import Law, Pool
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.result import KNOWN, VariableOutcome
 from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.sparse import laws
@@ -29,8 +30,8 @@ def outcome() -> PreparationOutcome:
 def test_laws_among_many_variables_are_sought_once_in_a_job_and_are_the_same_after_a_restart(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    sought, tasks, find = [], [], product_laws.find_rate_laws
-    monkeypatch.setattr(product_laws, "find_rate_laws", lambda rows, *space: sought.append(rows) or find(rows, *space))
+    sought, tasks, find = [], [], laws.find_short_laws
+    monkeypatch.setattr(laws, "find_short_laws", lambda equations: sought.extend(equations) or find(equations))
     monkeypatch.setattr(pipeline, "select_model", lambda task: tasks.append(with_laws(task)))
     job, pools = outcome(), Searched("j", tuple(VariableOutcome(name, (), 1) for name in RING)).to_bytes()
     refine(job.encoded, pools, None, pipeline.refine_all)

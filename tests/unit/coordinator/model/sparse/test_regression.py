@@ -142,7 +142,7 @@ def test_rows_that_err_far_more_than_they_should_count_little():
     generator = np.random.default_rng(2)
     errors = np.full(300, 1e-3)
     outliers = np.where(np.arange(300) < 60, generator.uniform(0.1, 1.0, 300), 0.0)
-    rows, regression = rows_of(
+    _, regression = rows_of(
         errors, lambda columns: columns.T @ [1.0, -2e-3, 0.0] + errors * generator.normal(size=300) + outliers
     )
     fit = regression.refitted((0, 1), 1.0 / errors)
@@ -154,9 +154,8 @@ def test_rows_that_err_far_more_than_they_should_count_little():
 def test_without_outliers_a_fit_is_least_squares():
     generator = np.random.default_rng(3)
     errors = generator.uniform(0.1, 10.0, 300)
-    rows, regression = rows_of(
-        errors, lambda columns: columns.T @ [2.0, -1e-3, 5e2] + errors * generator.normal(size=300)
-    )
+    noise = errors * generator.normal(size=300)
+    rows, regression = rows_of(errors, lambda columns: columns.T @ [2.0, -1e-3, 5e2] + noise)
     expected = np.linalg.lstsq((rows.inputs / errors).T, rows.sides / errors, rcond=None)[0]
     fit = regression.refitted((0, 1, 2), 1.0 / errors)
     assert fit.coefficients == pytest.approx(expected, rel=0.2)
