@@ -14,7 +14,7 @@ from atoll_coordinator.model.criteria import (
     select_member,
 )
 from atoll_coordinator.model.pools import may_be_shown
-from atoll_coordinator.model.sparse.atoms import products, sum_of_products
+from atoll_coordinator.model.sparse.atoms import expression_of, products, sum_of
 from atoll_core.data.dataset import Target
 from atoll_core.expression.program import MAX_NODES
 from atoll_core.expression.text.parsing import from_infix
@@ -93,7 +93,7 @@ def test_what_is_larger_than_the_user_allows_is_not_shown(largest, may):
 
 def test_programs_that_are_larger_than_any_may_be_are_not_shown():
     terms = products(range(5), 4)
-    program = sum_of_products(terms, [1.5 + number for number in range(len(terms))])
+    program = sum_of([expression_of(term) for term in terms], [1.5 + number for number in range(len(terms))])
     assert len(program) > MAX_NODES
     assert not may_be_shown(program, None)
 
