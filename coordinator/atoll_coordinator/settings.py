@@ -336,12 +336,6 @@ class WindowSettings:
     """Windows get wider as long as in so many of them lines between rows serve as well as cubics, by the noise."""
     most: int = 2_000
     """Windows, about, beyond which some stand for all."""
-    largest_library: int = 45
-    """Larger libraries are not eliminated: all products of two of eight variables. Windows take its square."""
-    turns: int = 4
-    """Fits by which the errors of quadrature settle."""
-    brief_rounds: int = 3
-    """Steps of a fit on the way from a library to a short sum."""
 
 
 @dataclass(frozen=True)

@@ -66,9 +66,8 @@ from atoll.model.vector_field import JointErrors, VectorField
 from atoll_coordinator.result.equations import Candidate, Equation
 from atoll_coordinator.result.findings import InputKind
 from atoll_coordinator.result.result import Result
-from atoll_coordinator.stochastic.densities import StationaryDensity
 from atoll_coordinator.stochastic.moments import Pair
-from atoll_coordinator.stochastic.paths import PATHS, Ensemble
+from atoll_coordinator.stochastic.paths import PATHS, Ensemble, StationaryDensity
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of

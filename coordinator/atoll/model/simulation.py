@@ -22,9 +22,17 @@ import numpy.typing as npt
 
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_coordinator.result.findings import Process
-from atoll_coordinator.stochastic.densities import STEPS, StationaryDensity, density_of, settled_paths
 from atoll_coordinator.stochastic.moments import StepMoments, step_moments
-from atoll_coordinator.stochastic.paths import Ensemble, Simulator, divided, step_counts
+from atoll_coordinator.stochastic.paths import (
+    STEPS,
+    Ensemble,
+    Simulator,
+    StationaryDensity,
+    density_of,
+    divided,
+    settled_paths,
+    step_counts,
+)
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.errors import UsageError

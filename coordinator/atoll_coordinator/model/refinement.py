@@ -9,9 +9,8 @@ from typing import Literal
 
 from atoll_coordinator.dimensions import EquationUnits
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.stochastic.densities import StationaryDensity
-from atoll_coordinator.stochastic.discretisation import Discretisation
-from atoll_coordinator.stochastic.paths import Ensemble
+from atoll_coordinator.stochastic import Discretisation
+from atoll_coordinator.stochastic.paths import Ensemble, StationaryDensity
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.notes import notes_of
 from atoll_core.expression.program import Program

@@ -18,7 +18,7 @@ from atoll_coordinator.result.base import (
     misfit,
 )
 from atoll_coordinator.result.listed_trajectories import Recorded
-from atoll_coordinator.stochastic.discretisation import Discretisation
+from atoll_coordinator.stochastic import Discretisation
 
 InputKind = Literal["smooth", "shape-preserving", "held"]
 """How an input goes from row to row, see `docs/data.md`."""

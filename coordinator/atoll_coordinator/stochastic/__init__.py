@@ -1,9 +1,12 @@
-"""Stochastic processes dx = f dt + g dW: what a step of one moves, and paths of it.
+"""Stochastic processes dx = f dt + g dW: the moments of a step, and paths drawn with them.
 
-- `discretisation`: what a step is
 - `moments`: mean and covariance of a step
-- `paths`: paths drawn with these moments, and ensembles of them
-- `densities`: the density that paths settle into
+- `paths`: paths, ensembles of them, and the density that they settle into
 
 The reasons and figures: ADR 0044.
 """
+
+from typing import Literal
+
+Discretisation = Literal["local linearisation", "Euler-Maruyama"]
+"""What a step is: a step of the process in time, or of the numerical method with this name."""

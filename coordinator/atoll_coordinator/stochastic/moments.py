@@ -1,4 +1,4 @@
-"""Mean and covariance of what a process moves in one step, to second order in the step and beyond where it is linear.
+"""Mean and covariance of one step of a process, to second order in the step and beyond where the process is linear.
 
 For dx = f dt + g dW with B = g g', the generator of the process is L = f . grad + 1/2 B : grad grad. In a step h from x
 
@@ -9,10 +9,10 @@ with J the Jacobian of f and E(s) = I + s J + s^2/2 J J + s^3/6 J J J. These are
 (Kessler 1997, section 2; Florens-Zmirou 1989), written as a local linearisation (Shoji & Ozaki 1998), so that the
 covariance is positive wherever B + s L B is; the integral is that of Gauss.
 
-A state without noise of its own is moved by that of the states it follows: over a step its variance is of the third
-order, J B J' h^3 / 3, or of the fifth where it follows such a state. That is small, and yet not zero (hypoelliptic
-processes: Ditlevsen & Samson 2019, who expand to these orders; Melnykova 2020, by the linearisation used here). What is
-so certain asks for as much of the mean: the part of the drift alone is a step of Runge and Kutta, of fourth order.
+A state without noise of its own is moved by the noise of the states it follows: over a step its variance is of the
+third order, J B J' h^3 / 3, or of the fifth where it follows such a state. This is small and not zero (hypoelliptic
+processes: Ditlevsen & Samson 2019, who expand to these orders; Melnykova 2020, by the linearisation used here). So small
+a variance needs an accurate mean: the motion by the drift alone is a step of Runge and Kutta, of fourth order.
 
 A table may also be the output of Euler and Maruyama's method, a row for each of its steps. Then mean and covariance of
 a step are h f and h B, and nothing else: noise of one state does not reach another one within the step.
@@ -27,7 +27,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.stochastic.discretisation import Discretisation
+from atoll_coordinator.stochastic import Discretisation
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
@@ -39,15 +39,15 @@ Pair = tuple[int, int]
 
 _NODES: Final = ((0.5 - 0.5 / math.sqrt(3.0), 0.5), (0.5 + 0.5 / math.sqrt(3.0), 0.5))
 _MORE_NODES: Final = ((0.5 - math.sqrt(0.15), 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + math.sqrt(0.15), 5.0 / 18.0))
-"""Nodes of Gauss's rule on [0, 1] and their weights; with two, what two states carry to a third would be singular."""
+"""Nodes of Gauss's rule on [0, 1] and their weights; with two, the covariance that two states give a third would be singular."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepMoments:
-    """What a step moves: `mean` (S, R), `covariance` (S, S, R), and its `jacobian` (S, S, R), that of x + mean.
+    """The moments of a step: `mean` (S, R), `covariance` (S, S, R), and the `jacobian` (S, S, R) of x + mean.
 
-    The covariance is NaN where the diffusion of a state is negative, though that of a step may be none: what other
-    states carry over outweighs it where the state has no noise of its own.
+    The covariance is NaN where the diffusion of a state is negative, even where the covariance of the step is positive:
+    noise of other states may outweigh it.
     """
 
     mean: FloatArray
@@ -103,8 +103,8 @@ def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps
 def _propagator(powers: tuple[FloatArray, FloatArray, FloatArray], steps: FloatArray) -> FloatArray:
     """Return E(s) of the first three powers of the Jacobian.
 
-    Of the third, the variance of a state two equations away from noise needs what is next to its leading term, as what
-    other states leave of it is a thirty-sixth of that.
+    The variance of a state two equations away from noise needs the term next to the leading one in the third power:
+    the part that other states do not explain is a thirty-sixth of the leading one.
     """
     one, two, three = powers
     return np.asarray(np.eye(len(one))[:, :, None] + steps * (one + 0.5 * steps * (two + steps / 3.0 * three)))

@@ -1,6 +1,7 @@
-"""Paths of a process: normal steps with the mean and the covariance of `moments`, those that constants are fitted by.
+"""Paths of a process, ensembles of them, and the density that they settle into.
 
-Letters: S states, U inputs, N steps or times, P paths.
+Steps are normal with the mean and the covariance of `moments`, by which constants are fitted, too.
+Letters: S states, U inputs, N steps or times, P paths, B bins.
 """
 
 import csv
@@ -22,11 +23,18 @@ if TYPE_CHECKING:
     import polars
 
 PATHS: Final = 256
-"""Of an ensemble: means are known to a sixteenth of the spread of the paths."""
+"""Paths of an ensemble: means are known to a sixteenth of the spread of the paths."""
 SHARES: Final = (0.05, 0.5, 0.95)
-"""Of the paths that lie below `lower`, `median` and `upper`."""
+"""Shares of the paths that lie below `lower`, `median` and `upper`."""
 _SLACK: Final = 1e-9
 """Share of a step by which rounding may make a gap between two times longer."""
+STEPS: Final = 500
+"""Steps in which paths settle, and as many more over which their density is taken; settling may take twice as long."""
+_LONGER: Final = 1
+BINS: Final = 40
+"""Bins of a density that is shown."""
+_LEVEL: Final = 0.01
+"""Largest probability with which the test rejects settled paths; they are tested once more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +117,7 @@ class Ensemble:
 
     @cached_property
     def finite(self) -> FloatArray:
-        """The paths (K, N, S) that have finite states to the end: of these are the mean and the bounds."""
+        """The paths (K, N, S) with finite states to the end, by which the mean and the bounds are computed."""
         return np.asarray(self.x[np.isfinite(self.x[:, -1]).all(axis=1)])
 
     @cached_property
@@ -207,3 +215,83 @@ def divided(times: FloatArray, longest: float) -> tuple[FloatArray, FloatArray, 
 
 def _plain(values: FloatArray) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
+@dataclass(frozen=True, eq=False)
+class StationaryDensity:
+    """The density of each of the `states` that a process settles into.
+
+    `edges` (S, B + 1) bound the bins of `density` (S, B); `mean` and `sd` (S,) are moments of the states.
+    """
+
+    states: tuple[str, ...]
+    edges: FloatArray
+    density: FloatArray
+    mean: FloatArray
+    sd: FloatArray
+
+    def __repr__(self) -> str:
+        each = zip(self.states, self.mean.tolist(), self.sd.tolist(), strict=True)
+        moments = ", ".join(f"{name} {mean:.4g} (standard deviation {sd:.4g})" for name, mean, sd in each)
+        return f"<StationaryDensity: mean of {moments}>"
+
+    def __getitem__(self, state: str) -> tuple[FloatArray, FloatArray]:
+        """Return the edges (B + 1,) and the density (B,) of a state by name; raises KeyError."""
+        if state not in self.states:
+            raise KeyError(state)
+        place = self.states.index(state)
+        return np.asarray(self.edges[place]), np.asarray(self.density[place])
+
+
+def settled_paths(simulator: Simulator, starts: FloatArray, inputs: FloatArray, length: float) -> FloatArray | None:
+    """Return settled paths (N, S, P), from `starts` (S, P) in steps of one length; None where they do not settle.
+
+    They have settled when the means of states and of their squares no longer change from one half to the other by more
+    than by chance, for which two paths at least are needed. `inputs` (U,) are held.
+    """
+    lengths, held = np.full(STEPS, length), np.repeat(inputs[:, None], STEPS, axis=1)
+    states = simulator.paths(starts, held, lengths)[-1]
+    for _ in range(1 + _LONGER):
+        paths = simulator.paths(states, held, lengths)[1:]
+        kept = paths[:, :, np.isfinite(paths[-1]).all(axis=0)]
+        if kept.shape[2] < max(starts.shape[1] // 2, 2):
+            return None
+        if _is_settled(kept):
+            return kept
+        states = paths[-1]
+    return None
+
+
+def density_of(states: tuple[str, ...], paths: FloatArray, within: FloatArray | None = None) -> StationaryDensity:
+    """Return the density of settled paths (N, S, P); bins are over their range, and that of `within` (S, R)."""
+    samples = [np.concatenate([values.ravel(), [] if within is None else within[place]])
+            for place, values in enumerate(paths.transpose(1, 0, 2))]  # fmt: skip
+    edges = np.array([np.linspace(values.min(), values.max(), BINS + 1) for values in samples])
+    density = histograms(paths.transpose(1, 0, 2).reshape(len(edges), -1), edges)
+    return StationaryDensity(states, edges, density, paths.mean(axis=(0, 2)), paths.std(axis=(0, 2)))
+
+
+def histograms(values: FloatArray, edges: FloatArray) -> FloatArray:
+    """Return the densities (S, B) of `values` (S, R) in bins between `edges` (S, B + 1)."""
+    return np.array(
+        [np.histogram(sample, bounds, density=True)[0] for sample, bounds in zip(values, edges, strict=True)]
+    )
+
+
+def _is_settled(paths: FloatArray) -> bool:
+    """Tell whether two halves of paths (N, S, P) agree in the means of states and of their squares.
+
+    Each of the 2 S changes has Student's distribution over its error from P paths, one by one; the level is divided
+    among them (Bonferroni), and among both signs.
+    """
+    from scipy import special  # not needed by processes that only read results
+
+    half = len(paths) // 2
+    most = special.stdtrit(paths.shape[2] - 1, 1.0 - _LEVEL / (2 * 2 * paths.shape[1]))
+    for power in (1, 2):
+        moments = paths**power
+        change = moments[half:].mean(axis=0) - moments[:half].mean(axis=0)
+        error = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
+        if (np.abs(change.mean(axis=1)) > most * error).any():
+            return False
+    return True

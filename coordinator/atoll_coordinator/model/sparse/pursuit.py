@@ -1,10 +1,11 @@
-"""Laws that are sums of a polynomial and of products with functions, by matching pursuit with a beam.
+"""Candidates that are sums of a polynomial and of products with functions, by matching pursuit with a beam.
 
-To a polynomial, the products with functions are added that leave least of the target (orthogonal matching pursuit,
+To a polynomial, the products with functions are added that leave the smallest residuals (orthogonal matching pursuit,
 Pati et al. 1993), all constants of the best sums are fitted, inner ones too, and the best go on; then the least
-significant terms leave one after another. With the polynomial there from the beginning, what another term would explain
+significant terms are removed one after another. With the polynomial there from the beginning, the gain of another term
 does not decide which function is taken. A search that changes one place of an equation at a time reaches such laws only
-through worse ones.
+through worse ones. Targets are smoothed derivatives, whose errors are not known row by row: rows count alike, and the
+best sums of each length are returned, to be compared along trajectories.
 
 Letters: A atoms, K terms, R rows.
 """
@@ -28,30 +29,30 @@ from atoll_core.expression.operators import ADD, MULTIPLY
 from atoll_core.expression.program import Program, operators_in
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
-"""Highest degree of the polynomial that functions are added to; products with functions have one less."""
+"""Highest degree of the polynomial that functions are added to; in products with functions it is one less."""
 
 _ROUNDING: Final = 1e-11
 """Share of a unit column beyond others that is rounding."""
 _NEARLY_ALIKE: Final = 1e-8
-"""Atoms are not paired whose squared sine is smaller: rounding would decide."""
+"""Pairs of atoms with a smaller squared sine are not tried: rounding would decide."""
 _RANKED_PAIRS: Final = 2000
-"""Pairs that are put in order: of one pair of terms there are dozens, which differ in inner constants."""
+"""Pairs that are sorted: one pair of terms has dozens, which differ in inner constants."""
 _MOST_PAIRED: Final = 4000
-"""Of more atoms no pairs are tried, whose gains would take gigabytes: 128 MB a matrix; twenty states have so many."""
+"""With more atoms no pairs are tried: a matrix of gains takes 128 MB for so many, as twenty states have."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Sum:
-    """A fitted sum: its terms by shape (index), inner constants and coefficients (K,), what it leaves (R,)."""
+    """A fitted sum: its terms by shape (index), inner constants and coefficients (K,), its `residuals` (R,)."""
 
     terms: tuple[int, ...]
     constants: FloatArray
     coefficients: FloatArray
-    left: FloatArray
+    residuals: FloatArray
 
     @cached_property
     def square(self) -> float:
-        return float(self.left @ self.left)
+        return float(self.residuals @ self.residuals)
 
     @property
     def key(self) -> tuple[int, ...]:
@@ -65,14 +66,14 @@ def pursue(
     problem: Problem, columns: Sequence[int], operators: Collection[int], needed: Collection[int] = (),
     most: float = math.inf,
 ) -> list[Program]:  # fmt: skip
-    """Return the sums that leave least of the target, some of each number of constants, constants fitted.
+    """Return the sums with the smallest residuals, some of each number of constants, constants fitted.
 
     Args:
         problem: a target and its inputs; some rows are taken.
         columns: indices of the variables that may be used.
         operators: codes of the operators that may be used.
         needed: codes, one of which each sum has; any sum will do without.
-        most: nats of all terms of a sum, with their constants, beyond which none is wanted.
+        most: sums with more nats, for all terms with their constants, are not wanted.
     """
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
         return []
@@ -87,7 +88,7 @@ def pursue(
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """What sums are pursued of, see `pursue`."""
+    """The space of a pursuit, see `pursue`."""
 
     columns: tuple[int, ...]
     operators: frozenset[int]
@@ -99,16 +100,16 @@ PURSUED: Final[BatchFunction[Problem, Pursuit, tuple[Program, ...]]] = BatchFunc
     "pursued sums", Problem, Pursuit, tuple[Program, ...],
     lambda problem, of: tuple(pursue(problem, of.columns, of.operators, of.needed, of.most)),
 )  # fmt: skip
-"""Sums that leave least of a target."""
+"""The sums with the smallest residuals of a target, by the space of a pursuit."""
 
 _Promise = tuple[float, tuple[int, ...], FloatArray]
-"""A sum that is not fitted yet: about the sum of squares that it leaves, its terms and inner constants."""
+"""A sum that is not fitted yet: about its sum of squared residuals, its terms and inner constants."""
 
 
 def _best(
     promises: Iterable[Iterable[_Promise]], count: int
 ) -> dict[tuple[int, ...], tuple[tuple[int, ...], FloatArray]]:
-    """Return the terms and inner constants of those that leave least, by their terms in order."""
+    """Return the terms and inner constants of the best promises, by their terms in order."""
     by_terms: dict[tuple[int, ...], _Promise] = {}
     for square, terms, constants in (promise for those in promises for promise in those):
         key = tuple(sorted(terms))
@@ -134,13 +135,13 @@ class _Pursuit:
                 break
             self._shapes += candidates
         self._most = most
-        self._least = self._leave_out()
-        self._atoms, self._columns = self._made_atoms()
+        self._least = self._remove_expensive()
+        self._atoms, self._columns = self._unit_atoms()
         self._limit = 0.0
         self._fits: dict[tuple[int, ...], _Sum | None] = {}
 
-    def _leave_out(self) -> float:
-        """Leave out the shapes with which no sum is wanted; return the price of the cheapest that one must have."""
+    def _remove_expensive(self) -> float:
+        """Remove the shapes with which no sum is wanted; return the price of the cheapest one that is needed."""
         prices = [shape.price(len(self._target)) for shape in self._shapes]
         is_needed = list(map(self._is_needed, self._shapes))
         least = min((price for price, needed in zip(prices, is_needed, strict=True) if needed), default=math.inf)
@@ -151,13 +152,13 @@ class _Pursuit:
         return least if self._needed else 0.0
 
     def _is_short(self, terms: Sequence[int]) -> bool:
-        """Tell whether a sum may be wanted when one of its terms, which elimination finds needless, has left."""
+        """Tell whether a sum may be wanted after elimination has removed one of its terms."""
         return float(self._prices[list(terms)].sum()) <= self._most + self._least
 
     def _is_needed(self, shape: Shape) -> bool:
         return not self._needed or not self._needed.isdisjoint(operators_in(shape.expression(1.5)))
 
-    def _made_atoms(self) -> tuple[list[tuple[int, float]], FloatArray]:
+    def _unit_atoms(self) -> tuple[list[tuple[int, float]], FloatArray]:
         """Return shapes (index) with inner constants, and their values as unit columns (A, R)."""
         atoms, columns = [], []
         for index, shape in enumerate(self._shapes):
@@ -170,7 +171,7 @@ class _Pursuit:
         return atoms, np.array(columns)
 
     def run(self, limit: float) -> list[Program]:
-        """Return the best sums; the sum of squares `limit` is what the target's uncertainty leaves."""
+        """Return the best sums; the target's uncertainty alone has the sum of squares `limit`."""
         if not self._atoms:
             return []
         self._limit = limit
@@ -186,7 +187,7 @@ class _Pursuit:
             if len(kept.setdefault(constants, [])) < SETTINGS.effort.beam:
                 kept[constants].append(candidate)
         most = SETTINGS.sparse.pursued_constants
-        return [self._made(candidate) for size in sorted(kept) if size <= most for candidate in kept[size]]
+        return [self._program(candidate) for size in sorted(kept) if size <= most for candidate in kept[size]]
 
     def _beginnings(self) -> Iterator[_Sum]:
         """Yield nothing, and all polynomials that the rows decide and that are not too large to be eliminated."""
@@ -201,7 +202,7 @@ class _Pursuit:
                     yield polynomial
 
     def _grown(self, beginning: _Sum) -> Iterator[_Sum]:
-        """Yield the best sums with no, one, two ... terms more than the beginning, until nothing is left to explain."""
+        """Yield the best sums with no, one, two ... terms more than the beginning, until little is left to explain."""
         beam = [beginning]
         for _ in range(SETTINGS.sparse.pursued_functions + (not beginning.terms)):
             yield from beam if beam[0].terms else ()
@@ -239,8 +240,8 @@ class _Pursuit:
     def _pairs(self, parent: _Sum) -> Iterator[_Promise]:
         """Yield the best pairs of further terms, inner constants as they are.
 
-        Unit columns u and v with the products a and b with what is left explain (a^2 + b^2 - 2 a b c)/(1 - c^2)
-        together, with c the product of the two.
+        Unit columns u and v, with the products a and b with the residuals, together explain
+        (a^2 + b^2 - 2 a b c)/(1 - c^2), with c the product of the two.
         """
         left, rest, norms = self._beside(parent)
         usable = np.flatnonzero(norms > _ROUNDING)
@@ -267,12 +268,12 @@ class _Pursuit:
                     return
 
     def _beside(self, parent: _Sum) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what a sum leaves, the atoms beside its terms as unit columns (A, R), and their sizes (A,) before."""
+        """Return the residuals of a sum, the atoms beside its terms as unit columns (A, R), and their sizes before."""
         left, rest = self._target, self._columns
         if parent.terms:
             columns = self._values(parent.terms, parent.constants)
             basis = np.linalg.qr((columns / np.sqrt((columns**2).sum(axis=1))[:, None]).T)[0]
-            for _ in range(2):  # the second time for what rounding left
+            for _ in range(2):  # the second time for rounding errors of the first
                 left = left - basis @ (basis.T @ left)
                 rest = rest - (rest @ basis) @ basis.T
         norms = np.sqrt((rest**2).sum(axis=1))
@@ -290,7 +291,7 @@ class _Pursuit:
         return 0.5 * len(self._target) * math.log(self._counted(candidate))
 
     def _counted(self, candidate: _Sum) -> float:
-        """Return the sum of squares that it leaves; less than the target's uncertainty does says nothing."""
+        """Return the sum of squared residuals, at least that of the target's uncertainty."""
         return max(candidate.square, self._limit, 1e-300)
 
     def _without_least(self, candidate: _Sum) -> _Sum | None:
@@ -332,7 +333,7 @@ class _Pursuit:
 
         def linearise(at: _Sum) -> Solver[FloatArray]:
             jacobian, unit = self._jacobian(at), len(self._target) / self._counted(at)  # nats for half a square
-            return solver(unit * (jacobian @ jacobian.T), -unit * (jacobian @ at.left))
+            return solver(unit * (jacobian @ jacobian.T), -unit * (jacobian @ at.residuals))
 
         def move(at: _Sum, step: FloatArray) -> tuple[_Sum, float] | None:
             moved = at.constants.copy()
@@ -351,6 +352,6 @@ class _Pursuit:
         coefficients = coefficients_of(columns, self._target)
         return _Sum(terms, constants, coefficients, self._target - coefficients @ columns)
 
-    def _made(self, candidate: _Sum) -> Program:
+    def _program(self, candidate: _Sum) -> Program:
         pairs = zip(candidate.terms, candidate.constants.tolist(), strict=True)
         return program_of([Atom(self._shapes[term], constant) for term, constant in pairs], candidate.coefficients)

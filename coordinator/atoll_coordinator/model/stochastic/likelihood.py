@@ -22,7 +22,7 @@ import numpy as np
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.model.least_squares import Fitter, Solver, inverse, minimize, solver
 from atoll_coordinator.settings import SETTINGS
-from atoll_coordinator.stochastic.discretisation import Discretisation
+from atoll_coordinator.stochastic import Discretisation
 from atoll_coordinator.stochastic.moments import Pair, StepMoments, step_moments
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants

@@ -5,8 +5,7 @@ import numpy as np
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.refinement import MeasuredDensity
-from atoll_coordinator.stochastic.densities import density_of, histograms, settled_paths
-from atoll_coordinator.stochastic.paths import PATHS, Ensemble, Simulator
+from atoll_coordinator.stochastic.paths import PATHS, Ensemble, Simulator, density_of, histograms, settled_paths
 
 _STEPS = 500
 """That are shown of an ensemble."""

@@ -1,12 +1,12 @@
 """Candidates for one equation of a process, by weighted regression on bins of steps. Pure.
 
-A step is linear in the drift and the product of residuals in the diffusion, but for what the moments of a step add to
-their leading terms; that is taken from the model so far:
+A step is linear in the drift, and the product of residuals in the diffusion, apart from the higher terms of the moments
+of a step, which are those of the model so far:
 
     drift       (increment - (mean - h f)) / h              variance B_ii / h
     diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance in proportion to B_ii B_jj
 
-so that, equation by equation, what is found by regression is what the likelihood asks for. Letters: V variables, N
+so that, equation by equation, regression maximises the likelihood. Letters: V variables, N
 steps, M bins.
 """
 
@@ -41,7 +41,7 @@ from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 from atoll_core.expression.writing.shortest import shortest
 
 _STEPS: Final = 3
-"""Steps of a difference by which noise is told from drift."""
+"""Order of the differences that remove the drift."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,8 @@ class WeightedProblem:
 class CandidateFinder:
     """Finds candidates for the equations of one process.
 
-    `steps` are all of them, `names` the symbols of variables and `variables` the names of equations; `config` says what
-    equations may be made of. After the `deadline` nothing new is tried.
+    `names` are the symbols of variables and `variables` the names of equations; `config` says which operators and
+    variables are allowed. After the `deadline` nothing new is tried.
     """
 
     steps: Steps
@@ -83,9 +83,9 @@ class CandidateFinder:
 
         Args:
             number: of the equation among those of `model`.
-            model: the other equations, and what moments add to leading terms.
+            model: the other equations, by which the higher terms of moments are computed.
             begun: programs of the search.
-            looks_around: whether programs beside the best ones are tried as well.
+            looks_around: whether neighbours of the best programs are tried as well.
             by_differences: whether products of high differences stand for a component of the diffusion, whatever the
                 drift is.
         """
@@ -104,7 +104,7 @@ class CandidateFinder:
         nats = constant_nats_of(len(self.steps.lengths))
 
         def length(candidate: Candidate) -> float:
-            """Return the description length as the likelihood would have it, but for the misfit."""
+            """Return the description length by the likelihood, apart from the misfit."""
             program, misfit = candidate.fitted.program, shortening.criterion.misfit(candidate.fitted.mse)
             return system_length(misfit, [program], len(constant_places(program)), nats)
 
@@ -122,7 +122,7 @@ class CandidateFinder:
 
 
 def _sides_by_differences(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
-    """Return what a component of the diffusion times the length of a step is to be (N,); NaN where a path ends."""
+    """Return the targets (N,) for a component of the diffusion times the length of a step; NaN where a path ends."""
     windows = all_windows(steps, _STEPS)
     i, j = model.pairs[number - len(model.drift)]
     sides = np.full(len(steps.lengths), np.nan)
@@ -131,7 +131,7 @@ def _sides_by_differences(number: int, model: ProcessModel, steps: Steps) -> Flo
 
 
 def _sides(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
-    """Return what one equation times the length of a step is to be (N,)."""
+    """Return the targets (N,) for one equation times the length of a step."""
     states = len(model.drift)
     moments = model.moments(steps.points, steps.lengths)
     if number < states:
@@ -169,8 +169,8 @@ def _problem(
 def mean_squares(steps: Steps) -> FloatArray:
     """Return about how fast noise adds to the variance of each state at each step (S, N): means of squares in bins.
 
-    The squares are those of high differences, so that the drift is not among them. Weights come from these rather than
-    from the model so far, whose first one knows nothing of the states.
+    High differences have no drift in them. Weights come from these rather than from the model so far, since the first
+    model has constant noise.
     """
     means = np.zeros_like(steps.increments)
     windows = all_windows(steps, _STEPS)
