@@ -11,8 +11,8 @@ covariance is positive wherever B + s L B is; the integral is that of Gauss.
 
 A state without noise of its own is moved by the noise of the states it follows: over a step its variance is of the
 third order, J B J' h^3 / 3, or of the fifth where it follows such a state. This is small and not zero (hypoelliptic
-processes: Ditlevsen & Samson 2019, who expand to these orders; Melnykova 2020, by the linearisation used here). So small
-a variance needs an accurate mean: the motion by the drift alone is a step of Runge and Kutta, of fourth order.
+processes: Ditlevsen & Samson 2019, who expand to these orders; Melnykova 2020, by the linearisation used here). So
+small a variance needs an accurate mean: the motion by the drift alone is a step of Runge and Kutta, of fourth order.
 
 A table may also be the output of Euler and Maruyama's method, a row for each of its steps. Then mean and covariance of
 a step are h f and h B, and nothing else: noise of one state does not reach another one within the step.
@@ -39,7 +39,8 @@ Pair = tuple[int, int]
 
 _NODES: Final = ((0.5 - 0.5 / math.sqrt(3.0), 0.5), (0.5 + 0.5 / math.sqrt(3.0), 0.5))
 _MORE_NODES: Final = ((0.5 - math.sqrt(0.15), 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + math.sqrt(0.15), 5.0 / 18.0))
-"""Nodes of Gauss's rule on [0, 1] and their weights; with two, the covariance that two states give a third would be singular."""
+"""Nodes of Gauss's rule on [0, 1] and their weights; with two, the covariance that two states
+give a third would be singular."""
 
 
 @dataclass(frozen=True, eq=False)
