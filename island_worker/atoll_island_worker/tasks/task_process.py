@@ -25,7 +25,7 @@ from typing import Final, Protocol
 from atoll_core import task_frames as frames
 from atoll_core.errors import AtollError
 from atoll_core.task_frames import OTHER_VERSION, version
-from atoll_island_worker.processes.fork_server import Forked, request_parent_death_signal
+from atoll_island_worker.processes import Forked, request_parent_death_signal
 
 END_LIMIT_S: Final = 2.0
 """How long a process that was killed, or that has closed its pipe, may take to be gone."""
