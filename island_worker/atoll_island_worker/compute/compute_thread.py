@@ -44,7 +44,7 @@ class Engine:
             return io.LoadFailed(job, str(error))
         return io.JobReady(job)
 
-    def begin(self, task: io.Task) -> "Epoch":
+    def begin(self, task: io.EpochTask) -> "Epoch":
         """Begin an island's epoch; raises RemoteProtocolError if its immigrants or its state are malformed."""
         from atoll_island_worker.evolution.island import Island
 
@@ -72,9 +72,9 @@ class Engine:
 
 
 class Epoch:
-    """One epoch of one island in progress; see `atoll_island_worker.compute.run_queue.Work`."""
+    """One epoch of one island in progress; see `atoll_island_worker.compute.run_queue.RunningEpoch`."""
 
-    def __init__(self, task: io.Task, island: "Island") -> None:
+    def __init__(self, task: io.EpochTask, island: "Island") -> None:
         self._task = task
         self._island = island
         self._is_over = False
@@ -92,12 +92,12 @@ class Epoch:
         self._is_over = self._island.advance(min(_MOST, left))
         return self._is_over
 
-    def computed(self) -> io.Computed:
+    def computed(self) -> io.EpochComputed:
         """See `Work.computed`. There are emigrants after a whole epoch that is not the last."""
         key, report = self._task.key, self._island.report()
         if not self._is_over or report.hit is not None or self._task.is_last:
-            return io.Computed(key, report, {}, frozenset())
-        return io.Computed(key, report, self._island.emigrants(), self._island.senders())
+            return io.EpochComputed(key, report, {}, frozenset())
+        return io.EpochComputed(key, report, self._island.emigrants(), self._island.senders())
 
 
 _LOG = logging.getLogger(__name__)
@@ -180,7 +180,7 @@ class ComputeThread:
         """Load a job's configuration and encoded dataset: JobReady or LoadFailed."""
         self._commands.put(lambda: self._post_all([self._engine.load(job, config, dataset)]))
 
-    def run(self, task: io.Task) -> None:
+    def run(self, task: io.EpochTask) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
 
         If a Snapshot is wanted, it comes first; at a barrier nothing else follows. Tasks take turns.

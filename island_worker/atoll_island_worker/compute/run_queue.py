@@ -16,7 +16,7 @@ from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_island_worker.session import interface as io
 
 
-class Work(Protocol):
+class RunningEpoch(Protocol):
     """One island's epoch in progress."""
 
     @property
@@ -35,12 +35,12 @@ class Work(Protocol):
         """
         ...
 
-    def computed(self) -> io.Computed:
+    def computed(self) -> io.EpochComputed:
         """Return the result so far."""
         ...
 
 
-Begin = Callable[[io.Task], Work]
+Begin = Callable[[io.EpochTask], RunningEpoch]
 """Begins an island's epoch; raises RemoteProtocolError if the immigrants are malformed."""
 
 
@@ -48,8 +48,8 @@ Begin = Callable[[io.Task], Work]
 class _Open:
     """A task; `work` is None before its first turn."""
 
-    task: io.Task
-    work: Work | None = None
+    task: io.EpochTask
+    work: RunningEpoch | None = None
 
     @property
     def generation(self) -> int:
@@ -85,7 +85,7 @@ class RunQueue:
         self._weights[job] = weight
         self._users[job] = user
 
-    def add(self, task: io.Task) -> list[io.Outcome]:
+    def add(self, task: io.EpochTask) -> list[io.Outcome]:
         """Add a task; return its Abandoned if it is not needed."""
         self._enter(task.key.job)
         self._open[task.key] = _Open(task)
@@ -124,7 +124,7 @@ class RunQueue:
         del self._open[key]
         if outcome is not None:
             results.append(outcome)
-        if isinstance(outcome, io.Computed) and outcome.report.hit is not None:
+        if isinstance(outcome, io.EpochComputed) and outcome.report.hit is not None:
             hit = Position(key.epoch, outcome.report.hit.generation, key.island)
             results += self.stop_at(key.shard, hit, task.commit_order)
         return results

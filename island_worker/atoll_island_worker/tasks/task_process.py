@@ -54,7 +54,7 @@ main(int(descriptor), int(level), version)
 """
 
 
-class Process(Protocol):
+class StartedProcess(Protocol):
     """A process that was started for tasks. Any thread may call its methods."""
 
     def set_pid(self, pid: int) -> None:
@@ -75,7 +75,7 @@ class _Interpreter(subprocess.Popen[bytes]):
         """Do nothing: its id is known."""
 
     def wait(self, timeout: float | None = None) -> int | None:  # type: ignore[override]
-        """See `Process.wait`."""
+        """See `StartedProcess.wait`."""
         try:
             return super().wait(timeout)
         except subprocess.TimeoutExpired:
@@ -88,7 +88,7 @@ class _Interpreter(subprocess.Popen[bytes]):
 class Starter(Protocol):
     """Starts task processes."""
 
-    def start(self, connection: "Connection[object, object]") -> Process:
+    def start(self, connection: "Connection[object, object]") -> StartedProcess:
         """Start a process with one end of a pipe; raises AtollError if the system starts no more."""
         ...
 
@@ -96,12 +96,12 @@ class Starter(Protocol):
 class Interpreters(Starter):
     """Starts a new interpreter for each process, which takes a second or two to load what a task needs."""
 
-    def start(self, connection: "Connection[object, object]") -> Process:
+    def start(self, connection: "Connection[object, object]") -> StartedProcess:
         """See `start_process`."""
         return start_process(connection)
 
 
-def start_process(connection: "Connection[object, object]") -> Process:
+def start_process(connection: "Connection[object, object]") -> StartedProcess:
     """Start a new interpreter; raises AtollError if the system starts no more processes."""
     level = logging.getLogger().getEffectiveLevel()
     descriptor = connection.fileno()
@@ -301,7 +301,7 @@ class TaskServer(Starter):
         Forked(lambda: _Server(theirs).serve(self._ours))
         theirs.close()
 
-    def start(self, connection: "Connection[object, object]") -> Process:
+    def start(self, connection: "Connection[object, object]") -> StartedProcess:
         """Have the server fork a process; if the server is gone, start an interpreter."""
         level = logging.getLogger().getEffectiveLevel()
         codes, theirs = Pipe(duplex=False)
@@ -330,7 +330,7 @@ class _ForkedTask:
         self._closing = threading.Lock()
 
     def set_pid(self, pid: int) -> None:
-        """See `Process.set_pid`."""
+        """See `StartedProcess.set_pid`."""
         with contextlib.suppress(OSError, AttributeError):  # it has ended already, or the system has no pidfd
             self._pidfd = os.pidfd_open(pid)
 
@@ -342,7 +342,7 @@ class _ForkedTask:
                 self._is_killed = True
 
     def wait(self, timeout: float) -> int | None:
-        """See `Process.wait`. After `kill` it does not wait: the server may be loading for more than a second."""
+        """See `StartedProcess.wait`. After `kill` it does not wait: the server may be loading for a second."""
         if self._is_killed:
             timeout = 0.0
         with contextlib.suppress(OSError, EOFError):
@@ -351,7 +351,7 @@ class _ForkedTask:
         return self._code
 
     def close(self) -> None:
-        """See `Process.close`."""
+        """See `StartedProcess.close`."""
         self._codes.close()
         with self._closing:
             if self._pidfd is not None:
