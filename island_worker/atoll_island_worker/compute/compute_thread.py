@@ -82,18 +82,18 @@ class Epoch:
 
     @property
     def generation(self) -> int:
-        """See `Work.generation`."""
+        """See `RunningEpoch.generation`."""
         return self._island.generation
 
     def advance(self) -> bool:
-        """See `Work.advance`."""
+        """See `RunningEpoch.advance`."""
         stride = self._task.commit_order.stride
         left = stride - self._island.generation % stride
         self._is_over = self._island.advance(min(_MOST, left))
         return self._is_over
 
     def computed(self) -> io.EpochComputed:
-        """See `Work.computed`. There are emigrants after a whole epoch that is not the last."""
+        """See `RunningEpoch.computed`. There are emigrants after a whole epoch that is not the last."""
         key, report = self._task.key, self._island.report()
         if not self._is_over or report.hit is not None or self._task.is_last:
             return io.EpochComputed(key, report, {}, frozenset())
