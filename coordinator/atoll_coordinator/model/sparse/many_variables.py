@@ -407,7 +407,7 @@ def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[
         fits: list[Sum] = []
         for longer in best_atoms(decisive, [atoms for atoms in begun if len(atoms) <= most], tried):
             sums = filter(None, (_fitted(decisive, atoms) for atoms in longer))
-            fits += sorted(sums, key=lambda fit: fit.nats)[:_KEPT]
+            fits += map(polished, sorted(sums, key=lambda fit: fit.nats)[:_KEPT])
         library, candidate = product_atoms(rows.inputs, sizes[-1][0]), None
         for fit in sorted(fits, key=lambda fit: fit.nats):
             atoms = [atom.over(rows.inputs) for atom in fit.atoms]
@@ -423,10 +423,9 @@ def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[
 
 
 def _fitted(rows: Rows, atoms: Sequence[Atom]) -> Sum | None:
-    """Return the sum of all these terms, inner constants fitted, too."""
+    """Return the sum of all these terms."""
     regression = Regression(rows, atoms)
-    fit = regression.refitted(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
-    return None if fit is None else polished(fit)
+    return regression.refitted(range(len(atoms)), 1.0 / rows.side_errors) if regression.is_solvable else None
 
 
 def _searched(
@@ -464,9 +463,10 @@ def _with_functions_of_others(equation: Equation, best: Sum | None, functions: S
         if (best is not None and function in best.atoms) or not equation.allows(function):
             continue
         atom = function.over(rows.inputs)
+        own = () if best is None else best.atoms
+        plain = [one for one in own if one.shape.function is None]
         for terms, _ in list(product_libraries(equation.columns, rows.independent, _DEGREES[:2]))[-1:]:
-            own = () if best is None else best.atoms
             library = product_atoms(rows.inputs, terms)
-            found = (_searched(rows, library, begun, frozenset([atom])) for begun in ([atom], [*own, atom]))
+            found = (_searched(rows, library, [*begun, atom], frozenset([atom])) for begun in (plain, own))
             best = shortest([best, *found])
     return best
