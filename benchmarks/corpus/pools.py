@@ -88,10 +88,7 @@ def refine_kept(key: Key, folder: Path, max_time: float | None = None) -> Outcom
     made = refine_all(kept.preparation, kept.config, kept.pools, Deadline(max_time), kept.laws)
     stopwatch.seconds["refining"] = time.monotonic() - begun
     stopwatch.processor["refining"] = time.process_time() - used
-    outcomes = [
-        VariableOutcome(name, pool.front, 0, refined=made.equations.get(name), runners_up=pool.runners_up)
-        for name, pool in kept.pools.items()
-    ]
+    outcomes = [VariableOutcome(name, pool.front, 0, runners_up=pool.runners_up) for name, pool in kept.pools.items()]
     account = Account("done", stopwatch.seconds["refining"], 0.0)
     result = build_result(key.title, kept.config, kept.preparation, outcomes, account, made)
     return judge_job(key, make_case(key), result.model_dump(mode="json"), stopwatch, config=kept.config)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from atoll_coordinator.model.result.numbers import finite
+from atoll_coordinator.result.base import finite
 
 
 def plain(data: Mapping[str, object]) -> dict[str, object]:
