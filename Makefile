@@ -51,7 +51,7 @@ demo: $(STAMP)
 # Some tests wait for processes, so there are three at a time for two cores; the tests of one file run one after the
 # other. Each worker more takes ten seconds of a processor, for imports, collection and kernels.
 # Files begin in their order, integration first: those few long tests would otherwise be what is left at the end.
-AT_A_TIME = $(shell $(BIN)/python -c 'import os; from atoll_core.machine.cores import usable_cores as cores; \
+AT_A_TIME = $(shell $(BIN)/python -c 'import os; from atoll_core.machine import usable_cores as cores; \
   print((3 * cores(os.environ)[0] + 1) // 2)')
 PYTEST = $(BIN)/pytest -n $(AT_A_TIME) --dist loadfile --no-loadscope-reorder
 

@@ -33,7 +33,7 @@ from atoll_core.config import JobConfig
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.messages.clients import Delete, Request, Submit, Upload
 from atoll_core.wire.messages.views import FINAL_STATES
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings
 from benchmarks.harness.command_line import option, program, whole
 
 KINDS: Final = ("greedy", "endless", "busy", "idle", "malicious")
@@ -262,7 +262,7 @@ def play_bytes(seed: int) -> list[str]:
             )
             for number in range(30):
                 _one_thing(stream, controller, clients, number)
-                stored = {user: store.stored_bytes(user) for user in roles.roles}
+                stored = {user: store.held(user).stored for user in roles.roles}
                 wrong += [f"{user} stores {amount} bytes of {own}" for user, amount in stored.items() if amount > own]
     finally:
         admission.RESULT_RESERVE = reserve  # type: ignore[misc]

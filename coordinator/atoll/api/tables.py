@@ -26,7 +26,7 @@ from atoll_coordinator.data.roles.column_options import split_unit
 from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray, FloatArray
-from atoll_core.data.masked import plain_array
+from atoll_core.data.frames import plain_array
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 

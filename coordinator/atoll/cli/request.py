@@ -17,7 +17,7 @@ from atoll.client.over_http import TOKEN, Whereabouts, coordinator_at
 from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
 from atoll_core.errors import DataError, RefusedError, UsageError
-from atoll_core.hints import similar_file
+from atoll_core.quoting import similar_file
 from atoll_core.redaction import without_secrets
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import JobView

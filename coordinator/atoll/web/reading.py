@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from atoll.client.local_workers import start_apart
 from atoll.client.over_http import TOKEN
 from atoll.web.problems import UnreadableError
-from atoll_core.machine.usage import total_memory_bytes
+from atoll_core.machine import total_memory_bytes
 
 TABLE: Final = "application/vnd.atoll.table"
 """Content of a table that was read already, as clients of the bus upload it."""

@@ -13,10 +13,10 @@ from atoll_coordinator.data.roles.roles import Roles
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.errors import UsageError
-from atoll_core.expression.bounds import ALL_EQUATIONS, Bound, parse_bound
 from atoll_core.expression.operation_list import placed_text
 from atoll_core.expression.operators import BY_NAME, VARIABLE
 from atoll_core.expression.program import Program
+from atoll_core.expression.restrictions import ALL_EQUATIONS, Bound, parse_bound
 from atoll_core.expression.simplification import complexity, simplify_program
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll_core.expression.text.parsing import from_infix

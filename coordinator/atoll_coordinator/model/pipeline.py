@@ -34,7 +34,7 @@ from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.stochastic.process_choice import ProcessChoice
 from atoll_coordinator.model.structure.constant_units import equation_units
 from atoll_core.config import JobConfig
-from atoll_core.machine.cores import usable_cores
+from atoll_core.machine import usable_cores
 
 NOT_SIMULATED: Final = (
     "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."

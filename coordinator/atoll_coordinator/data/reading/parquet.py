@@ -1,4 +1,4 @@
-"""Parquet files -> `RawTable`, by polars."""
+"""Parquet files -> `RawTable`, by polars, an extra: ``pip install 'atoll[parquet]'``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,8 +13,10 @@ if TYPE_CHECKING:
 
 def read_parquet(path: Path) -> RawTable:
     """Read a Parquet file; raises DataError."""
-    import polars  # slow to load and rarely needed
-
+    try:
+        import polars
+    except ImportError:
+        raise DataError(f"reading {path.name} needs polars; run: pip install 'atoll[parquet]'") from None
     try:
         frame = polars.read_parquet(path)
     except (polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:

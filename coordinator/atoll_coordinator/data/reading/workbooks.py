@@ -18,7 +18,7 @@ from atoll_coordinator.data.reading.preamble import find_preamble
 from atoll_coordinator.data.reading.raw_table import RawTable, table_of_records
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.errors import DataError, Field, UsageError
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
 
 ENDINGS: Final = frozenset({".xlsx", ".xlsm"})
 """How the names of workbooks end."""

@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 
 from atoll_coordinator.data.roles.column_options import split_unit
 from atoll_core.errors import UsageError
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
 
 Value = TypeVar("Value")
 

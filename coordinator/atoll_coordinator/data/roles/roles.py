@@ -14,7 +14,7 @@ from atoll_coordinator.units import parse_unit
 from atoll_core.config import Angle, DataConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError, UsageError
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from atoll_coordinator.model.selection.elimination import eliminate_all
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
-from atoll_core.expression.builder import Expression
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.program import Expression, Program, constant_places, structure
 from atoll_core.expression.restrictions import Restrictions
 from atoll_core.expression.writing.shortest import collected, shortened, shortest
 

@@ -25,9 +25,8 @@ from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, program_o
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
-from atoll_core.expression.builder import operators_in
 from atoll_core.expression.operators import ADD, MULTIPLY
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, operators_in
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
 """Highest degree of the polynomial that functions are added to; products with functions have one less."""

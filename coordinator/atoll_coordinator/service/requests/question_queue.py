@@ -1,4 +1,4 @@
-"""Questions of clients that wait for their answers: parties take turns (`atoll_core.wire.bus.turns`). Pure.
+"""Questions of clients that wait for their answers: parties take turns (`atoll_core.wire.bus.queues`). Pure.
 
 The loop answers one question at a time and takes in between whatever else has come: so nobody's burst of questions
 holds up a heartbeat, a report or another party for longer than one answer takes.
@@ -6,7 +6,7 @@ holds up a heartbeat, a report or another party for longer than one answer takes
 
 from typing import Final, TypeVar
 
-from atoll_core.wire.bus.turns import Bounds, Turns
+from atoll_core.wire.bus.queues import Bounds, Turns
 
 MAX_OF_CLIENT: Final = 32
 """Questions of one client that may wait. The programs of ours ask one after the other; more are refused, and a client

@@ -17,8 +17,8 @@ from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, fitted
 from atoll_coordinator.model.sparse.shapes import SCALED, Atom, Shape
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.operators import ADD, MULTIPLY, TANH, VARIABLE
+from atoll_core.expression.program import Expression
 
 _STEEPNESS = (1.0, 3.0, 10.0)
 """Standard deviations of the argument to begin with, each about the root of ten times the one before.

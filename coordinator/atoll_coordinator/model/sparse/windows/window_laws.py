@@ -19,7 +19,7 @@ from atoll_coordinator.model.sparse.windows.terms import Terms, depends
 from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_coordinator.model.sparse.windows.window_sums import WindowSum, eliminated, fitted, improved, polished
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.builder import operators_in
+from atoll_core.expression.program import operators_in
 
 
 @dataclass(frozen=True, eq=False)

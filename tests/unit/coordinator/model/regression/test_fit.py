@@ -12,9 +12,8 @@ from atoll_coordinator.model.regression.equation import _spread, _spread_weights
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
-from atoll_core.expression.bounds import EquationBounds, parse_bound
 from atoll_core.expression.program import constant_places
-from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.restrictions import EquationBounds, Restrictions, parse_bound
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.fitting import entry, parsed, problem
 
