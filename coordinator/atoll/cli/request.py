@@ -112,7 +112,7 @@ def request_of(options: argparse.Namespace) -> Request:
             hint = similar_file(file) or "; check the name"
             raise DataError(f"{file} {what}, but a data file was expected, such as CSV{hint}")
     if config.data.sheet is not None:
-        from atoll_coordinator.data.reading.workbooks import check_sheet
+        from atoll_coordinator.data.reading.typed_formats import check_sheet
 
         check_sheet(files, config.data.sheet)
     return request

@@ -15,7 +15,7 @@ import numpy as np
 
 from atoll.model.equations import differing_groups, program_of
 from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
-from atoll_coordinator.data.trajectories.trajectories import format_number
+from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
