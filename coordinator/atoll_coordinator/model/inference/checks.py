@@ -23,7 +23,7 @@ from atoll_coordinator.model.inference.residuals import (
     residual_statistics,
 )
 from atoll_coordinator.model.refinement import CheckOutcome, Grade, JobKind
-from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE
+from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE
 from atoll_coordinator.result.equations import Check, Estimate, Prediction
 from atoll_coordinator.result.findings import Chaos
 from atoll_coordinator.settings import SETTINGS

@@ -42,8 +42,8 @@ from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import remarks
 from atoll_coordinator.model.selection.task import SelectedModel
+from atoll_coordinator.model.shooting.noise import estimate_variances
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.model.shooting.variance import estimate_variances
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.result.equations import Constant, Prediction
 from atoll_coordinator.result.findings import Errors

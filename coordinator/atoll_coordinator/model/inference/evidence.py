@@ -16,8 +16,8 @@ from atoll_coordinator.model.inference.null_models import log_bayes_factor, squa
 from atoll_coordinator.model.inference.residual_covariance import residual_covariance
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.refinement import Alternative, Refined
-from atoll_coordinator.model.shooting.independence import roughness
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.noise import roughness
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray

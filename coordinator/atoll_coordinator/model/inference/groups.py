@@ -19,7 +19,7 @@ from atoll_coordinator.model.regression.rounding import Estimates
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting import system
-from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
+from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
 from atoll_coordinator.model.structure.one_sided import within_bounds
 from atoll_coordinator.result.equations import Constant
 from atoll_coordinator.result.findings import Covariance, Place

@@ -13,9 +13,8 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation, Recording
 from atoll_coordinator.model.inference.standard_errors import ConstantErrors
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
 from atoll_coordinator.model.thinning import curve, spread_places
 from atoll_coordinator.result.listed_trajectories import Simulated, Simulation
 from atoll_coordinator.settings import SETTINGS
