@@ -21,7 +21,6 @@ import numpy as np
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import Descent, Solver, coefficients_of, inverse, minimize, solver
 from atoll_coordinator.model.sparse.atoms import Atom, Shape, powers, products, program_of, shapes
-from atoll_coordinator.model.sparse.regression import on_the_way
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
@@ -178,7 +177,10 @@ class _Pursuit:
         sums: dict[tuple[int, ...], _Sum] = {}
         for beginning in self._beginnings():
             for candidate in self._grown(beginning):
-                sums |= {remainder.key: remainder for remainder in on_the_way(candidate, self._without_least)}
+                remainder: _Sum | None = candidate
+                while remainder is not None:
+                    sums[remainder.key] = remainder
+                    remainder = self._without_least(remainder)
         kept: dict[int, list[_Sum]] = {}
         has_needed = [self._is_needed(shape) for shape in self._shapes]
         wanted = (candidate for candidate in sums.values() if any(has_needed[term] for term in candidate.terms))

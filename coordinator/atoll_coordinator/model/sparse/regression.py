@@ -29,7 +29,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -45,47 +44,7 @@ _SETTLED = 1e-3
 """Weights have settled when the size of the residuals changes by less than this share."""
 
 
-# ------------------------------------------------------------------------------- sums of fewer terms, and of more
-
-
-class Fit(Protocol):
-    """A fitted sum of terms."""
-
-    @property
-    def nats(self) -> float:
-        """The length of its description."""
-
-
-Fitted = TypeVar("Fitted", bound=Fit)
-Item = TypeVar("Item")
-
-
-def shortest(fits: Iterable[Fitted | None]) -> Fitted | None:
-    """Return the fit of the shortest description, the first of equal ones; None where there is none."""
-    return min((fit for fit in fits if fit is not None), key=lambda fit: fit.nats, default=None)
-
-
-def on_the_way(fit: Item, without_least: Callable[[Item], Item | None]) -> Iterator[Item]:
-    """Yield a fit, then the fit without its least significant term, and so on as long as there is one."""
-    following: Item | None = fit
-    while following is not None:
-        yield following
-        following = without_least(following)
-
-
-def improved(best: Fitted, nearby: Callable[[Fitted], Iterable[Fitted | None]], least_gain: float = 0.0) -> Fitted:
-    """Return the end of a search that goes to the shortest of the fits nearby as long as that gains more than this."""
-    while True:
-        nearest = shortest(nearby(best))
-        if nearest is None or not nearest.nats < best.nats - least_gain:
-            return best
-        best = nearest
-
-
-def without_one(kept: Sequence[Item]) -> Iterator[tuple[Item, ...]]:
-    """Yield the terms of a sum without each of them in turn; none where there is a single one, or too many."""
-    for place in range(len(kept)) if 1 < len(kept) <= SETTINGS.effort.longest_sum else ():
-        yield (*kept[:place], *kept[place + 1 :])
+# ---------------------------------------------------------------------------------------------- elimination
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +150,25 @@ class Sum:
         return sum_of([atom.shape.expression(atom.constant) for atom in self.atoms], self.coefficients)
 
 
+def shortest(sums: Iterable[Sum | None]) -> Sum | None:
+    """Return the sum of the shortest description, the first of equal ones; None where there is none."""
+    return min((fit for fit in sums if fit is not None), key=lambda fit: fit.nats, default=None)
+
+
+def improved(best: Sum, nearby: Callable[[Sum], Iterable[Sum | None]], least_gain: float = 0.0) -> Sum:
+    """Return the end of a search that goes to the shortest of the sums nearby as long as that gains more than this."""
+    while True:
+        nearest = shortest(nearby(best))
+        if nearest is None or not nearest.nats < best.nats - least_gain:
+            return best
+        best = nearest
+
+
 class Regression:
-    """Sums of the `atoms` of one library, fitted to `rows`. Constants inside `shared` atoms have no price."""
+    """Sums of the `atoms` of one library, fitted to `rows`.
+
+    Terms that are `shared` with another equation are described there: each has the price of one more use.
+    """
 
     def __init__(self, rows: Rows, atoms: Sequence[Atom], shared: frozenset[Atom] = frozenset()) -> None:
         self.rows = rows
@@ -200,7 +176,8 @@ class Regression:
         self.shared = shared
         self._columns, self._gradients = rows.columns(atoms), rows.gradients(atoms)
         own = constant_nats_of(rows.independent)
-        self._prices = [atom.shape.price(rows.independent) - (own if atom in shared else 0.0) for atom in atoms]
+        use = SETTINGS.criterion.common + own
+        self._prices = [use if atom in shared else atom.shape.price(rows.independent) for atom in atoms]
 
     @cached_property
     def is_finite(self) -> bool:
@@ -242,7 +219,12 @@ class Regression:
         if whole is None or whole.assessment is None:
             return None
         weights = whole.assessment.weights
-        return improved(whole, lambda fit: (self.refitted(kept, weights) for kept in without_one(fit.kept)))
+
+        def fewer(fit: Sum) -> Iterator[Sum | None]:
+            for place in fit.kept if 1 < len(fit.kept) <= SETTINGS.effort.longest_sum else ():
+                yield self.refitted([other for other in fit.kept if other != place], weights)
+
+        return improved(whole, fewer)
 
     def refitted(self, places: Sequence[int], weights: FloatArray) -> Sum | None:
         """Return the sum of these terms, fitted and weighted by turns; None where a residual has no variance."""

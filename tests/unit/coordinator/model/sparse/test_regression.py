@@ -11,13 +11,10 @@ from atoll_coordinator.model.sparse.regression import (
     Regression,
     eliminated,
     improved,
-    on_the_way,
     selected_forward,
     shortest,
-    without_one,
 )
 from atoll_coordinator.model.sparse.rows import RateRows
-from atoll_coordinator.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -33,23 +30,11 @@ class Fit:
 
 def test_terms_leave_as_long_as_that_is_shorter_by_more_than_the_least_gain():
     def fewer(fit):
-        return map(Fit, without_one(fit.kept))
+        return (Fit(tuple(other for other in fit.kept if other != term)) for term in fit.kept)
 
     assert improved(Fit((1, 2, 7, 3)), fewer).kept == (1, 2, 7)
     assert improved(Fit((1, 2, 7, 3)), fewer, 4.0).kept == (1, 2, 7, 3)
-
-
-def test_every_sum_on_the_way_may_be_the_shortest():
-    way = list(on_the_way(Fit((1, 2, 7, 3)), lambda fit: Fit(fit.kept[1:]) if fit.kept[1:] else None))
-    assert [len(fit.kept) for fit in way] == [4, 3, 2, 1]
-    assert shortest([None, *way]) is way[2]
     assert shortest([None]) is None
-
-
-def test_a_single_term_stays_and_long_sums_are_left_alone():
-    assert list(without_one((1,))) == []
-    assert list(without_one(range(SETTINGS.effort.longest_sum + 1))) == []
-    assert list(without_one((1, 2))) == [(2,), (1,)]
 
 
 def test_the_column_that_explains_most_comes_first():
