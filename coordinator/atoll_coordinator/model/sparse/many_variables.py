@@ -350,18 +350,17 @@ class Equation:
 def find_short_laws(equations: Mapping[str, Equation]) -> dict[str, tuple[Law, ...]]:
     """Return the law of each state, none where no short sum leaves residuals like their errors."""
     sums = {name: _short_sum(equation) for name, equation in equations.items()}
-    functions = [
-        atom
+    functions = {
+        name: [atom for atom in found.atoms if atom.shape.function is not None]
         for name, found in sums.items()
         if found is not None and equations[name].is_law(found)
-        for atom in found.atoms
-        if atom.shape.function is not None
-    ]
+    }
     laws: dict[str, tuple[Law, ...]] = {}
     for name, equation in equations.items():
         found = sums[name]
         if not (equation.rows.is_precise and equation.is_law(found)):
-            found = _with_functions_of_others(equation, found, functions)
+            others = [atom for other, atoms in functions.items() if other != name for atom in atoms]
+            found = _with_functions_of_others(equation, found, others)
         laws[name] = ()
         if found is not None and equation.is_law(found):
             laws[name] = (Law(found.program(), found.nats, found.excess, is_tested=True, is_of_rates=True),)
@@ -460,7 +459,7 @@ def _with_functions_of_others(equation: Equation, best: Sum | None, functions: S
     """Return the shortest sum when functions of other states' laws are terms, too, with the inner constants there."""
     rows = equation.rows
     for function in functions:
-        if (best is not None and function in best.atoms) or not equation.allows(function):
+        if not equation.allows(function):
             continue
         atom = function.over(rows.inputs)
         own = () if best is None else best.atoms
