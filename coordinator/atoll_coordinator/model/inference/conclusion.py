@@ -52,9 +52,10 @@ from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.regression.rounding import ERROR_DIGITS
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.candidates import form
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem, ShownConstants, round_system
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.shortcut import predictable_rows
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.error_growth import growth_rate, speed_growth
@@ -276,10 +277,11 @@ def pole_remarks(final: Final) -> Iterator[str]:
 def state_errors(final: Final) -> dict[str, StateErrors]:
     """Return what is known of the errors of each state, by name."""
     comparison, fit = final.comparison, final.free.fit
-    if comparison.is_exact(final.free):
+    if comparison.score.is_exact(final.free):
         return {}  # those of the integration, of which nothing is to be said
     bounds = comparison.estimator.measurements.bounds
-    rows = np.minimum(comparison.misfit.effective_rows(comparison.squares(fit)), comparison.counts / fit.errors.lengths)
+    score = comparison.score
+    rows = np.minimum(score.misfit.effective_rows(score.squares(fit)), score.counts / fit.errors.lengths)
     errors_by_state, variances = {}, estimate_variances(final.task.recording)
     for index, name in enumerate(final.task.variables):
         share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])
@@ -374,7 +376,7 @@ def _show(
     fitted = comparison.fit_beside(near, programs, shared=shared)
     if free is None or fitted is None:
         return None
-    errors, is_exact = estimate_errors(comparison, free).of_constants(free.fit.system), comparison.is_exact(free)
+    errors, is_exact = estimate_errors(comparison, free).of_constants(free.fit.system), comparison.score.is_exact(free)
     numbers = fitted.fit.system.columns[0].tolist()
 
     def outside(rounded: RoundedSystem) -> frozenset[int]:
@@ -594,7 +596,7 @@ def _fits_in_whole(final: Final) -> bool | None:
     """
     task, programs = final.task, final.shown
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
-    if task.piece >= task.longest or not final.comparison.excess(final.free) <= limit:
+    if task.piece >= task.longest or not final.comparison.score.excess(final.free) <= limit:
         return None
     rows, allowed = task.measurements(task.variables).rows, SETTINGS.selection.fitted_sensitivities
     stride = -(-rows // max(allowed // len(task.variables) ** 2, SETTINGS.shooting.piece))
@@ -608,7 +610,7 @@ def _fits_in_whole(final: Final) -> bool | None:
         model = comparison.fit_model(programs, lengths=(begun, None))
         if deadline.is_over:
             return None
-        if model is None or not comparison.excess(model) <= limit:
+        if model is None or not comparison.score.excess(model) <= limit:
             return False
         programs = model.programs
     return True
@@ -676,7 +678,7 @@ def refined_equation(
     smoothing = task.recording.smoothing[task.recording.states.index(name)]
     measurements = final.seen.estimator.measurements
     noise = float(measurements.noise[index])
-    sensor, innovations = final.comparison.errors, None
+    sensor, innovations = final.comparison.score.errors, None
     if sensor is not None and sensor.shares[index] > 0.0:
         noise, whitened = float(sensor.sigmas[index]), final.seen.estimator.whitened(final.seen_fit.residuals, sensor)
         innovations = _pieces_of(whitened, measurements, index)
@@ -941,7 +943,7 @@ def _null_nats(final: Final, index: int, parameters: float) -> float:
     average, or the `parameters` fitted to this one, if that is more, and with them initial numbers beyond one for each
     trajectory.
     """
-    measurements, fit, sensor = final.seen.estimator.measurements, final.seen_fit, final.comparison.errors
+    measurements, fit, sensor = final.seen.estimator.measurements, final.seen_fit, final.comparison.score.errors
     program, is_given = final.shown[index], index in final.comparison.fixed
     squares = deviations = effective = 0.0
     series, times = [], []

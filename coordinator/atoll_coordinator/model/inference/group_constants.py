@@ -44,9 +44,10 @@ from atoll_coordinator.model.refinement import (
 from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.rounding import Estimates
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
@@ -233,7 +234,7 @@ def _shown_values(comparison: ModelComparison, model: FittedModel) -> FloatArray
     system = model.fit.system
     if not system.count:
         return system.values
-    spread = comparison.inflation(model) * bounded_covariance(model.fit)
+    spread = comparison.score.inflation(model) * bounded_covariance(model.fit)
     is_many = system.count > SETTINGS.effort.beam
     return Estimates(system.values, spread).rounded(estimates=range(system.count) if is_many else ()).values
 

@@ -13,7 +13,8 @@ from typing import Final
 
 from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.rounding import Estimates, Rounding, find_simple, quadratic_form
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.settings import SETTINGS
@@ -117,7 +118,7 @@ def _multiplied(system: System, simple: Sequence[SimpleNumber | None]) -> Iterat
 
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:
-    return comparison.inflation(model) * bounded_covariance(model.fit)
+    return comparison.score.inflation(model) * bounded_covariance(model.fit)
 
 
 def _allowed(means: FloatArray, spread: FloatArray, numbers: Mapping[int, float]) -> float:
