@@ -18,8 +18,8 @@ from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.regression.rounding import find_simple
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
-from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
+from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places

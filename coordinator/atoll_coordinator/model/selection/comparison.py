@@ -200,7 +200,7 @@ class ModelComparison:
             if system.sharing is not None and summary.by_group is not None:
                 system = replace(system, sharing=replace(system.sharing, constants=summary.by_group))
             stiff = summary.is_stiff
-            return self.estimator.whole(system, summary.length, summary.starts, summary.errors, is_stiff=stiff)
+            return self.estimator.complete(system, summary.length, summary.starts, summary.errors, is_stiff=stiff)
 
         fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
         return FittedModel(fitted, SummarizedFit(summary.squares, complete), summary.misfit, summary.nats)
