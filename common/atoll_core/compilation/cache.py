@@ -37,15 +37,14 @@ _COMPILED_IN: Final = {
     "atoll_island_worker": ("evolution/structures.py",),
     "atoll_coordinator": ("model/cholesky.py",),
 }
-"""Files beside the kernels whose constants and types are compiled into them."""
-
+"""Other files whose constants and types are compiled into the kernels."""
 
 _CPU_INFO: Final = Path("/proc/cpuinfo")
 _SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCHECK")
 
 
 def packages_compiled_into(package: str) -> tuple[str, ...]:
-    """Return the packages whose kernels may be compiled into those of `package`; of tests and the like, all."""
+    """Return the packages whose kernels may be compiled into the kernels of `package`; all for tests and the like."""
     return tuple(dict.fromkeys(("atoll_core", package))) if package in ALL else ALL
 
 

@@ -28,13 +28,13 @@ def function_of(programs: Sequence[Program], variables: int, functions: Function
     names, lines = [], [f"def function({', '.join(f'x{index}' for index in range(variables))}):"]
     for place, (code, left, right, value) in enumerate(builder.nodes):
         if not ARITY[code]:
-            names.append(_Text(f"({value!r})" if code == CONSTANT else f"x{left}"))
+            names.append(_Formula(f"({value!r})" if code == CONSTANT else f"x{left}"))
             continue
         text = _OPERATORS[code].value(names[left], names[right])
         if uses[place] == 1 and len(text) < _LONGEST:
-            names.append(_Text(f"({text})"))
+            names.append(_Formula(f"({text})"))
         else:
-            names.append(_Text(f"n{place}"))
+            names.append(_Formula(f"n{place}"))
             lines.append(f"    n{place} = {text}")
     lines.append(f"    return ({''.join(f'{names[place]}, ' for place in outputs)})")
     scope: dict[str, Any] = {**functions._asdict(), "inf": math.inf, "nan": math.nan}
@@ -43,7 +43,7 @@ def function_of(programs: Sequence[Program], variables: int, functions: Function
     return function
 
 
-class _Text(str):
+class _Formula(str):
     """What stands for a number in a formula: arithmetic writes it."""
 
     def __add__(self, other: str) -> str:

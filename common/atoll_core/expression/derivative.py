@@ -21,7 +21,7 @@ def derivative(program: Program, variable: int) -> Program:
     It has `PARTIAL_OPERATORS` besides others, and more nodes than a message takes. Where a partial derivative of the
     table has no finite value, neither has it.
     """
-    draft = _Draft()
+    draft = _DerivativeDraft()
     output = draft.copy(program.nodes())[-1]
     leaves = [place for place, node in enumerate(draft.nodes) if node[:2] == (op.VARIABLE, variable)]
     depends = dependent_nodes(draft.nodes[: output + 1], leaves)
@@ -48,7 +48,7 @@ def with_variables(program: Program, first: int) -> Program:
     return Program(operators, left, program.right, constants)
 
 
-class _Draft(ProgramBuilder):
+class _DerivativeDraft(ProgramBuilder):
     """A program under construction without what changes no bit: factors of one, signs of signs, parts of constants."""
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
@@ -77,7 +77,7 @@ class _Draft(ProgramBuilder):
 class _Part:
     """A node of a draft, on which arithmetic adds nodes."""
 
-    draft: _Draft
+    draft: _DerivativeDraft
     place: int
 
     def under(self, code: int, *others: "_Part | float") -> "_Part":

@@ -45,7 +45,7 @@ _SIZE: Final = re.compile(r"\|(.+)\|")
 
 
 @dataclass(frozen=True)
-class Bound:
+class ConstantBound:
     """One bound: numbers of this `scope` lie between `lower` and `upper`; `shape` is that of the term it is about."""
 
     text: str
@@ -61,7 +61,7 @@ class Bound:
         return self.scope == "every" or is_inner
 
 
-def parse_bound(text: str, names: Sequence[str]) -> Bound:
+def parse_bound(text: str, names: Sequence[str]) -> ConstantBound:
     """Return the bound that a text such as ``0 < c < 10`` says; `names` are those of the variables.
 
     Raises:
@@ -91,9 +91,9 @@ def parse_bound(text: str, names: Sequence[str]) -> Bound:
     return _bound(text, subject, lower, upper, names)
 
 
-def _bound(text: str, subject: str, lower: float, upper: float, names: Sequence[str]) -> Bound:
+def _bound(text: str, subject: str, lower: float, upper: float, names: Sequence[str]) -> ConstantBound:
     if subject in (EVERY, ALSO_EVERY, INNER) and subject not in names:
-        return Bound(text, "inner" if subject == INNER else "every", lower, upper)
+        return ConstantBound(text, "inner" if subject == INNER else "every", lower, upper)
     try:
         terms = terms_of(from_infix(subject, names))
     except (UsageError, UndefinedError) as error:
@@ -102,7 +102,7 @@ def _bound(text: str, subject: str, lower: float, upper: float, names: Sequence[
         raise UsageError(f"the bound {text!r} is about {subject!r}, which is no single term; give one such as x*y")
     if terms[0][1] != 1.0:
         raise UsageError(f"the bound {text!r} has a number in its term; write the range instead, as x*y < 2")
-    return Bound(text, "term", lower, upper, shape_of(terms[0][0]))
+    return ConstantBound(text, "term", lower, upper, shape_of(terms[0][0]))
 
 
 def _is_number(text: str) -> bool:
@@ -122,7 +122,7 @@ def _number(text: str, whole: str) -> float:
 class Governed:
     """A bound and the numbers of an equation that it is about; it `is_active` where one of them lies on its end."""
 
-    bound: Bound
+    bound: ConstantBound
     values: tuple[float, ...]
     is_active: bool
 
@@ -131,7 +131,7 @@ class Governed:
 class EquationBounds:
     """All bounds on the constants of one equation. Programs are laid out so that each bound is about one constant."""
 
-    bounds: tuple[Bound, ...]
+    bounds: tuple[ConstantBound, ...]
 
     def range_of(self, shape: Shape, *, is_inner: bool) -> tuple[float, float]:
         """Return the least and the largest number that may stand there; the first is the larger one if none may."""
@@ -228,7 +228,7 @@ def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
 
 
 @lru_cache(maxsize=8192)
-def _roles(bounds: tuple[Bound, ...], program: Program) -> tuple[Role, ...] | None:
+def _roles(bounds: tuple[ConstantBound, ...], program: Program) -> tuple[Role, ...] | None:
     """Return the roles of the constants of a program that is expanded to itself, None of any other."""
     expansion = expand_program(program, EquationBounds(bounds).is_written)
     return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None

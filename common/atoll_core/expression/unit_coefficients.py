@@ -31,7 +31,7 @@ class ExplicitCoefficients:
 
 def make_coefficients_explicit(program: Program) -> ExplicitCoefficients:
     """Return `program` with its factors of one as constants; the same function."""
-    draft = _Draft(program.nodes())
+    draft = _CoefficientDraft(program.nodes())
     output = draft.rewrite(len(program) - 1, has_factor=False)
     return draft.finished(output)
 
@@ -52,7 +52,7 @@ def as_written(program: Program) -> ExplicitCoefficients:
     return ExplicitCoefficients(program, tuple(range(len(constant_places(program)))), ())
 
 
-class _Draft:
+class _CoefficientDraft:
     """A program under construction: nodes of the old one copied where they are needed, each constant once."""
 
     def __init__(self, old: list[Node]) -> None:

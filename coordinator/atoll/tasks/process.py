@@ -22,17 +22,17 @@ from atoll_core.signals import ENDING, ignore
 from atoll_core.task_frames import (
     OTHER_VERSION,
     Ask,
-    Batch,
+    BatchComputed,
     Begun,
-    Computed,
     Failed,
-    Finished,
     FromProcess,
     Load,
     Logged,
     Run,
     Started,
     Take,
+    TaskBatch,
+    TaskFinished,
     ToProcess,
     version,
 )
@@ -85,7 +85,7 @@ class TaskProcess:
 
         self._connection = connection
         self._sending = threading.Lock()
-        self._waiting: queue.SimpleQueue[Run | Load | Batch] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[Run | Load | TaskBatch] = queue.SimpleQueue()
         self._team: Final = Team(self._send)
         logging.basicConfig(level=level, handlers=[_LogSender(self._send)], force=True)
 
@@ -100,10 +100,10 @@ class TaskProcess:
                     del run
                 case Load() as load:
                     self._load(load)
-                case Batch() as batch:
+                case TaskBatch() as batch:
                     from atoll.tasks.team import compute
 
-                    self._send(Computed(batch.number, compute(batch)))
+                    self._send(BatchComputed(batch.number, compute(batch)))
                     del batch
 
     def _load(self, load: Load) -> None:
@@ -132,7 +132,7 @@ class TaskProcess:
         else:
             spent = {"seconds": round(time.monotonic() - began, 3), "size": len(result)}
             _LOG.info("a task is done", extra=fields(**about, **spent, **self._team.counts))
-            self._send(Finished(run.task, result, memory_bytes()))
+            self._send(TaskFinished(run.task, result, memory_bytes()))
         finally:
             self._team.end()
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from atoll_core.task_frames import Ask, Batch, FromProcess, Give, Progressed
+from atoll_core.task_frames import Ask, FromProcess, Give, Progressed, TaskBatch
 from atoll_core.wire.messages.tasks import MAX_BATCH
 
 HOLD_S: Final = 2.0
@@ -200,12 +200,12 @@ class Team:
                 return
             self._give(batch)
 
-    def _give(self, batch: Batch | None) -> None:
+    def _give(self, batch: TaskBatch | None) -> None:
         """Answer the helper that has waited longest."""
         question, _ = self._asked.popleft()
         self._send(Give(question.token, batch))
 
-    def _batch(self, question: Ask) -> Batch | None:
+    def _batch(self, question: Ask) -> TaskBatch | None:
         """Return a batch for a helper: the last of the call that has most waiting; the first is left for its thread."""
         fit = [call for call in self._calls if len(call.waiting) > 1 and _size(call) <= MAX_BATCH]
         if not fit:
@@ -214,14 +214,14 @@ class Team:
         place = call.waiting.pop()
         call.given[place] = self._clock()
         context = b"" if call.digest in question.contexts else call.context
-        return Batch(call.first + place, call.function, call.digest, context, call.items[place])
+        return TaskBatch(call.first + place, call.function, call.digest, context, call.items[place])
 
 
 def _size(call: _Call) -> int:
     return len(call.context) + len(call.items[call.waiting[-1]])
 
 
-def compute(batch: Batch) -> bytes | None:
+def compute(batch: TaskBatch) -> bytes | None:
     """Return what a batch of another worker's task comes to; None where it breaks here: it is computed there."""
     try:
         return _computed(batch.function, batch.context, batch.item)

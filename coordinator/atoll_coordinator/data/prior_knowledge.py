@@ -16,7 +16,7 @@ from atoll_core.errors import UsageError
 from atoll_core.expression.operation_list import placed_text
 from atoll_core.expression.operators import BY_NAME, VARIABLE
 from atoll_core.expression.program import Program
-from atoll_core.expression.restrictions import ALL_EQUATIONS, Bound, parse_bound
+from atoll_core.expression.restrictions import ALL_EQUATIONS, ConstantBound, parse_bound
 from atoll_core.expression.simplification import complexity, simplify_program
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll_core.expression.text.parsing import from_infix
@@ -100,7 +100,7 @@ def _resolved_bounds(
     return {name: texts for name, texts in whole.items() if texts}
 
 
-def _check_agreement(name: str, bounds: Sequence[Bound]) -> None:
+def _check_agreement(name: str, bounds: Sequence[ConstantBound]) -> None:
     """Raise UsageError where two bounds on the same numbers of an equation leave none of them."""
     for one, other in combinations(bounds, 2):
         is_of_same = (one.scope, one.shape) == (other.scope, other.shape) or "every" in (one.scope, other.scope)

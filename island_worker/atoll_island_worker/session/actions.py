@@ -6,7 +6,7 @@ from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.messages.epochs import (
     EpochReport,
-    Finished,
+    IslandFinished,
     Migrants,
     NewerTerm,
     NotYet,
@@ -80,7 +80,7 @@ class Send:
     """Send mail to worker `peer`."""
 
     peer: str
-    body: Migrants | Finished
+    body: Migrants | IslandFinished
 
 
 @dataclass(frozen=True, slots=True)

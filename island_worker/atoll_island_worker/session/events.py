@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.messages.epochs import (
-    Finished,
+    IslandFinished,
     IslandReport,
     Migrants,
     NewerTerm,
@@ -41,7 +41,7 @@ class Mailed:
     """Another worker sent migrants, or the statement that none will come."""
 
     sender: str
-    body: Migrants | Finished
+    body: Migrants | IslandFinished
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from atoll_core.wire.messages.epochs import (
     States,
 )
 from atoll_core.wire.messages.workers import Placement
-from atoll_core.wire.state_pieces import State, split_states
+from atoll_core.wire.state_pieces import IslandState, split_states
 
 ADDITIONS_PER_ANSWER: Final = 20_000
 """An answer with reports ends after this many additions to the front; the rest is asked for again."""
@@ -34,7 +34,7 @@ class RetransmitBuffer:
         self._islands = islands
         self._sent: dict[tuple[int, int], dict[int, bytes]] = {}
         self._reports: dict[int, dict[int, IslandReport]] = {}
-        self._snapshots: dict[int, dict[int, State]] = {}
+        self._snapshots: dict[int, dict[int, IslandState]] = {}
 
     def keep_emigrants(self, epoch: int, island: int, emigrants: Mapping[int, bytes]) -> None:
         """Keep what an island sends, by destination."""
@@ -46,7 +46,7 @@ class RetransmitBuffer:
 
     def keep_snapshot(self, epoch: int, island: int, data: bytes) -> None:
         """Keep the state of an island at a checkpoint."""
-        self._snapshots.setdefault(epoch, {})[island] = State.of(data)
+        self._snapshots.setdefault(epoch, {})[island] = IslandState.of(data)
 
     def reporters(self, epoch: int) -> Collection[int]:
         """Return the islands whose reports of an epoch are kept."""

@@ -11,7 +11,7 @@ from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
 from atoll_core.wire.messages.epochs import (
     Block,
-    Finished,
+    IslandFinished,
     Migrants,
     NotYet,
     PullMigrants,
@@ -43,7 +43,7 @@ class Shard:
         self.schedule = placement.schedule
         first, mine = placement.epoch, placement.islands_of(worker)
         self.islands = {island: LocalIsland(island, "restoring" if first else "ready", first) for island in mine}
-        self.hits: dict[int, Finished] = {}
+        self.hits: dict[int, IslandFinished] = {}
         self.commit = self.reported = first
         self.waited_s = 0.0
         self.duplicates = 0
@@ -176,7 +176,7 @@ class Shard:
         self._end_late_islands()
         return True
 
-    def deliver(self, sender: str, body: Migrants | Finished) -> None:
+    def deliver(self, sender: str, body: Migrants | IslandFinished) -> None:
         """File mail of this shard's term.
 
         Raises:
@@ -185,7 +185,7 @@ class Shard:
         """
         if body.epoch > self.schedule.last + MOST_AHEAD or body.epoch >= self.placement.epochs:
             raise RemoteProtocolError(f"mail of epoch {body.epoch} came, far beyond commit {self.commit}")
-        if isinstance(body, Finished):
+        if isinstance(body, IslandFinished):
             self._check_owner(sender, body.island)
             self.hits.setdefault(body.island, body)
             self._end_late_islands()
@@ -275,7 +275,7 @@ class Shard:
     def _state_hit(self, local: LocalIsland, generation: int) -> list[Send | SendReport]:
         local.step("end")
         placed = self.placement
-        hit = Finished(
+        hit = IslandFinished(
             job=placed.job,
             variable=placed.variable,
             term=placed.term,

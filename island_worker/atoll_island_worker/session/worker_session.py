@@ -12,7 +12,7 @@ from typing import Final, Literal
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
 from atoll_core.wire.messages.epochs import (
-    Finished,
+    IslandFinished,
     Migrants,
     NewerTerm,
     PullReports,
@@ -258,7 +258,7 @@ class Session:
             return [FetchPlacements(body.job)]
         actions: list[Action] = []
         if isinstance(body, Sent):
-            mail: list[Migrants | Finished] = [*([body.migrants] if body.migrants else []), *body.finished]
+            mail: list[Migrants | IslandFinished] = [*([body.migrants] if body.migrants else []), *body.finished]
             for message in mail:
                 actions += self._mailed(Mailed(event.peer, message))
         return actions

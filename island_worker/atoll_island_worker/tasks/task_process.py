@@ -22,16 +22,16 @@ from typing import Final, Protocol
 from atoll_core.errors import AtollError
 from atoll_core.task_frames import (
     OTHER_VERSION,
-    Batch,
     Ended,
     Failure,
-    Finished,
     FromProcess,
     Load,
     Logged,
+    ProcessMessage,
     Run,
-    Said,
     Started,
+    TaskBatch,
+    TaskFinished,
     ToProcess,
     version,
 )
@@ -133,7 +133,7 @@ class TaskProcess:
         self._used_at = 0.0
 
     def attach(self, post: Callable[[object], None]) -> None:
-        """Have what the process says posted, as `Said`."""
+        """Have what the process says posted, as `ProcessMessage`."""
         self._post = post
 
     @property
@@ -142,14 +142,14 @@ class TaskProcess:
         return self._running is not None and self._running.is_alive
 
     def send(self, message: ToProcess) -> int:
-        """Send a message to the process, starting one for a task or a batch if need be; return its `Said.life`.
+        """Send a message to the process, starting one if needed; return its `ProcessMessage.life`.
 
         When the system starts no more processes, `Ended` is posted.
         """
         self._used_at = self._clock()
         if isinstance(message, Run) and (self._done >= MAX_TASKS or self._memory >= MAX_MEMORY):
             self.stop()
-        if not self.is_started and isinstance(message, Run | Batch):
+        if not self.is_started and isinstance(message, Run | TaskBatch):
             self._start()
         if self._running is not None:
             self._running.send(message)
@@ -179,7 +179,7 @@ class TaskProcess:
             self._running = _Running(self._starter, lambda message: self._take(life, message))
         except AtollError as error:
             self._running = None
-            self._post(Said(life, Ended("crash", str(error))))
+            self._post(ProcessMessage(life, Ended("crash", str(error))))
 
     def _take(self, life: int, message: FromProcess) -> None:
         """Take in a message, on the reading thread."""
@@ -187,10 +187,10 @@ class TaskProcess:
             record = logging.makeLogRecord(dict(message.values))
             logging.getLogger(record.name).handle(record)
             return
-        if isinstance(message, Finished) and life == self._life:
+        if isinstance(message, TaskFinished) and life == self._life:
             self._done, self._memory = self._done + 1, message.memory_bytes
         self._used_at = self._clock()
-        self._post(Said(life, message))
+        self._post(ProcessMessage(life, message))
 
 
 class _Running:

@@ -12,18 +12,18 @@ from typing import Final, Literal
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.task_frames import (
     Ask,
-    Batch,
+    BatchComputed,
     Begun,
-    Computed,
     Ended,
     Failed,
     Failure,
-    Finished,
     Give,
+    ProcessMessage,
     Progressed,
     Run,
-    Said,
     Take,
+    TaskBatch,
+    TaskFinished,
 )
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode
@@ -250,11 +250,11 @@ class TaskRunner:
 
     # ------------------------------------------------------------------------------------------- process
 
-    def process_said(self, said: Said) -> bool:
+    def process_said(self, said: ProcessMessage) -> bool:
         """Take in what the process says; return whether the coordinator is to be told at once."""
         message = said.message
         match message:
-            case Begun() | Progressed() | Finished() | Failed():
+            case Begun() | Progressed() | TaskFinished() | Failed():
                 leased = self._leased.get(message.task)
                 if leased is not None and leased.life == said.life:  # else a process said it that was stopped since
                     self._advance(leased, message)
@@ -263,17 +263,17 @@ class TaskRunner:
                 return self._ended(said.life, message)
             case Give():
                 self._give(message)
-            case Computed():
+            case BatchComputed():
                 self._computed(message)
         return False
 
-    def _advance(self, leased: _Leased, message: Begun | Progressed | Finished | Failed) -> None:
+    def _advance(self, leased: _Leased, message: Begun | Progressed | TaskFinished | Failed) -> None:
         match message:
             case Begun():
                 leased.step("begun")
             case Progressed():
                 leased.compared = message.compared
-            case Finished():
+            case TaskFinished():
                 self._finish(leased, message)
             case Failed():
                 self._fail(leased, message.failure, message.sentence)
@@ -289,7 +289,7 @@ class TaskRunner:
         self._run_next()
         return bool(lost)
 
-    def _finish(self, leased: _Leased, message: Finished) -> None:
+    def _finish(self, leased: _Leased, message: TaskFinished) -> None:
         leased.step("finished")
         leased.result, leased.seconds = message.result, self._clock() - leased.began
         self._push(leased)
@@ -342,12 +342,12 @@ class TaskRunner:
                 if context is None:
                     raise RemoteProtocolError(f"a batch came with the context {body.digest}, which is not here")
                 self._helped, helped.batch = helped, body.number
-                helped.life = self._process.send(Batch(body.number, body.function, body.digest, context, body.item))
+                helped.life = self._process.send(TaskBatch(body.number, body.function, body.digest, context, body.item))
             case NotYet():
                 self._helped = helped
                 self._pull_batch(None)
 
-    def _computed(self, message: Computed) -> None:
+    def _computed(self, message: BatchComputed) -> None:
         if self._helped is not None and self._helped.batch == message.number:
             self._helped.batch = None
             self._pull_batch(BatchResult(number=message.number, result=message.result))

@@ -4,14 +4,14 @@ import sqlite3
 from collections.abc import Mapping
 from typing import Final
 
-from atoll_core.wire.state_pieces import State
+from atoll_core.wire.state_pieces import IslandState
 
 MAX_FAILED: Final = 4
 """Of so many failed jobs, the last ones, the last checkpoints are kept."""
 
 
 def add(
-    sql: sqlite3.Connection, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, State]
+    sql: sqlite3.Connection, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, IslandState]
 ) -> None:
     """Keep a checkpoint of an archipelago, and the one before it, but no older one."""
     archipelago = (job, variable)
@@ -53,7 +53,7 @@ def _is_whole(sql: sqlite3.Connection, job: str, variable: str, epoch: int, isla
         return False
 
 
-def state(sql: sqlite3.Connection, job: str, variable: str, epoch: int, island: int) -> State:
+def state(sql: sqlite3.Connection, job: str, variable: str, epoch: int, island: int) -> IslandState:
     """Return the state of an island at a checkpoint; raises KeyError when it is not there."""
     row = sql.execute(
         "SELECT data, digest FROM states WHERE job = ? AND variable = ? AND epoch = ? AND island = ?",
@@ -61,7 +61,7 @@ def state(sql: sqlite3.Connection, job: str, variable: str, epoch: int, island: 
     ).fetchone()
     if row is None:
         raise KeyError(f"{job} {variable} {epoch} {island}")
-    return State(*row)
+    return IslandState(*row)
 
 
 def keep_last(sql: sqlite3.Connection, job: str) -> None:

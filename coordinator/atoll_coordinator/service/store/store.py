@@ -22,7 +22,7 @@ from atoll_coordinator.service.store.open_file import OpenFile
 from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages.limits import CHUNK_SIZE, chunk_count
 from atoll_core.wire.messages.views import FINAL_STATES
-from atoll_core.wire.state_pieces import State
+from atoll_core.wire.state_pieces import IslandState
 
 
 class Store(OpenFile):
@@ -379,7 +379,7 @@ class Store(OpenFile):
     # checkpoints
 
     def commit_checkpoint(
-        self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, State], elapsed: float
+        self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, IslandState], elapsed: float
     ) -> bool:
         """Make a checkpoint of an archipelago durable, and `elapsed` of its job; keep the one before, but no older one.
 
@@ -404,7 +404,7 @@ class Store(OpenFile):
         with self._transaction() as sql:
             return checkpoint_table.last_whole(sql, job, islands)
 
-    def state(self, job: str, variable: str, epoch: int, island: int) -> State:
+    def state(self, job: str, variable: str, epoch: int, island: int) -> IslandState:
         """Return the state of an island at a checkpoint; raises KeyError when it is not there."""
         with self._reading() as sql:
             return checkpoint_table.state(sql, job, variable, epoch, island)

@@ -9,7 +9,7 @@ import pytest
 from atoll.tasks import functions
 from atoll.tasks.functions import FUNCTIONS, Function
 from atoll.tasks.process import TaskProcess, main
-from atoll_core.task_frames import OTHER_VERSION, Begun, Finished, Run
+from atoll_core.task_frames import OTHER_VERSION, Begun, Run, TaskFinished
 
 
 @pytest.mark.parametrize(("seconds", "expected"), [(None, ["load", "call"]), (20.0, ["ready", "call"])])
@@ -32,7 +32,7 @@ def test_the_time_of_a_task_begins_when_its_process_is_loaded(
     with ours, theirs:
         TaskProcess(theirs, 30)._run(Run("t", "prepare", (), seconds))
         finished = ours.recv()
-    assert isinstance(finished, Finished)
+    assert isinstance(finished, TaskFinished)
     assert (finished.result, finished.memory_bytes > 0) == (b"made", True)
     assert happened == expected
 

@@ -6,13 +6,13 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, Cancel, Failure, Request, Submit, Upload, Uploaded
+from atoll_core.wire.messages.clients import Answer, Cancel, ClientRequest, Failure, Submit, Upload, Uploaded
 from atoll_core.wire.messages.epochs import (
     Addition,
     Block,
     EpochReport,
-    Finished,
     HitStatement,
+    IslandFinished,
     IslandReport,
     Mail,
     Migrants,
@@ -63,7 +63,7 @@ REPORT = EpochReport(
     ),
 )
 MIGRANTS = Migrants(**AT, epoch=0, blocks=(Block(source=0, destination=1, data=b"\x00\xff"),))
-FINISHED = Finished(**AT, epoch=0, generation=10, island=2)
+FINISHED = IslandFinished(**AT, epoch=0, generation=10, island=2)
 PLACEMENT = Placement(
     incarnation=1,
     **AT,
@@ -102,9 +102,9 @@ ALL = [
     PullAnswer(body=States(pieces=(Piece(island=3, size=9, digest=DIGEST, offset=4, data=b"state"),))),
     PullAnswer(body=NotYet()),
     PullAnswer(body=NewerTerm(job="j", variable="x", term=0)),
-    Request(body=Upload(blob=DIGEST, size=3, index=0, sha256=DIGEST, data=b"abc")),
-    Request(body=Submit(job="j", name="n", config=JobConfig(seed=2**62), table=DIGEST)),
-    Request(body=Cancel(job="j")),
+    ClientRequest(body=Upload(blob=DIGEST, size=3, index=0, sha256=DIGEST, data=b"abc")),
+    ClientRequest(body=Submit(job="j", name="n", config=JobConfig(seed=2**62), table=DIGEST)),
+    ClientRequest(body=Cancel(job="j")),
     Answer(body=Uploaded(blob=DIGEST, missing=(1, 2))),
     Answer(body=Failure(failure="refused", sentence="no")),
 ]

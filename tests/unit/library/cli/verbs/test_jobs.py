@@ -10,7 +10,7 @@ from atoll.cli.main import main
 from atoll.cli.verbs import jobs as verbs
 from atoll_core.errors import RefusedError
 from atoll_core.wire.addresses import Destination
-from atoll_core.wire.messages.clients import Change, Following
+from atoll_core.wire.messages.clients import Following, JobChange
 from atoll_core.wire.messages.views import JobView, VariableView, WorkerView, Workforce
 from tests.views import VARIABLE, job_view
 
@@ -75,7 +75,7 @@ class EndingClient(FakeClient):
             target_error=1e-9, variables=(),
         )  # fmt: skip
         workforce = Workforce.of(self.workers())
-        change = Change(job=name, sequence=self.looks, previous=sequence, view=view, workforce=workforce)
+        change = JobChange(job=name, sequence=self.looks, previous=sequence, view=view, workforce=workforce)
         return Following(lease_s=30.0, change=change)
 
     def now(self) -> float:

@@ -10,7 +10,7 @@ import pytest
 from atoll.cli.main import main
 from atoll.cli.verbs import logs as verb
 from atoll.cli.verbs.logs import line
-from atoll_core.wire.messages.clients import Change, Following
+from atoll_core.wire.messages.clients import Following, JobChange
 from atoll_core.wire.messages.views import EventView, JobView
 
 PLACED = EventView(
@@ -44,7 +44,7 @@ class FakeClient:
         if self.looks == 3:
             self.log.append(DONE)
         events = tuple(event for event in self.log if event.number > (after or 0))
-        change = Change(
+        change = JobChange(
             job=job,
             sequence=self.looks,
             previous=sequence,
