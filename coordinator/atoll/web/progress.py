@@ -7,8 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.display.notation import equation_mathml
-from atoll.model.equations import rounded
-from atoll.model.parameters import r2_text
+from atoll.model.equations import r2_text, rounded
 from atoll.text.conclusion import conclusion
 from atoll.text.tables import constants_line
 from atoll_coordinator.result.equations import Candidate, Convergence, Equation, Member

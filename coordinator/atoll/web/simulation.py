@@ -6,9 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.display.curves import chosen, curves_of
-from atoll.display.series import label
-from atoll.model.beginnings import beginning_of
+from atoll.display.curves import chosen, curves_of, label
+from atoll.model.arguments import beginning_of
 from atoll.model.model import Model
 from atoll.model.simulation import Simulation
 from atoll.web.progress import some
