@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options.values import job_id
+from atoll.cli.options import job_id
 from atoll.client.client import Client, connected
 from atoll.client.configure import configure
 from atoll.client.options import OPTIONS, Repeated
@@ -112,7 +112,7 @@ def request_of(options: argparse.Namespace) -> Request:
             hint = similar_file(file) or "; check the name"
             raise DataError(f"{file} {what}, but a data file was expected, such as CSV{hint}")
     if config.data.sheet is not None:
-        from atoll_coordinator.data.reading.workbooks import check_sheet
+        from atoll_coordinator.data.reading.typed_formats import check_sheet
 
         check_sheet(files, config.data.sheet)
     return request

@@ -1,5 +1,4 @@
-"""Parse infix text into a program: the reader of what `atoll_core.expression.text.infix` prints, and of what people
-write.
+"""Parse infix text into a program: the output of `atoll_core.expression.text.infix`, and expressions of users.
 
 Operators: ``+ - * / **``, unary minus and brackets, with Python's precedence; functions ``sin cos exp log sqrt abs Abs
 tanh``, ``tan`` and ``cot`` as quotients of sin and cos, the number ``pi``. ``x**3`` with a natural exponent is repeated
@@ -20,7 +19,7 @@ from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder
 from atoll_core.quoting import did_you_mean
 
 LARGEST_POWER: Final = 64
-"""Largest natural exponent that is written as multiplications."""
+"""Largest natural exponent that becomes multiplications."""
 
 _TOKEN: Final = re.compile(
     r"""
@@ -41,12 +40,12 @@ _MINUS: Final = "unary minus"
 
 
 def from_infix(text: str, names: Sequence[str], *, merges_constants: bool = True) -> Program:
-    """Return the program that `text` writes over the symbols `names`.
+    """Return the program of `text` over the symbols `names`.
 
-    Without `merges_constants` each number is a node of its own, so that equal ones can be fitted apart.
+    Without `merges_constants` each number is a separate node, so that equal ones can be fitted separately.
 
     Raises:
-        UsageError: the text is no expression over `names`; says what was found and at which character.
+        UsageError: the text is no expression over `names`; the message has the position.
     """
     return _Parser(text, names, merges_constants).parse()
 
@@ -79,7 +78,7 @@ class _Parser:
         return program
 
     def _value(self, token: _Token) -> bool:
-        """Take a token where a value must begin; return whether a value is still expected."""
+        """Process a token where a value must begin; return whether a value is still expected."""
         if token.kind == "number":
             self._values.append(self._number(token))
             return False
@@ -94,7 +93,7 @@ class _Parser:
         return True
 
     def _continuation(self, token: _Token) -> bool:
-        """Take a token after a complete value; return whether a value is expected next."""
+        """Process a token after a complete value; return whether a value is expected next."""
         if token.kind == "natural":
             self._values.append(self._natural_power(self._values.pop(), int(token.text)))
             return False
@@ -153,7 +152,7 @@ class _Parser:
         return self._builder.add(op.DIVIDE, *(parts if token.text == "tan" else parts[::-1]))
 
     def _reduce(self, level: int) -> None:
-        """Apply the pending operators that bind at least as tightly as `level`, back to the last bracket."""
+        """Apply pending operators that bind at least as tightly as `level`, back to the last bracket."""
         while self._pending and _level(self._pending[-1]) >= level:
             self._apply(self._pending.pop())
 
@@ -205,7 +204,7 @@ def _tokens(text: str) -> Iterator[_Token]:
 
 
 def _named(text: str, start: int) -> tuple[_Token, int]:
-    """Return the name that begins at `start`, as a call when a bracket follows, and where it ends."""
+    """Return the name at `start`, as a call when a bracket follows, and its end."""
     end = start + 1
     while end < len(text) and ("_" + text[end]).isidentifier():
         end += 1
