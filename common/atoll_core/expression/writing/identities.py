@@ -1,8 +1,8 @@
 """Sums that equal a given sum: one identity applied at one place.
 
 No identity adds a pole or loses a value: a factor is taken out of a sum only where all of its terms have it, and an
-expression becomes a divisor only where it was one. An identity that never changed a printed expression (over 2,800
-drawn ones, each identity left out in turn) does not belong here.
+expression becomes a divisor only where it was one. Each of them changes printed expressions: of 2,800 drawn ones
+one in 4 to 170, `_divisors_multiplied` only sums of fractions such as 1/(x + 1) + 1/(x - 1).
 """
 
 import math
@@ -162,6 +162,16 @@ def _lifted(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
     own = dict(term[0])[atom]
     rest = _times(term, (atom, -own))
     return distribute(rest, _expanded_power(atom, own - exponent)) if own > exponent else rest
+
+
+def _divisors_multiplied(terms: Sum, best: Best) -> Iterator[Sum]:
+    """1/((u + v) (u - v)) as 1/(u^2 - v^2)."""
+    for term in terms:
+        below = [atom for atom, exponent in term[0] if atom[0] == op.ADD and exponent < 0]
+        for one, other in combinations(below, 2):
+            divisor = distribute(one[1], other[1])
+            rest = _times(term, (one, 1), (other, 1))
+            yield _replaced(terms, (term,), multiply(rest, power(divisor, -1)))
 
 
 def _divided_out(terms: Sum, best: Best) -> Iterator[Sum]:
@@ -346,6 +356,7 @@ _IDENTITIES: Final = (
     _expanded,
     _factored,
     _over_one_line,
+    _divisors_multiplied,
     _divided_out,
     _without_inner_quotients,
     _squares_of_waves,
