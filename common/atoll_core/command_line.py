@@ -4,7 +4,7 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
 from atoll_core.errors import AtollError, UsageError
@@ -151,20 +151,10 @@ def complete(parser: argparse.ArgumentParser, **settings: Any) -> None:
         return
     import argcomplete
 
-    for verb_parser in _parsers(parser):
-        for action in verb_parser._actions:
+    verbs = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    for one in (parser, *(verb_parser for action in verbs for verb_parser in action.choices.values())):
+        for action in one._actions:
             if isinstance(action.metavar, str) and _ALTERNATIVES.fullmatch(action.metavar):
-                action.completer = _chooser(action.metavar.split("|"))  # type: ignore[attr-defined]
+                words = action.metavar.split("|")
+                action.completer = lambda words=words, **_: words
     argcomplete.autocomplete(parser, **settings)
-
-
-def _chooser(words: list[str]) -> Callable[..., list[str]]:
-    return lambda **_: words
-
-
-def _parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """Yield a parser and the parsers of its verbs."""
-    yield parser
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            yield from action.choices.values()

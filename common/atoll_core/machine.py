@@ -71,7 +71,12 @@ def affinity() -> int:
 
 def cgroup_quota(own: Path = _OWN_CGROUP, root: Path = _CGROUPS) -> float | None:
     """Return the smallest CPU quota, in cores, of this process's control group and those above it; None without one."""
-    quotas = [quota for folder in _folders(own, root) for quota in (_v2(folder), _v1(folder)) if quota is not None]
+    quotas = []
+    for folder in _folders(own, root):
+        version_2 = _read(folder / "cpu.max").split()
+        version_1 = [_read(folder / "cpu.cfs_quota_us").strip(), _read(folder / "cpu.cfs_period_us").strip()]
+        pairs = [pair for pair in (version_2, version_1) if len(pair) == 2 and all(map(str.isdigit, pair))]
+        quotas += [int(quota) / int(period) for quota, period in pairs if int(period) > 0]  # no pair: "max" or -1
     return min(quotas, default=None)
 
 
@@ -88,21 +93,6 @@ def _folders(own: Path, root: Path) -> Iterator[Path]:
             while place != base and base in place.parents:
                 yield place
                 place = place.parent
-
-
-def _v2(folder: Path) -> float | None:
-    words = _read(folder / "cpu.max").split()
-    return _ratio(*words) if len(words) == 2 else None
-
-
-def _v1(folder: Path) -> float | None:
-    return _ratio(_read(folder / "cpu.cfs_quota_us").strip(), _read(folder / "cpu.cfs_period_us").strip())
-
-
-def _ratio(quota: str, period: str) -> float | None:
-    if quota.isdigit() and period.isdigit() and int(period) > 0:
-        return int(quota) / int(period)
-    return None  # "max" or -1: no quota
 
 
 def _read(path: Path) -> str:

@@ -16,7 +16,6 @@ from atoll_core.expression.operators import (
     TRIGONOMETRIC_LIMIT,
     VARIABLE,
     Functions,
-    Partial,
     definitions,
     partial_definitions,
 )
@@ -86,15 +85,10 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
             partials = (left, DEFINITIONS[code].left), (right, DEFINITIONS[code].right)
             for argument, partial in partials[: ARITY[code]]:
                 if depends[argument]:
-                    amount = adjoint[place] * _partial(partial, *at)
+                    slope: FloatArray | float = float(partial.sign)
+                    for factor in partial.factors:
+                        slope = slope * factor(*at)
+                    amount = adjoint[place] * (slope if partial.divisor is None else slope / partial.divisor(*at))
                     adjoint[argument] = adjoint[argument] + amount if argument in adjoint else amount
     zero = np.zeros_like(values[-1])
     return values[-1], np.array([adjoint.get(place, zero) for place in places]).reshape(len(places), len(zero))
-
-
-def _partial(partial: Partial, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:
-    """Return the derivative by an argument, from both arguments and the value."""
-    amount: FloatArray | float = float(partial.sign)
-    for factor in partial.factors:
-        amount = amount * factor(a, b, v)
-    return amount if partial.divisor is None else amount / partial.divisor(a, b, v)

@@ -75,8 +75,13 @@ class _Rewriting(ProgramBuilder):
     def rewritten(self, program: Program) -> list[Node]:
         """Return the nodes, the output last; raises UsageError."""
         output = self.copy(program.nodes(), merges_constants=False)[-1]
-        if not op.ARITY[self.nodes[output][0]]:
-            output = self._unchanged(output)
+        if not op.ARITY[self.nodes[output][0]]:  # the output of a list is an operator
+            neutral = ((op.MULTIPLY, 1.0), (op.ADD, 0.0), (op.SUBTRACT, 0.0), (op.DIVIDE, 1.0))
+            allowed = next((pair for pair in neutral if pair[0] in self._operators), None)
+            if allowed is None:
+                names = _names(self._operators)
+                raise UsageError(f"is a single variable or number, which {names} cannot leave as it is")
+            output = self.add(allowed[0], output, self.constant(allowed[1]))
         return live_nodes(self.nodes, output)
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
@@ -141,13 +146,6 @@ class _Rewriting(ProgramBuilder):
             return None
         inverse = self.add(op.INVERSE, right)
         return inverse if self._value(left) == 1.0 else self._product(left, inverse)
-
-    def _unchanged(self, leaf: int) -> int:
-        """Return an operation with the value of a variable or constant: the output of a list is no terminal."""
-        for code, value in ((op.MULTIPLY, 1.0), (op.ADD, 0.0), (op.SUBTRACT, 0.0), (op.DIVIDE, 1.0)):
-            if code in self._operators:
-                return self.add(code, leaf, self.constant(value))
-        raise UsageError(f"is a single variable or number, which {_names(self._operators)} cannot leave as it is")
 
 
 def _names(operators: Collection[int]) -> str:

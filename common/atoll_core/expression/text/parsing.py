@@ -80,7 +80,10 @@ class _Parser:
     def _value(self, token: _Token) -> bool:
         """Process a token where a value must begin; return whether a value is still expected."""
         if token.kind == "number":
-            self._values.append(self._number(token))
+            value = float(token.text)
+            if math.isinf(value):
+                raise UsageError(f"the number {token.text} {self._where(token)} is too large; the largest is 1.8e308")
+            self._values.append(self._constant(value))
             return False
         if token.kind == "name":
             self._values.append(self._named(token))
@@ -117,12 +120,6 @@ class _Parser:
             self._builder.constant(value) if self._merges_constants else self._builder.append(op.CONSTANT, value=value)
         )
 
-    def _number(self, token: _Token) -> int:
-        value = float(token.text)
-        if math.isinf(value):
-            raise UsageError(f"the number {token.text} {self._where(token)} is too large; the largest is 1.8e308")
-        return self._constant(value)
-
     def _named(self, token: _Token) -> int:
         if token.text in self._variables:
             return self._builder.add(op.VARIABLE, self._variables[token.text])
@@ -154,18 +151,14 @@ class _Parser:
     def _reduce(self, level: int) -> None:
         """Apply pending operators that bind at least as tightly as `level`, back to the last bracket."""
         while self._pending and _level(self._pending[-1]) >= level:
-            self._apply(self._pending.pop())
-
-    def _apply(self, token: _Token) -> None:
-        right = self._values.pop()
-        if token.text == _MINUS:
-            self._values.append(self._negated(right))
-        else:
-            self._values.append(self._builder.add(_BINARY[token.text][1], self._values.pop(), right))
-
-    def _negated(self, index: int) -> int:
-        code, _, _, value = self._builder.nodes[index]
-        return self._constant(-value) if code == op.CONSTANT else self._builder.add(op.NEGATE, index)
+            token, right = self._pending.pop(), self._values.pop()
+            code, _, _, value = self._builder.nodes[right]
+            if token.text != _MINUS:
+                self._values.append(self._builder.add(_BINARY[token.text][1], self._values.pop(), right))
+            elif code == op.CONSTANT:
+                self._values.append(self._constant(-value))
+            else:
+                self._values.append(self._builder.add(op.NEGATE, right))
 
     def _natural_power(self, base: int, exponent: int) -> int:
         if not 1 <= exponent <= LARGEST_POWER:
@@ -197,9 +190,16 @@ def _level(token: _Token) -> int:
 def _tokens(text: str) -> Iterator[_Token]:
     position = 0
     while position < len(text):
-        token, position = _named(text, position) if text[position].isidentifier() else _other(text, position)
-        if token.kind != "blank":
+        if text[position].isidentifier():
+            token, position = _named(text, position)
             yield token
+            continue
+        match = _TOKEN.match(text, position)
+        assert match is not None  # any character is at least foreign
+        kind = cast(_Kind, match.lastgroup)
+        if kind != "blank":
+            yield _Token(kind, match[kind], match.start(kind))
+        position = match.end()
     yield _Token("end", "", len(text))
 
 
@@ -212,10 +212,3 @@ def _named(text: str, start: int) -> tuple[_Token, int]:
     if bracket is None:
         return _Token("name", text[start:end], start), end
     return _Token("call", text[start:end], start), bracket.end()
-
-
-def _other(text: str, start: int) -> tuple[_Token, int]:
-    match = _TOKEN.match(text, start)
-    assert match is not None  # any character is at least foreign
-    kind = cast(_Kind, match.lastgroup)
-    return _Token(kind, match[kind], match.start(kind)), match.end()

@@ -78,22 +78,18 @@ def terms_of(program: Program) -> Sum:
 def expand_sum(terms: Sum) -> Sum:
     """Return a sum without brackets in its numerators; raises UndefinedError beyond `MOST_TERMS` terms."""
     while True:
-        brackets = ((place, _bracket(monomial)) for place, (monomial, _) in enumerate(terms))
-        place, bracket = next((found for found in brackets if found[1] is not None), (0, None))
+        powers = ((place, power) for place, (monomial, _) in enumerate(terms) for power in monomial)
+        bracket = next((found for found in powers if found[1][0][0] == op.ADD and found[1][1] > 0), None)
         if bracket is None:
             return terms
-        (monomial, coefficient), (atom, exponent) = terms[place], bracket
+        place, (atom, exponent) = bracket
+        monomial, coefficient = terms[place]
         rest = [(other, count) for other, count in monomial if other != atom]
         rest += [(atom, exponent - 1)] * (exponent > 1)
         product = distribute(((tuple(sorted(rest)), coefficient),), atom[1])
         terms = add((1.0, (*terms[:place], *terms[place + 1 :])), (1.0, product))
         if len(terms) > MOST_TERMS:
             raise UndefinedError
-
-
-def _bracket(monomial: Monomial) -> tuple[Atom, int] | None:
-    """Return the first bracket in the numerator of a term, None without one."""
-    return next(((atom, count) for atom, count in monomial if atom[0] == op.ADD and count > 0), None)
 
 
 def shape_of(monomial: Monomial) -> Shape:
@@ -131,7 +127,8 @@ def _numbers(atom: Atom) -> list[float]:
         return []
     numbers: list[float] = []
     for inner in rest:
-        lead = _lead(inner) if kind == op.ADD else None
+        leads = (monomial for monomial, _ in inner if monomial != ONE and kind == op.ADD)
+        lead = next(leads, None)  # has the coefficient one by normalisation
         numbers += [
             coefficient
             for monomial, coefficient in inner
@@ -139,11 +136,6 @@ def _numbers(atom: Atom) -> list[float]:
         ]
         numbers += inner_numbers(inner)
     return numbers
-
-
-def _lead(terms: Sum) -> Monomial | None:
-    """Return the term of a bracket whose coefficient is one by normalisation."""
-    return next((monomial for monomial, _ in terms if monomial != ONE), None)
 
 
 def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:

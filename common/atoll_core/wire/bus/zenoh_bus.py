@@ -69,7 +69,7 @@ class LingerRemover:
         self._is_closed = threading.Event()
         threading.Thread(target=self._run, name="lingering sockets", daemon=True).start()
 
-    def link_is_up(self) -> None:
+    def link_is_up(self, _event: object = None) -> None:
         """Scan for new sockets soon. From any thread; returns at once."""
         self._is_due.set()
 
@@ -166,7 +166,9 @@ def open_router(
                 session = zenoh.open(_config("router", [str(address)], [], further))
             bus = ZenohBus(session, str(address), is_router=True)
             if not address.is_socket:
-                bus._remove_lingering(address.port)
+                bus._lingering = LingerRemover(address.port)
+                session.info.declare_link_events_listener(_directly(bus._lingering.link_is_up))
+                bus._lingering.link_is_up()
             return bus
         except zenoh.ZError as error:  # another program may have taken the port since it was found to be free
             if wanted.address.port or wanted.address.is_socket or attempt == _FREE_PORT_ATTEMPTS:
@@ -247,15 +249,16 @@ class ZenohBus:
 
     def close(self) -> None:
         """Send waiting answers and leave the bus; gives up after some seconds rather than hang. Repeatable."""
-        closer = threading.Thread(target=self._leave, name="closing the bus", daemon=True)
+
+        def leave() -> None:
+            self._outbox.close()
+            self._call(self._session.close)
+
+        closer = threading.Thread(target=leave, name="closing the bus", daemon=True)
         closer.start()
         closer.join(_CLOSE_LIMIT_S)
         if self._lingering is not None:
             self._lingering.close()
-
-    def _leave(self) -> None:
-        self._outbox.close()
-        self._call(self._session.close)
 
     def put(self, key: str, payload: bytes) -> None:
         check_payload(key, payload)
@@ -376,12 +379,6 @@ class ZenohBus:
 
     def _on_presence(self, sample: zenoh.Sample) -> None:
         self._inbox.add(Presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
-
-    def _remove_lingering(self, port: int) -> None:
-        """Close sockets of a router that listens on `port` without a wait from now on."""
-        remover = self._lingering = LingerRemover(port)
-        self._session.info.declare_link_events_listener(_directly(lambda _event: remover.link_is_up()))
-        remover.link_is_up()
 
     def _on_transport(self, event: zenoh.TransportEvent) -> None:
         self._inbox.add(Link(event.kind == zenoh.SampleKind.PUT))

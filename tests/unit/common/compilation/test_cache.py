@@ -16,7 +16,6 @@ from atoll_core.compilation.cache import (
     ALL,
     WORKER,
     Report,
-    WarmUpDisplay,
     compile_or_load,
     kernel_files,
     sentence_of,
@@ -47,27 +46,16 @@ def kernel_in(package: str, folder: Path) -> Path:
     return next(file for file in kernel_files([package]) if folder in file.parents)
 
 
-def test_editing_a_kernel_that_no_worker_runs_leaves_the_workers_fingerprint_alone(copied: Path) -> None:
+@pytest.mark.parametrize("package", ALL)
+@pytest.mark.parametrize("compiled_in", [False, True])
+def test_the_fingerprint_of_workers_covers_exactly_the_sources_of_their_kernels(
+    copied: Path, package: str, compiled_in: bool
+) -> None:
     fingerprint, everything = source_digest(WORKER), source_digest(ALL)
-    with kernel_in("atoll_coordinator", copied).open("a") as file:
+    edited = copied / package / cache._COMPILED_IN[package][0] if compiled_in else kernel_in(package, copied)
+    with edited.open("a") as file:
         file.write("# edited\n")
-    assert source_digest(WORKER) == fingerprint
-    assert source_digest(ALL) != everything
-
-
-@pytest.mark.parametrize("package", WORKER)
-def test_editing_a_kernel_that_workers_run_changes_their_fingerprint(copied: Path, package: str) -> None:
-    fingerprint = source_digest(WORKER)
-    with kernel_in(package, copied).open("a") as file:
-        file.write("# edited\n")
-    assert source_digest(WORKER) != fingerprint
-
-
-def test_editing_what_kernels_of_the_model_are_made_with_changes_their_digest(copied: Path) -> None:
-    fingerprint, everything = source_digest(WORKER), source_digest(ALL)
-    with (copied / "atoll_coordinator" / "model" / "cholesky.py").open("a") as file:
-        file.write("# edited\n")
-    assert source_digest(WORKER) == fingerprint
+    assert (source_digest(WORKER) != fingerprint) == (package in WORKER)
     assert source_digest(ALL) != everything
 
 
@@ -85,15 +73,6 @@ def test_without_docstrings_kernels_are_compiled_once_more_which_is_told() -> No
         for option in ((), ("-O",), ("-OO",))
     ]
     assert (said[0] == said[1], said[0] == said[2]) == (True, False)
-
-
-def test_without_a_terminal_the_first_and_the_last_are_written(capsys: pytest.CaptureFixture[str]) -> None:
-    show = WarmUpDisplay()
-    for done in range(4):
-        show(sentence_of(done, 3), "for the worker")
-    show("waiting")
-    first, last = sentence_of(0, 3), sentence_of(3, 3)
-    assert capsys.readouterr().err == f"for the worker: {first}\nfor the worker: {last}\nwaiting\n"
 
 
 PACKAGE = "atoll_island_worker"

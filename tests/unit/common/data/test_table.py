@@ -90,31 +90,6 @@ def test_starts_that_do_not_fit_are_refused(starts):
         table_of(np.zeros((1, 4)), starts)
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"nothing of ours",
-        encode_arrays({}, {}),
-        encode_arrays(
-            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": []},
-            {"columns": np.zeros(3), "file_of_row": np.zeros(3, np.int64), "line_of_row": np.zeros(3, np.int64)},
-        ),
-        encode_arrays(
-            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": "none"},
-            {"columns": np.zeros((1, 3)), "file_of_row": np.zeros(3, np.int64), "line_of_row": np.zeros(3, np.int64)},
-        ),
-        encode_arrays(
-            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": []},
-            {"columns": np.zeros((1, 3)), "file_of_row": np.full(3, 7), "line_of_row": np.zeros(3, np.int64)},
-        ),
-    ],
-)
-def test_foreign_bytes_are_refused(data):
-    with pytest.raises(RemoteProtocolError):
-        Table.from_bytes(data)
-
-
 HOSTILE = (
     None, True, -1, 0.5, 1e300, math.inf, math.nan, 2**63, "", "x", "midnight", "9999-12-31", b"\xff", [], {}, [[]],
     {"x": 1}, {"x": ["a", 2]}, {"x": ["midnight", "nan"]}, {"x": ["0001-01-01", 1e300]}, [0, 2**62],

@@ -114,14 +114,6 @@ def test_singular_points_are_those_of_the_table(
     np.testing.assert_equal(values_of(program, np.array([*point, 0.0])[:, None]), np.array([expected]))
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [("3*x*y", "3*y"), ("y - x", "-1"), ("y", "0"), ("sin(-x)", "-cos(-x)"), ("x**1.5", "1.5*x**0.5")],
-)
-def test_derivatives_have_no_needless_nodes(text: str, expected: str) -> None:
-    assert len(derivative(from_infix(text, NAMES), 0)) == len(from_infix(expected, NAMES))
-
-
 @pytest.mark.parametrize("seed", range(30))
 def test_a_function_of_several_programs_has_the_bits_of_each(seed: int) -> None:
     program, rows = random_program(seed), points(seed)

@@ -6,7 +6,7 @@ import pytest
 
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.expression.operators import ADD, CONSTANT, MULTIPLY, NEGATE, OPERATORS, VARIABLE
-from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder, check_program_bytes, operators_in
+from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder, check_program_bytes
 from atoll_core.expression.text.infix import to_infix
 from tests.oracles.programs import program_of
 
@@ -79,7 +79,3 @@ def test_nodes_of_an_expression_may_be_those_of_a_list_that_was_copied():
     builder.constant(7.0)
     places = builder.copy(program_of([(VARIABLE, 1), (NEGATE, 0)]).nodes())
     assert text_of(builder, builder.build((MULTIPLY, 1, 0), places)) == "-y**2"
-
-
-def test_only_operators_of_an_expression_are_listed():
-    assert list(operators_in((ADD, 1, (MULTIPLY, 2.0, (VARIABLE, 0))))) == [ADD, MULTIPLY]

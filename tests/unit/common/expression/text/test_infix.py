@@ -100,9 +100,3 @@ def test_sympy_reads_what_we_read(text):
     read = sympy.parse_expr(to_infix(program, NAMES), local_dict=symbols)
     assert float(read.subs(values)) == pytest.approx(float(sympy.sympify(text).subs(values)), rel=1e-12)
     assert to_sympy(program, NAMES) == read
-
-
-def test_names_of_sympys_own_constants_are_symbols():
-    names = ("S", "I", "N", "E", "beta", "θ", "lambda_")
-    program = from_infix("S*I/N + E*beta - θ**2 + lambda_", names)
-    assert {str(symbol) for symbol in to_sympy(program, names).free_symbols} == set(names)
