@@ -17,7 +17,7 @@ from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from atoll.cli.options import job_id
 from atoll.cli.result_files import refuse_existing_result
 from atoll.cli.verbs.web import web_process
-from atoll.client.local_coordinator import local_processes
+from atoll.client.local_processes import local_processes
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
 from atoll_core.machine import usable_cores

@@ -17,8 +17,7 @@ from atoll.cli.request import CONNECT_LIMIT_S, JobRequest, address_of, request_o
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower
-from atoll.client.local_coordinator import LocalCoordinator
-from atoll.client.local_workers import LocalWorkers, NoWorkerLeftError
+from atoll.client.local_processes import LocalCoordinator, LocalWorkers, NoWorkerLeftError
 from atoll.terminal.output import duration, note, say
 from atoll.terminal.progress import is_screen, open_display, waiting
 from atoll_coordinator.result.result import Result

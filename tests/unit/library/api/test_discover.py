@@ -2,18 +2,23 @@
 
 import argparse
 import contextlib
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from atoll.api import discover
-from atoll.api.discover import config_of
+from atoll.api import discover as session
+from atoll.api.discover import LocalService, NotebookDisplay, _display, config_of
 from atoll.cli.options import build_parser, parse
 from atoll.cli.request import config_of as configure
-from atoll_core.errors import RefusedError, UsageError
-from atoll_core.wire.messages.views import JobView
+from atoll_core.errors import AtollError, RefusedError, UnreachableError, UsageError
+from atoll_core.wire.messages.views import JobView, Workforce
 from tests.unit.library.model.results import result
 
 
@@ -172,3 +177,107 @@ def test_who_is_interrupted_while_a_job_is_handed_in_learns_its_id(monkeypatch: 
         discover.submit({"t": [0.0, 1.0], "x": [1.0, 2.0]}, connect="tcp/h:1")
     (note,) = caught.value.__notes__
     assert note.endswith(f"coordinator status {client.given[0]} --connect tcp/h:1")
+
+
+class Service:
+    """Stands for a process with its workers."""
+
+    def __init__(self, workers: int) -> None:
+        self.endpoint = f"tcp/{workers}"
+        self.is_alive = True
+        self.reason = ""
+
+    def close(self) -> None:
+        self.is_alive = False
+
+
+@pytest.fixture(autouse=True)
+def services(monkeypatch: pytest.MonkeyPatch) -> dict[int, Service]:
+    kept: dict[int, Service] = {}
+    monkeypatch.setattr(session, "LocalService", Service)
+    monkeypatch.setattr(session, "_services", kept)
+    return kept
+
+
+def test_another_number_of_workers_does_not_end_the_service_of_a_call(services: dict[int, Service]) -> None:
+    assert session.local_address(1) == "tcp/1"
+    assert session.local_address(2) == "tcp/2"
+    assert session.local_address(None) == session.local_address(1) == "tcp/1"
+    assert all(service.is_alive for service in services.values())
+    running = [*services.values()]
+    session.close()
+    assert not any(service.is_alive for service in running)
+    assert services == {}
+
+
+def test_a_service_that_has_ended_is_told_and_replaced(services: dict[int, Service]) -> None:
+    address = session.local_address(3)
+    session.check_service(address)
+    services[3].is_alive = False
+    with pytest.raises(AtollError, match="has ended: it was killed; the next call"):
+        session.check_service(address)
+    services[3].reason = "a child was lost"
+    with pytest.raises(AtollError, match="has ended: a child was lost"):
+        session.check_service(address)
+    assert session.local_address() == f"tcp/{session.usable_cores(os.environ)[0]}"
+    session.check_service(address)
+
+
+@pytest.mark.parametrize("workers", [0, -1, 1.5, "a", 100_000])
+def test_a_number_of_workers_that_cannot_be_is_refused(workers: object, services: dict[int, Service]) -> None:
+    with pytest.raises(UsageError, match="whole number"):
+        session.local_address(workers)  # type: ignore[arg-type]
+    assert not services
+
+
+def test_a_service_that_says_half_a_line_is_given_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "_START_LIMIT_S", 0.2)
+    words = [sys.executable, "-c", "import os, time; os.write(1, b'x'); time.sleep(60)"]
+    service = object.__new__(LocalService)
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as child:
+        service._process = child
+        with pytest.raises(UnreachableError, match="did not start within"):
+            service._heard()
+    assert child.returncode != 0
+
+
+NOTEBOOK_VIEW = JobView(
+    job="j", name="a<b", state="queued", seed=0, preset="default", submitted="", elapsed=1.0, workers=1,
+    point_evaluations=0,
+)  # fmt: skip
+
+
+class Handle:
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+
+    def update(self, what: str) -> None:
+        self.shown.append(what)
+
+
+@pytest.fixture
+def handle(monkeypatch: pytest.MonkeyPatch) -> Handle:
+    """The output of a kernel, as `IPython.display.display` returns it."""
+    handle, module = Handle(), ModuleType("IPython.display")
+    module.HTML = str  # type: ignore[attr-defined]
+    module.display = lambda *_, **__: handle  # type: ignore[attr-defined]
+    parent = ModuleType("IPython")
+    parent.display = module  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "IPython", parent)
+    monkeypatch.setitem(sys.modules, "IPython.display", module)
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    return handle
+
+
+def test_what_has_not_changed_is_not_written_again(handle: Handle) -> None:
+    with _display(None) as display:
+        assert isinstance(display, NotebookDisplay)
+        display.show(NOTEBOOK_VIEW, Workforce(), 0.0)
+        display.show(NOTEBOOK_VIEW, Workforce(), 1.0)
+        display.show(NOTEBOOK_VIEW.model_copy(update={"state": "running"}), Workforce(), 2.0)
+    assert [text.split()[2].rstrip(",") for text in handle.shown] == ["queued", "running"]
+
+
+@pytest.mark.usefixtures("handle")
+def test_nothing_is_shown_where_nobody_wants_it() -> None:
+    assert not isinstance(_display(False), NotebookDisplay)

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import pytest
 
-from atoll.client import local_workers as local
-from atoll.client.local_workers import LocalWorkers, NoWorkerLeftError
+from atoll.client import local_processes as local
+from atoll.client.local_processes import LocalWorkers, NoWorkerLeftError
 from atoll_core.errors import DataError
 
 DEAF = """

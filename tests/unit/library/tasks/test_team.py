@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
-from atoll.tasks import team as module
-from atoll.tasks.team import HOLD_S, NOTED_S, Team, compute
+from atoll.tasks import process as module
+from atoll.tasks.process import HOLD_S, NOTED_S, Team, compute
 from atoll_coordinator.model.batches import CANCELLED, FUNCTIONS
 from atoll_core.task_frames import Ask, Batch, FromProcess, Give, Progressed
 

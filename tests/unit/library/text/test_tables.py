@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from atoll.model.equations import plus_minus, r2_text
-from atoll.text.tables import (
+from atoll.text.render import (
     MOST_LINES,
     candidates_table,
     columns,

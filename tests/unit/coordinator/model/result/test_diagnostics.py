@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from atoll.text.tables import noise_lines
+from atoll.text.render import noise_lines
 from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.refinement import StateErrors
 from atoll_coordinator.model.result import diagnostics

@@ -9,7 +9,7 @@ import pytest
 from atoll.cli.main import main
 from atoll.cli.options import parse
 from atoll.cli.verbs import run as module
-from atoll.client import local_coordinator
+from atoll.client import local_processes as local_coordinator
 
 
 class Started(Exception):
