@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from types import ModuleType
@@ -14,11 +13,11 @@ import pytest
 
 from atoll.api import discover
 from atoll.api import discover as session
-from atoll.api.discover import LocalService, NotebookDisplay, _display, config_of
+from atoll.api.discover import config_of
 from atoll.cli.options import build_parser, parse
 from atoll.cli.request import config_of as configure
-from atoll_core.errors import AtollError, RefusedError, UnreachableError, UsageError
-from atoll_core.wire.messages.views import JobView, Workforce
+from atoll_core.errors import AtollError, RefusedError, UsageError
+from atoll_core.wire.messages.views import JobView
 from tests.unit.library.model.results import result
 
 
@@ -146,14 +145,6 @@ def test_an_interrupt_ends_the_job_and_keeps_the_best_so_far(
     assert capsys.readouterr().err == ""
 
 
-def test_who_sees_the_progress_learns_how_the_data_were_read(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(Client(result({"x": "-x"}))))
-    discover.discover({"t": [0, 1], "x": ["1,5", "2"], "by": ["A", "B"]}, connect="tcp/h:1", progress=True)
-    assert "read as arrays by name; decimal commas in x; text left out: by" in capsys.readouterr().err
-
-
 def test_a_priority_goes_with_the_job_and_a_wrong_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     client = Client(None)
     monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(client))
@@ -230,23 +221,6 @@ def test_a_number_of_workers_that_cannot_be_is_refused(workers: object, services
     assert not services
 
 
-def test_a_service_that_says_half_a_line_is_given_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "_START_LIMIT_S", 0.2)
-    words = [sys.executable, "-c", "import os, time; os.write(1, b'x'); time.sleep(60)"]
-    service = object.__new__(LocalService)
-    with subprocess.Popen(words, stdout=subprocess.PIPE) as child:
-        service._process = child
-        with pytest.raises(UnreachableError, match="did not start within"):
-            service._heard()
-    assert child.returncode != 0
-
-
-NOTEBOOK_VIEW = JobView(
-    job="j", name="a<b", state="queued", seed=0, preset="default", submitted="", elapsed=1.0, workers=1,
-    point_evaluations=0,
-)  # fmt: skip
-
-
 class Handle:
     def __init__(self) -> None:
         self.shown: list[str] = []
@@ -267,17 +241,3 @@ def handle(monkeypatch: pytest.MonkeyPatch) -> Handle:
     monkeypatch.setitem(sys.modules, "IPython.display", module)
     monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
     return handle
-
-
-def test_what_has_not_changed_is_not_written_again(handle: Handle) -> None:
-    with _display(None) as display:
-        assert isinstance(display, NotebookDisplay)
-        display.show(NOTEBOOK_VIEW, Workforce(), 0.0)
-        display.show(NOTEBOOK_VIEW, Workforce(), 1.0)
-        display.show(NOTEBOOK_VIEW.model_copy(update={"state": "running"}), Workforce(), 2.0)
-    assert [text.split()[2].rstrip(",") for text in handle.shown] == ["queued", "running"]
-
-
-@pytest.mark.usefixtures("handle")
-def test_nothing_is_shown_where_nobody_wants_it() -> None:
-    assert not isinstance(_display(False), NotebookDisplay)

@@ -196,32 +196,6 @@ def _written(path: Path) -> object:
     return path / "a.csv"
 
 
-def _pandas(_: Path) -> object:
-    import pandas
-
-    return pandas.DataFrame(PEOPLE)
-
-
-ENTRANCES = {
-    "a file": _written,
-    "arrays by name": lambda _: PEOPLE,
-    "object arrays": lambda _: {name: np.array(values, dtype=object) for name, values in PEOPLE.items()},
-    "polars": lambda _: polars.DataFrame(PEOPLE, strict=False),
-    "pandas": _pandas,
-    "records": lambda _: [dict(zip(PEOPLE, row, strict=True)) for row in zip(*PEOPLE.values(), strict=True)],
-}
-
-
-@pytest.mark.parametrize("entrance", ENTRANCES)
-def test_every_entrance_has_one_reader(entrance: str, tmp_path: Path) -> None:
-    """A column of text such as 0,60653 was left out of frames without a word, and read of files."""
-    table = table_of(ENTRANCES[entrance](tmp_path), DataConfig(trajectory="run"))
-    assert (table.names, table.units, table.skipped) == (("t", "x", "run"), ("h", "", ""), ("remark",))
-    assert str(table.column("x").tolist()) == "[0.60653, 0.7, 1.25, nan]"
-    assert (table.column("run").tolist(), table.labels) == ([1.0, 1.0, 2.0, 2.0], {"run": ("a", "b")})
-    assert table.read_as.endswith("; decimal commas in x; text left out: remark")
-
-
 def test_what_was_left_out_is_a_warning_of_the_result() -> None:
     rows = np.arange(12.0)
     data = {"t": rows, "x": rows**2, "remark": ["a"] * 12, "empty": [None] * 12, "k": [1, 2]}

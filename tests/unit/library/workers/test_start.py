@@ -1,17 +1,14 @@
 """What `start_on` refuses before anything is sent to a cluster."""
 
 import builtins
-import signal
 import sys
 import threading
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
-from atoll.workers import start as program
 from atoll.workers import start_on
 from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerProgram, _options, ending, limited
 from atoll_core.errors import AtollError, UnreachableError, UsageError
@@ -88,12 +85,6 @@ def test_what_a_program_is_told_is_plain() -> None:
 
 
 OPTIONS = ProgramOptions("tls/lab:7447", 7.0, 3.0, {"ca": "a.pem", "cert": "c.pem", "key": "k.pem"})
-STUBBORN = """
-import pathlib, signal, sys, time
-signal.signal(signal.SIGTERM, signal.SIG_IGN)
-pathlib.Path(sys.argv[1]).touch()
-time.sleep(60)
-"""
 
 
 class Machines(Handle):
@@ -127,16 +118,6 @@ def test_the_end_of_a_program_is_seen() -> None:
     until(lambda: made.exit_code() is not None)
     assert made.exit_code() == 3
     made.drain()
-
-
-def test_a_program_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mark = tmp_path / "mark"
-    monkeypatch.setattr(program, "STOP_LIMIT_S", 0.05)
-    monkeypatch.setattr(program, "worker_command", lambda *_, **__: [sys.executable, "-c", STUBBORN, str(mark)])
-    made = WorkerProgram(ProgramOptions("tcp/127.0.0.1:9", 0.0, 0.0), 1)
-    until(mark.exists)
-    made.drain()
-    assert made.exit_code() == -signal.SIGKILL
 
 
 def test_a_handle_says_which_machine_has_lost_its_workers_and_why() -> None:
