@@ -4,7 +4,7 @@
 - `task`: what is modelled (`ModellingTask`), and the system that is chosen (`SelectedModel`)
 - `proposals`: what proposes programs for an equation; none of it decides
 - `pool`: all candidates, ranked, and the best system of a few; `candidates` ranks those of one variable by its
-  trajectories alone; `elimination` leaves out the least significant terms of a library one after another
+  trajectories alone
 - `comparison`: systems fitted to the same measurements and measured in nats: `ModelComparison`, `FittedModel`;
   `fit_batches` has these fits as they travel to other machines and back
 - `joint_search`: the best combination, one variable exchanged at a time; `local_search`: shorter descriptions nearby

@@ -15,12 +15,11 @@ from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.pools import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.elimination import eliminate_all
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
-from atoll_core.expression.program import Expression, Program, constant_places, structure
+from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import Restrictions
 from atoll_core.expression.writing.shortest import collected, shortened, shortest
 
@@ -167,13 +166,8 @@ class RankedCandidates:
         self._models: list[FittedModel] = []
         self._started: list[Program] = []
 
-    def add(
-        self, programs: Iterable[Program], libraries: Iterable[list[Expression]] = (), most: float = math.inf
-    ) -> None:  # fmt: skip
-        """Rank `programs`, of equal structures the first, and what becomes of `libraries` of terms.
-
-        None whose length is `most` nats or more.
-        """
+    def add(self, programs: Iterable[Program], most: float = math.inf) -> None:
+        """Rank `programs`, of equal structures the first; none of `most` nats or more."""
         comparison, effort = self._comparison, SETTINGS.effort
         new: dict[bytes, Program] = {}
         for program in self._brief(programs, most):
@@ -188,10 +182,7 @@ class RankedCandidates:
         started = [program for programs in made for program in programs or ()]
         steps, (short, longer, _) = effort.brief_steps, SETTINGS.shooting.lengths
         models = comparison.fit_all([(program,) for program in started], steps, (short,))
-        models, until = models[: effort.kept], comparison.estimator.work + effort.work
-        sums = list(eliminate_all(comparison, self._problem, libraries, until))
-        briefs = self._brief([model.programs[0] for model in sums], most)
-        models += [model for model, brief in zip(sums, briefs, strict=True) if brief is not None]
+        models = models[: effort.kept]
         chosen = {structure(model.programs[0]): model.programs[0] for model in models}
         models = comparison.fit_all([(program,) for program in chosen.values()], steps, (longer,))
         self._models = comparison.distinct(sorted([*self._models, *models], key=lambda model: model.nats), 0)

@@ -1,7 +1,7 @@
 """The model: candidates are proposed in stages and compared, until nothing is left that others could explain.
 
 Laws by sparse regression that stand at the noise level come first, then what searches of targets without noise have
-converged to; then fronts, sums by pursuit, all that the search handed on and libraries of terms, each stage only where
+converged to; then fronts, sums by pursuit, all that the search handed on, each stage only where
 the one before leaves something to explain. The best systems of the pool are searched around, in pieces as long as
 trajectories can be simulated; then come sums that say about what the best system does, and operators with which no
 search begins. Last, where there is noise, each equation gains or loses one term at a time.

@@ -5,19 +5,18 @@ are no longer taken in.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 from atoll_coordinator.model.selection.candidates import RankedCandidates
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import combine
-from atoll_coordinator.model.selection.proposals import Proposals
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
 
-Proposer = Callable[[ModellingTask, str, float], Proposals]
+Proposer = Callable[[ModellingTask, str, float], Iterable[Program]]
 """Proposes for the equation of a variable what may be shorter than so many nats (see `ModelComparison.length`)."""
 
 
@@ -61,9 +60,8 @@ class CandidatePool:
             self.lists[equation] = self.lists[equation] or _found_by_search(task, name)
             return
         most = math.inf if self.best is None else self.comparison.score.affordable(self.best, equation)
-        programs, libraries = propose(task, name, most)
         ranked = self._ranked[name]
-        ranked.add(programs, libraries, most)
+        ranked.add(propose(task, name, most), most)
         admitted = map(task.restrictions(name).admitted, ranked.programs)
         self.lists[equation] = [one for one in admitted if one is not None and task.may_be_shown(one)]
 

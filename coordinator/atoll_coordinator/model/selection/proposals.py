@@ -1,13 +1,13 @@
 """What proposes candidates for an equation; none of it decides between them.
 
 Each takes what is modelled, a variable, and the nats from which on a program is too long to matter (infinite where that
-is not known), and returns programs and libraries of terms.
+is not known), and returns programs.
 """
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, combinations
+from itertools import combinations
 from operator import itemgetter
 
 import numpy as np
@@ -17,31 +17,28 @@ from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
-from atoll_coordinator.model.sparse.atoms import fractions, libraries, sum_of
+from atoll_coordinator.model.sparse.atoms import libraries, sum_of
 from atoll_coordinator.model.sparse.pursuit import PURSUED, Pursuit
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import CONSTANT, POW
-from atoll_core.expression.program import Expression, Program, structure, with_constants
+from atoll_core.expression.program import Program, structure, with_constants
 from atoll_core.expression.writing.shortest import shortened
 
-Proposals = tuple[Iterable[Program], Iterable[list[Expression]]]
-"""Programs, and libraries of terms."""
 
-
-def propose_nearest(task: ModellingTask, name: str, most: float) -> Proposals:
+def propose_nearest(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
     """Return what the search holds for the best, and laws by sparse regression."""
     del most
     settled = [task.settled[name].program] if name in task.settled else []
     laws = (law.program for law in task.laws.get(name, ()))
-    return [*settled, *task.candidates[name].nearest, *laws], ()
+    return [*settled, *task.candidates[name].nearest, *laws]
 
 
-def propose_sums(task: ModellingTask, name: str, most: float) -> Proposals:
+def propose_sums(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
     """Return sums of a polynomial and of functions, see `pursue`."""
-    return _pursued(task, name, most), ()
+    return _pursued(task, name, most)
 
 
 def propose_like(model: FittedModel, comparison: ModelComparison, task: ModellingTask, name: str) -> list[Program]:
@@ -105,12 +102,10 @@ def rates_of(program: Program, problem: Problem, uncertainty: float) -> Problem 
     return replace(problem, target=target)
 
 
-def propose_all(task: ModellingTask, name: str, most: float) -> Proposals:
-    """Return all that the search handed on, and libraries of terms, whose sums may be short however long they are."""
+def propose_all(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
+    """Return all that the search handed on."""
     del most
-    columns, operators = task.columns(name), task.operators(name)
-    terms = chain(libraries(columns, operators), fractions(columns, operators, task.sizes))
-    return task.candidates[name].programs, terms
+    return task.candidates[name].programs
 
 
 def propose_pairs(task: ModellingTask, name: str) -> list[Program]:
@@ -133,9 +128,9 @@ def propose_pairs(task: ModellingTask, name: str) -> list[Program]:
     return [program for _, program in sorted(fitted, key=itemgetter(0)) if task.may_be_shown(program)]
 
 
-def propose_further_sums(task: ModellingTask, name: str, most: float) -> Proposals:
+def propose_further_sums(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
     """Return sums with operators with which no search begins."""
-    return _pursued(task, name, most, task.further_operators(name)) if may_be_widened(task, name) else (), ()
+    return _pursued(task, name, most, task.further_operators(name)) if may_be_widened(task, name) else ()
 
 
 def may_be_widened(task: ModellingTask, name: str) -> bool:

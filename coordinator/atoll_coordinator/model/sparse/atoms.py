@@ -141,39 +141,6 @@ def libraries(variables: Sequence[int], operators: Collection[int]) -> Iterator[
     yield from (terms for terms in candidates if len(terms) <= SETTINGS.effort.longest_sum)
 
 
-def fractions(
-    variables: Sequence[int], operators: Collection[int], sizes: Sequence[float]
-) -> Iterator[list[Expression]]:
-    """Yield libraries with quotients, the constant term first, as far as the operators (codes) allow them.
-
-    Powers and products up to the second degree, with terms that saturate or fade with one variable v: products of v, or
-    v squared, over a constant and the same (the laws of Monod and of Holling), all with the same constant; and sines,
-    cosines and variables over v.
-
-    Args:
-        variables: indices of the variables.
-        operators: codes that may be used.
-        sizes: the size of each variable, by index; constants of denominators begin there.
-    """
-    if not {ADD, MULTIPLY, DIVIDE} <= set(operators):
-        return
-    plain: list[Expression] = [(VARIABLE, variable) for variable in variables]
-    squares = list(map(expression_of, products(variables, 2)))
-    for variable, own in zip(variables, plain, strict=True):
-        others = [other for other in plain if other != own]
-        for power in (1, 2):
-            below = (ADD, product_of([own] * power), sizes[variable] ** power)
-            mixed: list[Expression] = [(DIVIDE, product_of([other, own]), below) for other in others]
-            for quotients in ([*mixed], [(DIVIDE, own, below), *mixed]):
-                if quotients and len(quotients) + len(squares) <= SETTINGS.effort.longest_sum:
-                    yield [*squares, *quotients]
-    if {SIN, COS} <= set(operators):
-        waves: list[Expression] = [(code, variable) for variable in plain for code in (SIN, COS)]
-        for own in plain:
-            above = [1.0, *(other for other in plain if other != own), *waves]
-            yield [1.0, *plain, *waves, *((DIVIDE, term, own) for term in above)]
-
-
 # ----------------------------------------------------------------------------------------------------- functions
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)

@@ -7,14 +7,11 @@ import pytest
 
 from atoll_coordinator.model.batches import FUNCTIONS, Spread
 from atoll_coordinator.model.selection.candidates import RankedCandidates
-from atoll_coordinator.model.sparse.atoms import libraries
 from atoll_core.data.dataset import Problem, Target
-from atoll_core.expression.operators import BY_NAME
 from atoll_core.expression.program import Program, structure
 from tests.unit.coordinator.model.shooting.made import SWING, compare, measurements_of, recording
 
 TIMES = 0.1 * np.arange(40.0)
-ARITHMETIC = frozenset(BY_NAME[name].code for name in ("+", "-", "*"))
 NOISE = 0.02
 
 
@@ -29,9 +26,9 @@ def alone():
     return compare(SWING, measurements_of(whole, [1]), 1e-5), problem
 
 
-def ranked(comparison, problem, programs, libraries):
+def ranked(comparison, problem, programs):
     candidates = RankedCandidates(comparison, problem)
-    candidates.add(programs, libraries)
+    candidates.add(programs)
     return candidates.programs
 
 
@@ -43,7 +40,7 @@ TEXTS = ("0.5*y", "-2.5*x - 0.1*y", "-1.5*x", "-x - x*y", "exp(9.0*x*x)")
 
 
 def test_the_truth_comes_first_and_what_cannot_be_simulated_last(alone):
-    candidates = ranked(*alone, programs(*TEXTS), [])
+    candidates = ranked(*alone, programs(*TEXTS))
     assert structure(candidates[0]) == structure(SWING.parsed("-2.5*x - 0.1*y"))
     assert structure(candidates[-1]) == structure(SWING.parsed("exp(9.0*x*x)"))
     assert {structure(candidate) for candidate in candidates} == {structure(program) for program in programs(*TEXTS)}
@@ -54,24 +51,12 @@ def test_the_truth_comes_first_and_what_cannot_be_simulated_last(alone):
 
 
 def test_of_equal_structures_the_first_counts(alone):
-    candidates = ranked(*alone, programs("-1.5*x", "-1.7*x", "-1.5*x - 0.5*y"), [])
+    candidates = ranked(*alone, programs("-1.5*x", "-1.7*x", "-1.5*x - 0.5*y"))
     assert len(candidates) == 2
 
 
-def test_libraries_have_what_was_not_handed_on(alone):
-    candidates = ranked(*alone, programs("0.5*y"), libraries([0, 1], ARITHMETIC))
-    assert len(candidates) > 5
-    text = SWING.text(candidates[0])
-    assert (text.count("x"), text.count("y")) == (1, 1)
-
-
-def test_a_library_of_some_variables_uses_no_other(alone):
-    for program in ranked(*alone, [], libraries([1], ARITHMETIC)):
-        assert set(program.left[program.operators == 0].tolist()) <= {1}
-
-
 def test_what_has_no_value_on_the_rows_is_no_candidate(alone):
-    assert ranked(*alone, programs("log(x - 1000.0)"), []) == []
+    assert ranked(*alone, programs("log(x - 1000.0)")) == []
 
 
 def test_what_is_proposed_later_is_ranked_among_what_was_there(alone):
@@ -88,7 +73,7 @@ def test_what_is_too_long_to_matter_is_no_candidate(alone):
     candidates = RankedCandidates(comparison, problem)
     most = comparison.score.length(SWING.parsed("-2.5*x - 0.1*y"))
     written_long = "-2.5*x*x/x"
-    candidates.add(programs("-2.5*x - 0.1*y", "0.5*y", written_long), libraries([0, 1], ARITHMETIC), most)
+    candidates.add(programs("-2.5*x - 0.1*y", "0.5*y", written_long), most)
     assert all(comparison.score.length(program) < most for program in candidates.programs)
     assert {structure(program) for program in candidates.programs} >= {
         structure(program) for program in programs("0.5*y", "-2.5*x")
@@ -113,13 +98,13 @@ class Counted:
         pass
 
 
-def test_sums_of_libraries_are_written_in_one_call_of_batches(alone):
+def test_programs_are_written_in_one_call_of_batches(alone):
     comparison, problem = alone
-    given = programs("0.5*y"), list(libraries([0, 1], ARITHMETIC))
+    given = programs(*TEXTS)
     here = RankedCandidates(comparison, problem)
-    here.add(*given, most=1000.0)
+    here.add(given, most=1000.0)
     batches = Counted()
     there = RankedCandidates(replace(comparison, spread=Spread(batches)), problem)
-    there.add(*given, most=1000.0)
+    there.add(given, most=1000.0)
     assert batches.asked.count("writings") == 1  # a single program is written here
     assert list(map(Program.to_bytes, there.programs)) == list(map(Program.to_bytes, here.programs))

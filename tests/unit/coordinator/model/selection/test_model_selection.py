@@ -64,18 +64,18 @@ def test_an_equation_among_many_that_has_a_law_has_no_other_candidates_unless_al
     assert tuple(min(len(ranked_list), 2) for ranked_list in lists) == sizes
 
 
-def test_where_no_system_can_be_simulated_no_libraries_are_tried(monkeypatch):
+def test_where_no_system_can_be_simulated_no_other_programs_are_tried(monkeypatch):
     """1e9 v^2 leaves the measured range within a row, wherever it begins."""
     decay = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])
     config = JobConfig(space=SpaceConfig(operators=("-", "*")))
     measured = prepare(table(decay, ([3.0], [2.0]), 0.1 * np.arange(60.0)), config)
     tried = []
 
-    def libraries(*_):
+    def propose(*_):
         tried.append(True)
-        return (), ()
+        return ()
 
-    monkeypatch.setattr(model_selection, "propose_all", libraries)
+    monkeypatch.setattr(model_selection, "propose_all", propose)
     for text, is_tried in (("1e9*v*v", False), ("1.5*v - 2.1*v", True)):
         candidates = collect_candidates(measured.dataset, config, pools(measured, v=(text,)))
         collect_pool(ModellingTask(measured.dataset, measured.recording, config, candidates))

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.atoms import (
     dictionary,
-    fractions,
     libraries,
     powers,
     product_of,
@@ -131,37 +130,3 @@ def test_a_sum_has_the_values_of_its_columns(terms, seed):
     columns = np.array([values_of(sum_of([term], [1.0]), inputs) for term in terms])
     assert values_of(program, inputs) == pytest.approx(coefficients @ columns, rel=1e-9, abs=1e-12)
     assert len(constant_places(program)) == len(terms)
-
-
-ALLOWED = [operator.code for operator in BY_NAME.values()]
-
-
-def test_products_that_saturate_and_what_is_divided_by_a_variable():
-    below = [(ADD, product_of([variable] * power), size**power)
-             for variable, size in ((X, 2.0), (Y, 3.0)) for power in (1, 2)]  # fmt: skip
-    expected = []
-    for own, other, under in ((X, Y, below[0]), (X, Y, below[1]), (Y, X, below[2]), (Y, X, below[3])):
-        mixed = (DIVIDE, product_of([other, own]), under)
-        expected += [[*SQUARES, mixed], [*SQUARES, (DIVIDE, own, under), mixed]]
-    assert list(fractions([0, 1], PLAIN_AND_DIVIDE, [2.0, 3.0])) == expected
-    over = [(DIVIDE, above, X) for above in (1.0, Y, *WAVES)]
-    assert list(fractions([0, 1], ALLOWED, [2.0, 3.0]))[8] == [1.0, X, Y, *WAVES, *over]
-
-
-PLAIN_AND_DIVIDE = (*PLAIN, DIVIDE)
-
-
-def test_quotients_use_only_allowed_operators():
-    assert list(fractions([0, 1], PLAIN, [1.0, 1.0])) == []
-    assert list(fractions([0, 1], [MULTIPLY, DIVIDE], [1.0, 1.0])) == []
-
-
-@pytest.mark.parametrize("place", range(10))
-def test_terms_with_equal_denominators_have_one_constant_in_common(place):
-    terms = list(fractions([0, 1], ALLOWED, [2.0, 3.0]))[place]
-    coefficients = np.random.default_rng(place).uniform(2.0, 3.0, len(terms))
-    inputs = np.random.default_rng(7).uniform(0.5, 2.0, (2, 6))
-    program = sum_of(terms, coefficients.tolist())
-    columns = np.array([values_of(sum_of([term], [1.0]), inputs) for term in terms])
-    assert values_of(program, inputs) == pytest.approx(coefficients @ columns, rel=1e-9)
-    assert len(constant_places(program)) == len(terms) + (place < 8)
