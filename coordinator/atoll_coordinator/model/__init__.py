@@ -8,7 +8,7 @@
 - `deadline`: the end that ``--max-time`` sets
 - `thinning`: which of many rows stand for all
 - `least_squares`, `cholesky`: the driver of every fit by damped steps, and its linear equations
-- `structure`: programs rewritten, changed in one place, made of libraries of terms. Algebra without data
+- `structure`: programs rewritten or changed in one place. Algebra without data
 - `regression`: the equation of one variable fitted to its target
 - `sparse`: laws of one variable as sparse sums of products, by regression alone
 - `shooting`: a system of equations fitted to the measured trajectories

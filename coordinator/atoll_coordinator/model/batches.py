@@ -3,7 +3,7 @@
 A `BatchFunction` is computed by threads of this process, from values as they are, or as bytes in batches by any worker
 that pulls them (`Batches`). The results are equal to the bit, wherever and in which order batches are computed, and
 however often: the result of an item depends on the item and the context alone, not on its batch. Work is divided on one
-level only, into whole fits, eliminations, folds and the like; no function computes a part of a fit (ADR 0078).
+level only, into whole fits, searches of laws, folds and the like; no function computes a part of a fit (ADR 0078).
 """
 
 import threading

@@ -160,7 +160,7 @@ def test_wherever_and_in_which_order_batches_are_computed_changes_no_bit(workers
     batches = ScatteredBatches(workers, processes if workers == 2 else None)
     assert is_same_to_the_bit(scattered(batches), computed_here)
     functions = {function for function, _ in batches.calls}
-    assert {"fits", "folds", "sums of products", "writings", "eliminations"} <= functions
+    assert {"fits", "folds", "sums of products", "writings"} <= functions
 
 
 def test_the_threads_of_a_refinement_have_ended_with_it(monkeypatch):
