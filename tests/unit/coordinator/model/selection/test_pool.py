@@ -34,7 +34,7 @@ def proposer(texts, asked=None):
     def propose(task, name, most):
         if asked is not None:
             asked.append(most)
-        return [SPIRAL.parsed(texts[name])], ()
+        return [SPIRAL.parsed(texts[name])]
 
     return propose
 
