@@ -54,7 +54,7 @@ def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None
 
 
 def check_sizes(columns: Mapping[str, FloatArray]) -> None:
-    """Raise DataError when values of a column (by name) for equations have no squares; a column of zeros may be used."""
+    """Raise DataError when a column (by name) that equations may use has no squares; a column of zeros may be used."""
     for name, column in columns.items():
         values = column[np.isfinite(column)]
         if values.any():
