@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments import Steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.refinement import MeasuredDensity
 from atoll_coordinator.stochastic.densities import density_of, histograms, settled_paths

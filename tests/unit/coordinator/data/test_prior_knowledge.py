@@ -2,9 +2,9 @@
 
 import pytest
 
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs, resolve_prior
-from atoll_coordinator.data.table_summary import describe
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import BASE_OPERATORS, DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.errors import UsageError

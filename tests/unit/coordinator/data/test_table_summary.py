@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import DataConfig, JobConfig, PriorConfig
 from atoll_core.errors import DataError
 from tests.unit.coordinator.data.tables import oscillator, table_of

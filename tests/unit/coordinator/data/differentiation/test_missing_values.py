@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
-from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
+from atoll_coordinator.data.differentiation.interpolation import fill, fill_missing, make_signal
 from atoll_coordinator.data.differentiation.smoothing import smooth
 from tests.oracles import missing_values as oracle
 
@@ -67,7 +67,7 @@ def test_a_signal_without_holes_stays_as_it_is():
     signal = make_signal(TIMES, np.sin(TIMES))
     assert signal.is_measured is None
     assert signal.measured is signal
-    assert fill_holes(signal).signal is signal
+    assert fill_missing(signal).signal is signal
 
 
 def test_without_noise_a_missing_value_has_a_derivative_from_its_neighbours():

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.differentiation.interpolation import predict_left_out
-from atoll_coordinator.data.differentiation.noise import estimate_noise, estimate_value_noise
-from atoll_coordinator.data.differentiation.smoothing import Signal, select_smoother
+from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, predict_left_out
+from atoll_coordinator.data.differentiation.smoothing import Signal, estimate_noise, select_smoother
 from tests.unit.coordinator.data.differentiation.test_smoothing import noisy
 
 NOISE = 0.01

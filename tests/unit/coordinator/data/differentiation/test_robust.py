@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
-from atoll_coordinator.data.differentiation.robust import fit_robustly, has_heavy_tails, weigh_by
-from atoll_coordinator.data.differentiation.smoothing import Signal, select_smoother, smooth
+from atoll_coordinator.data.differentiation.smoothing import (
+    Signal,
+    fit_robustly,
+    has_heavy_tails,
+    select_smoother,
+    smooth,
+    weigh_by,
+)
 
 DEGREES = (3, 4)
 

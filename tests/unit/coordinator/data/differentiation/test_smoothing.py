@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.differentiation.noise import estimate_noise
-from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, select_smoother, smooth
+from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, estimate_noise, select_smoother, smooth
 
 
 def noisy(deviation, rows=200, signals=2, seed=0):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments import Steps
 from atoll_core.data.dataset import FloatArray
 
 

@@ -1,9 +1,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.increments.bins import split_into_bins
-from atoll_coordinator.data.increments.correlations import correlated_pairs, correlation_scores
-from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments import Steps, correlated_pairs, correlation_scores, split_into_bins
 from atoll_core.data.dataset import FloatArray
 from tests.unit.coordinator.data.increments.paths import circling, steps_of
 

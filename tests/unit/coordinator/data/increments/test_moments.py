@@ -1,7 +1,6 @@
 import numpy as np
 
-from atoll_coordinator.data.increments.bins import split_into_bins
-from atoll_coordinator.data.increments.moments import bin_moments
+from atoll_coordinator.data.increments import bin_moments, split_into_bins
 from tests.unit.coordinator.data.increments.paths import circling, steps_of
 
 

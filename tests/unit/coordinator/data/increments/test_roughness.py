@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.increments.roughness import is_driven, noise_rate, noise_shares
+from atoll_coordinator.data.increments import is_driven, noise_rate, noise_shares
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from tests.unit.coordinator.data.increments.paths import steps_of, uneven_steps_of

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import DataError
 

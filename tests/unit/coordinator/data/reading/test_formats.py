@@ -12,8 +12,8 @@ import polars
 import pytest
 import scipy.io
 
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError

@@ -5,7 +5,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS
 from atoll_coordinator.data.differentiation.smoothing import Smoother
-from atoll_coordinator.data.row_selection.excluded_rows import explain_excluded_rows
+from atoll_coordinator.data.row_selection.selected_rows import explain_excluded_rows
 
 
 def estimate(rows, span=None, weights=None):

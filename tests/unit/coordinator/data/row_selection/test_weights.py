@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.row_selection.selected_rows import normalize_weights, select_weighty_rows
-from atoll_coordinator.data.table_summary import describe
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool
 from atoll_core.config import DataConfig, JobConfig, SpaceConfig

@@ -112,7 +112,7 @@ def test_a_constant_target_is_refused():
 
 def test_a_constant_input_is_only_remarked():
     measurements = measurements_of(table_of(changed("y", slice(None), 2.5)), DataConfig(inputs=("y",)))
-    assert measurements.warnings == ("Column 'y' is constant and of no use to an equation.",)
+    assert measurements.warnings == ("Column 'y' is constant: no equation can use it.",)
 
 
 def test_constant_time_is_refused():

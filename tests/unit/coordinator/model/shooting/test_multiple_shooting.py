@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.differentiation.robust import fit_robustly
-from atoll_coordinator.data.differentiation.smoothing import Signal
+from atoll_coordinator.data.differentiation.smoothing import Signal, fit_robustly
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.shooting import multiple_shooting
