@@ -87,12 +87,6 @@ def test_a_broken_file_is_one_sentence_and_code_2(kind: str, tmp_path: Path) -> 
     assert raised.value.exit_code == 2
 
 
-def test_arrays_of_several_lengths_without_a_time_are_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", a=np.zeros(3), b=np.zeros(4))
-    with pytest.raises(DataError, match=r"a\.npz holds arrays of shapes \[\(3,\), \(4,\)\]"):
-        read_table([tmp_path / "a.npz"], DataConfig())
-
-
 @pytest.mark.parametrize("kind", ["external", "virtual"])
 def test_a_dataset_that_names_another_file_is_refused(kind, tmp_path: Path) -> None:
     """Whoever wrote a file would see what whoever reads it may read."""
