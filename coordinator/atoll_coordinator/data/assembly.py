@@ -132,7 +132,6 @@ def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Ta
 
 
 def _remarks(measurements: Measurements, estimates: Sequence[StateEstimate], selected: SelectedRows) -> list[str]:
-    """Return sentences about smoothing; raises DataError when too few rows are left."""
     states = measurements.roles.states
     if len(selected.searched) < SETTINGS.checks.min_rows:
         named = ", ".join(states)
@@ -161,7 +160,6 @@ def _recording(
     selected: SelectedRows,
     symbols: Mapping[str, str],
 ) -> Recording:
-    """Return the recording of states measured in time; arguments are as of `assemble_differentiated`."""
     roles, whole = measurements.roles, measurements.trajectories
     assert whole is not None
     known: dict[str, InputKind] = dict.fromkeys(roles.held, "held")
@@ -215,7 +213,6 @@ def _trajectories(
     estimates: Sequence[StateEstimate],
     kinds: Sequence[InputKind],
 ) -> tuple[Trajectory, ...]:
-    """Return the trajectories of a recording; inputs are of these `kinds`."""
     roles, whole, ranges = measurements.roles, measurements.trajectories, measurements.ranges
     assert whole is not None
     inputs = measurements.inputs

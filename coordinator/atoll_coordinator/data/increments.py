@@ -100,7 +100,6 @@ class StepWindows:
         return np.asarray(differences / np.sqrt(variance))
 
     def _moves(self, values: FloatArray) -> list[FloatArray]:
-        """Return the sums of each move's steps, (W,) for each of the moves."""
         moves = [np.zeros(len(self.first)) for _ in range(self.count)]
         for k in range(self.count * self.lag):
             moves[k // self.lag] += values[self.first + k]
@@ -376,7 +375,6 @@ def products(residuals: FloatArray, steps: Steps, pair: Pair, *, corrected: bool
 
 
 def _mean_error(values: FloatArray, lengths: FloatArray, bins: Sequence[Rows]) -> float:
-    """Return the mean standard error of the sums of `values` over the time of their bin."""
     errors = []
     for rows in bins:
         time, in_bin = total(lengths[rows]), values[rows]
@@ -427,7 +425,6 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
 
 
 def _record(measurements: Measurements, symbols: Mapping[str, str]) -> ProcessRecording:
-    """Return the trajectories as they were sampled, rows without missing values."""
     roles, whole = measurements.roles, measurements.trajectories
     assert whole is not None
     inputs = measurements.inputs

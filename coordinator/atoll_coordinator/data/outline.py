@@ -143,7 +143,6 @@ def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> s
 
 
 def _resolved(table: Table, config: JobConfig) -> tuple[Examination, JobConfig, tuple[str, ...], Mapping[str, str]]:
-    """Return the examined columns, the resolved configuration, the equations, and units by column."""
     examination = examine(table, config)
     symbols = assign_symbols(examination.roles.variables)
     config = config.model_copy(update={"data": examination.options})

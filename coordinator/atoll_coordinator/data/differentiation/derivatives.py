@@ -210,7 +210,6 @@ def _searched(signals: Sequence[Signal], held_out: Sequence[bool]) -> list[Signa
 
 
 def _standard_deviation(signals: Sequence[Signal]) -> float:
-    """Return the standard deviation of all values but outliers."""
     return moments(np.concatenate([signal.values[signal.weights > 0.0] for signal in signals]))[1]
 
 

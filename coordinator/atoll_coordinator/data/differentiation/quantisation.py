@@ -73,7 +73,6 @@ def _decimal_rounding(values: FloatArray) -> Quantisation:
 
 
 def _binary_rounding(values: FloatArray) -> Quantisation | None:
-    """Return the rounding to float32, if all values are such numbers."""
     largest = float(np.finfo(np.float32).max)
     if not (np.abs(values) < largest).all() or not (values.astype(np.float32).astype(np.float64) == values).all():
         return None

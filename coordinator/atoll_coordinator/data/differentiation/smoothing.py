@@ -213,7 +213,6 @@ def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequenc
 
 
 def _score_degrees(parts: Sequence[tuple[Signal, float]], span: int, every: int, degrees: Sequence[int]) -> Smoother:
-    """Return the best of `degrees` at one span."""
     sums = np.zeros((3, DEGREES))
     for signal, share in parts:
         validate_into(sums, signal.times, signal.values, signal.weights, round(span / share), every)
@@ -293,7 +292,6 @@ def _residuals(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) ->
 
 
 def _median(residuals: Sequence[FloatArray], signals: Sequence[Signal]) -> float:
-    """Return the median size of the residuals of measured rows."""
     measured = [part[signal.measured_rows] for part, signal in zip(residuals, signals, strict=True)]
     ordered = np.sort(np.abs(np.concatenate(measured)))
     return float(ordered[len(ordered) // 2])

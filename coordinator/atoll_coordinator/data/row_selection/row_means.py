@@ -233,7 +233,6 @@ def interpolated(times: FloatArray, values: FloatArray, wanted: FloatArray) -> F
 def _averaged(
     measurements: Measurements, estimates: Sequence[StateEstimate], blocks: Sequence[Blocks], count: int
 ) -> Measurements:
-    """Return the measurements with the means of blocks in place of their rows."""
     whole, roles, ranges = measurements.trajectories, measurements.roles, measurements.ranges
     assert whole is not None
     weights = np.ones(measurements.row_count) if measurements.weights is None else measurements.weights

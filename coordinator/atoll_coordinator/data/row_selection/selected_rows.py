@@ -66,26 +66,21 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
         pairs = list(zip(totals, limits, strict=True))
         uncertain = [frozenset(row for row in every if limit < total[row] < math.inf) for total, limit in pairs]
         within = [row for row in held_out if ends[row] == 0.0 and all(total[row] <= limit for total, limit in pairs)]
-        warnings = _warnings(len(searched), len(inner), len(certain), len(selected))
+        if len(inner) < len(searched):
+            rows = f"{END_ROWS} rows at each end of a trajectory"
+            warnings.append(Note(f"Data without noise are interpolated, not smoothed; {rows} are left out."))
+        if len(certain) < len(inner):
+            count = f"{len(inner) - len(certain)} of {len(inner)} rows"
+            warnings.append(f"{count} change too fast for the sampling step and are left out.")
+        if len(selected) < len(certain):
+            count = f"{len(certain) - len(selected)} of {len(certain)} rows"
+            at = "(at ends and jumps)"
+            warnings.append(f"{count} have doubtful derivatives {at} and are left out of the search.")
     excluded = [
-        explain_excluded_rows(times, estimate, rows, frozenset(every))
-        for estimate, rows in zip(estimates, uncertain, strict=True)
+        explain_excluded_rows(times, estimate, own, frozenset(every))
+        for estimate, own in zip(estimates, uncertain, strict=True)
     ]
     return SelectedRows(selected, within, tuple(uncertain), tuple(excluded), tuple(warnings))
-
-
-def _warnings(searched: int, inner: int, certain: int, selected: int) -> list[str]:
-    """Return sentences for the user, from how many rows were left after each step."""
-    sentences: list[str] = []
-    if inner < searched:
-        rows = f"{END_ROWS} rows at each end of a trajectory"
-        sentences.append(Note(f"Data without noise are interpolated, not smoothed; {rows} are left out."))
-    if certain < inner:
-        sentences.append(f"{inner - certain} of {inner} rows change too fast for the sampling step and are left out.")
-    if selected < certain:
-        count = f"{certain - selected} of {certain} rows have doubtful derivatives (at ends and jumps)"
-        sentences.append(f"{count} and are left out of the search.")
-    return sentences
 
 
 def _certain_interpolated(estimates: Sequence[StateEstimate], inner: list[int]) -> list[int]:

@@ -247,7 +247,6 @@ def _not_finite(table: Table, used: Sequence[int], bad: BoolArray, advice: str) 
 
 
 def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) -> list[str]:
-    """Return sentences about choices that the user may not expect."""
     remarks = []
     if table.skipped:
         remarks.append(f"Columns of text or without a name are not used: {', '.join(table.skipped)}.")

@@ -150,25 +150,6 @@ def test_the_dataset_is_the_same_every_time():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scales", [(1e-6, 1e6, 0.0), (1.0, 1.0, 1900.0), (1e6, 1e-3, 1e9)])
-def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
-    sampled = trajectories("lotka_volterra", 0.02)
-    table = table_of_samples(sampled)
-    columns = dict(zip(table.names, table.columns, strict=True))
-    plain = prepare(table_of(columns, table.starts), JobConfig()).dataset
-    columns = {"t": columns["t"] + scales[2], "x": columns["x"] * scales[0], "y": columns["y"] * scales[1]}
-    moved = prepare(table_of(columns, table.starts), JobConfig()).dataset
-    assert abs(moved.inputs.shape[1] - plain.inputs.shape[1]) <= 10  # rows at the limit fall to either side of it
-    unscaled = moved.inputs / np.array(scales[:2])[:, None]
-    apart = np.abs(unscaled[:, :, None] - plain.inputs[:, None, :]).max(axis=0)
-    mine, theirs = np.nonzero(apart < 1e-12)
-    assert len(mine) >= 0.99 * plain.inputs.shape[1]
-    for target, others, scale in zip(plain.targets, moved.targets, scales, strict=False):
-        assert np.abs(others.values[mine] / scale - target.values[theirs]).max() < 1e-9 * target.standard_deviation
-        assert others.uncertainty == pytest.approx(target.uncertainty, rel=0.1)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 @pytest.mark.parametrize("step", [0.02, 0.1])
 @pytest.mark.parametrize("system", [name for name in SYSTEMS if name != "pendulum"])

@@ -101,18 +101,6 @@ def test_a_wave_that_vanishes_in_means_is_not_thinned_away():
     assert np.std(smooth(signals[0], smoother).fits[0] - np.sin(2 * np.pi * times)) < 0.1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rows", [5, 12, 19, 150])
-def test_a_short_run_among_long_ones_is_thinned_less(rows):
-    """Its slopes are still those of its curve, over the same span of time."""
-    times = np.linspace(0.0, 12.0, 12_000)
-    long = Signal(times, np.sin(times) + 0.1 * np.random.default_rng(0).standard_normal(12_000))
-    short = Signal(times[:rows], 3.0 * times[:rows])
-    smoother = select_smoother([long, short], (3, 4))
-    assert smoother.thinning == 6
-    assert smooth(short, smoother).fits[1] == pytest.approx(np.full(rows, 3.0), rel=1e-6)
-
-
 def test_rows_without_weight_do_not_count():
     signals = noisy(0.05, rows=300)
     weights = np.ones(300)

@@ -71,6 +71,7 @@ BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "columns of two lengths": ("a.json", '{"t": [0, 1], "x": [1]}', "whose values are no columns of one length"),
     "an old workbook": ("a.xls", b"any", "a.xls is an Excel workbook of the old format; save it as .xlsx"),
     "a pickle": ("a.pkl", b"any", "a.pkl is a pickle, which may hold programs"),
+    "one column": ("a.csv", "t x y\n0 1\n", "a.csv has one column, 't x y'; separate columns with commas"),
     "one name twice": ("a.csv", "t,x [m],x [s]\n0,1,2\n", "a.csv has 2 columns named 'x'"),
 }
 

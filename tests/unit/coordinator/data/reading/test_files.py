@@ -128,27 +128,6 @@ def test_parquet_is_read_like_text(tmp_path):
     assert table.places([1]) == "row 2"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "a.csv is empty; a header line and rows of numbers are expected"),
-        (" \n\n", "a.csv is empty; a header line and rows of numbers are expected"),
-        ("t,x\n", "a.csv has a header but no rows; rows of numbers are expected below it"),
-        ("t,x\n0,1\n1,two\n", "column 'x' of a.csv holds 'two' in line 3 where a number is expected"),
-        ("t,x,x\n0,1,2\n", "a.csv has 2 columns named 'x'; give each column its own name"),
-        ("t,x [m],x [s]\n0,1,2\n", "a.csv has 2 columns named 'x'; give each column its own name"),
-        ("t,x\n0,1\n1,2,3\n", "line 3 of a.csv has 3 cells where the header has 2; correct it"),
-        ("t x y\n0 1\n", "a.csv has one column, 't x y'; separate columns with commas, semicolons or tabs"),
-        (b"t,\xc3\xb8\n0,\xff\n", r"a.csv is not UTF-8 text (byte 8); save it as CSV in UTF-8, or as Parquet"),
-    ],
-)
-def test_what_cannot_be_read_is_said_in_one_sentence(read, text, message):
-    with pytest.raises(DataError) as raised:
-        read(text)
-    assert str(raised.value) == message
-    assert raised.value.exit_code == 2
-
-
 def test_what_is_no_file_is_refused(tmp_path):
     for paths, words in (([], "no data file"), ([tmp_path], "is a folder"), ([tmp_path / "a"], "there is no file")):
         with pytest.raises(DataError, match=words):

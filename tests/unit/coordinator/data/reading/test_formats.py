@@ -318,17 +318,10 @@ def test_a_sheet_may_be_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sheet", "sentence"),
-    [
-        (
-            "run1",
-            "there is no sheet 'run1' in a.xlsx, which has Sheet, empty, few, run 1, run 2; did you mean 'run 1'?",
-        ),
-        ("empty", "sheet 'empty' of a.xlsx is empty; a header line and rows of numbers are expected"),
-    ],
+    ("sheet", "words"), [("run1", "did you mean 'run 1'?"), ("empty", "sheet 'empty' of a.xlsx is empty")]
 )
-def test_a_sheet_without_a_table_is_refused(sheet: str, sentence: str, tmp_path: Path) -> None:
+def test_a_sheet_without_a_table_is_refused(sheet: str, words: str, tmp_path: Path) -> None:
     with_notes(tmp_path / "a.xlsx")
     with pytest.raises(DataError) as raised:
         read_table([tmp_path / "a.xlsx"], DataConfig(sheet=sheet))
-    assert str(raised.value) == sentence
+    assert words in str(raised.value)

@@ -237,15 +237,6 @@ def test_rows_of_text_of_which_any_may_be_the_header_are_refused(text, sentence,
     assert sentence in str(raised.value)
 
 
-def test_a_title_of_a_workbook_may_have_more_cells_than_its_header(tmp_path):
-    book = openpyxl.Workbook()
-    for cells in (["Experiment", "run 3", "by me"], ["t", "x"], *([t, x, "ok"] for t, x, _ in ROWS)):
-        book.active.append(cells)
-    book.save(tmp_path / "a.xlsx")
-    table = read_table([tmp_path / "a.xlsx"], DataConfig())
-    assert (table.names, table.skipped, table.rows) == (("t", "x"), ("column 3",), len(ROWS))
-
-
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_dates_with_spaces_below_a_row_of_units_split_nothing(read, separator):
     rows = [["Date Time", "Temp C"], ["yyyy-mm-dd hh:mm", "degC"]]

@@ -114,27 +114,17 @@ def test_a_table_that_can_be_read_as_it_stands_is(read, text, options):
 
 
 @pytest.mark.parametrize(
-    ("text", "sentence"),
+    ("text", "words"),
     [
-        (
-            "name,t,value\nA,0,1\nA,1,2\nB,0,3\nB,1,4\nA,1.0,5\n",
-            "a.csv is a long table in which 'A' has two values at the t 1.0 (line 3 and line 6); tell replicates apart "
-            "by a column 'replicate', or keep one",
-        ),
-        (
-            "name,t,value\nA,0,1\nA,,2\nB,0,3\nB,1,4\n",
-            "column 't' of a.csv is empty in line 3; a value of a long table needs a time",
-        ),
-        (
-            "name,t,value\nA,0,1\nA,1,2\nt,0,3\nt,1,4\n",
-            "a.csv has an observable and a column that are both called 't'; rename one of them",
-        ),
+        ("name,t,value\nA,0,1\nA,1,2\nB,0,3\nB,1,4\nA,1.0,5\n", "'A' has two values at the t 1.0 (line 3 and line 6)"),
+        ("name,t,value\nA,0,1\nA,,2\nB,0,3\nB,1,4\n", "column 't' of a.csv is empty in line 3"),
+        ("name,t,value\nA,0,1\nA,1,2\nt,0,3\nt,1,4\n", "both called 't'"),
     ],
 )
-def test_what_cannot_be_read_is_one_sentence(read, text, sentence):
+def test_a_long_table_that_cannot_be_read_is_refused(read, text, words):
     with pytest.raises(DataError) as raised:
         read(text)
-    assert str(raised.value) == sentence
+    assert words in str(raised.value)
 
 
 YEARS = "name,code,1990,1991,1992,1993,1994\n"

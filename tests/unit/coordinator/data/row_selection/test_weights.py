@@ -83,18 +83,6 @@ def test_equal_weights_change_nothing():
     assert {smoothing.method for smoothing in preparation.recording.smoothing} == {"interpolation"}
 
 
-@pytest.mark.slow
-def test_many_rows_are_thinned_with_their_weights():
-    rows = 20_000
-    columns = oscillator(rows)
-    noise = np.where(np.arange(rows) % 2 == 0, 0.5, 0.05)
-    drawn = np.random.default_rng(1).standard_normal((2, rows))
-    columns |= {name: columns[name] + noise * normal for name, normal in zip("xy", drawn, strict=True)}
-    recording = prepared(columns | {"w": 1.0 / noise**2}).recording
-    weights = recording.trajectories[0].weights
-    assert recording.smoothing[0].noise / np.sqrt(weights.max()) == pytest.approx(0.05, rel=0.1)
-
-
 def test_labels_of_little_weight_are_left_out_of_the_search():
     rng = np.random.default_rng(2)
     columns = {"x": rng.uniform(1.0, 2.0, 50), "w": np.ones(50)}

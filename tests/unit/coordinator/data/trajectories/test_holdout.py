@@ -41,33 +41,20 @@ def test_trajectories_are_chosen_by_number_or_by_value(holdout, expected):
 
 
 @pytest.mark.parametrize(
-    ("holdout", "kind", "message"),
+    ("holdout", "kind", "words"),
     [
-        (
-            3,
-            DataError,
-            "--holdout 3 would keep everything from the search: there are 3 trajectories; leave at least one",
-        ),
-        (
-            9,
-            DataError,
-            "--holdout 9 would keep everything from the search: there are 3 trajectories; leave at least one",
-        ),
-        ("run=5", DataError, "--holdout run=5: no trajectory has this value; there are 4, 7, 2.5"),
-        ("run=a", DataError, "--holdout run=a: no trajectory has this value; there are 4, 7, 2.5"),
-        (
-            "x=1",
-            UsageError,
-            "--holdout names column 'x', but trajectories are told apart by column 'run'; "
-            "add --trajectory x, or give the number of trajectories to hold out",
-        ),
-        ("rum=4", DataError, "there is no column 'rum' in a.csv, which has t, x, y, run; did you mean 'run'?"),
+        (3, DataError, "there are 3 trajectories; leave at least one"),
+        (9, DataError, "--holdout 9 would keep everything"),
+        ("run=5", DataError, "no trajectory has this value; there are 4, 7, 2.5"),
+        ("run=a", DataError, "no trajectory has this value"),
+        ("x=1", UsageError, "add --trajectory x, or give the number"),
+        ("rum=4", DataError, "did you mean 'run'?"),
     ],
 )
-def test_what_cannot_be_held_out_is_refused(holdout, kind, message):
+def test_what_cannot_be_held_out_is_refused(holdout, kind, words):
     with pytest.raises(kind) as raised:
         prepared(three(), holdout=holdout)
-    assert str(raised.value) == message
+    assert words in str(raised.value)
     assert raised.value.exit_code == 2
 
 

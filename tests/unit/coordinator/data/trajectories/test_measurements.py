@@ -10,7 +10,6 @@ from atoll_coordinator.data.trajectories.checks import check_no_turns
 from atoll_coordinator.data.trajectories.measurements import (
     distinguish,
     find_pieces,
-    format_number,
     split_at_gaps,
     unwrap,
 )
@@ -256,14 +255,6 @@ def test_names_that_come_again_get_letters():
     assert distinguish(["7", "7", "7b"]) == ("7", "7b", "7bb")
     many = distinguish(["1"] * 28)
     assert (many[25], many[26], many[27]) == ("1z", "1aa", "1ab")
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(4.0, "4"), (-3.0, "-3"), (0.5, "0.5"), (1e300, "1e+300"), (-0.0, "-0"), (1e15, "1000000000000000.0")],
-)
-def test_numbers_are_written_plainly(value, text):
-    assert format_number(value) == text
 
 
 def without(columns, *ranges):
