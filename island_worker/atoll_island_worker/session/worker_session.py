@@ -152,7 +152,7 @@ class Session:
                         *(io.AskPeer(peer, pull) for peer, pull in shard.due_pulls(event.now)), *self._fetches(shard),
                     )
                 ]  # fmt: skip
-            case io.Computed() | io.Snapshot() | io.Rejected() | io.Broken() | io.Abandoned():
+            case io.EpochComputed() | io.Snapshot() | io.Rejected() | io.Broken() | io.Abandoned():
                 return self._task_done(event)
             case _:
                 raise LocalProtocolError(f"the session does not know events of kind {type(event).__name__}")
@@ -243,10 +243,9 @@ class Session:
             return [io.FetchPlacements(body.job)]
         if not isinstance(body, epochs.Sent):
             return []
-        mail: list[epochs.Migrants | epochs.Finished] = [*([body.migrants] if body.migrants else []), *body.finished]
+        mail: list[epochs.Migrants | epochs.IslandFinished] = [body.migrants] if body.migrants else []
+        mail += body.finished
         return [action for message in mail for action in self._mailed(io.Mailed(event.peer, message))]
-
-    # ---------------------------------------------------------------------------------------- compute
 
     def _task_done(self, event: io.Snapshot | io.Outcome) -> list[io.Action]:
         key = event.key
@@ -263,7 +262,7 @@ class Session:
             case io.Broken():
                 self._add_failure(shard, key, event.sentence)
                 return []
-            case io.Computed():
+            case io.EpochComputed():
                 actions += shard.computed(event)
             case io.Rejected():
                 if not shard.rejected(key.island):
