@@ -43,8 +43,8 @@ class Steps:
     """N steps of S states, one trajectory after another.
 
     `points` (V, N) are where they begin, states first, then inputs, each the mean of its values at both ends; `lengths`
-    (N,) are in the unit of time, `increments` (S, N) the changes of the states. `follows` (N,) tells of each step
-    whether the step before it ends where it begins.
+    (N,) are in the unit of time, `increments` (S, N) the changes of the states. `follows` (N,) is true for a step that
+    begins where the step before it ends.
     """
 
     points: FloatArray
@@ -415,8 +415,8 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
     groups = f"{moments.points.shape[1]} groups of neighbouring rows"
     warnings = [f"The search sees means over {groups}; models are judged by all {len(steps.lengths)} steps."]
     warnings += [
-        f"Steps of '{state}' undo the ones before them: errors of measurement of about {variance**0.5:.2g} "
-        "stand beside the noise of the process."
+        f"Steps of '{state}' undo part of the steps before them: besides the noise of the process there are errors of "
+        f"measurement of about {variance**0.5:.2g}."
         for state, variance in zip(process.states, moments.noise.tolist(), strict=True)
         if variance > 0.0
     ]

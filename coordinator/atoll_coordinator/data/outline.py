@@ -18,7 +18,7 @@ from atoll_core.data.table import Table
 
 @dataclass(frozen=True)
 class EquationOutline:
-    """One equation: its left-hand side, and what it may be made of, or what it is if it is `known`."""
+    """One equation: its left-hand side, its variables and operators, or its expression if it is `known`."""
 
     lhs: str
     variables: tuple[str, ...]

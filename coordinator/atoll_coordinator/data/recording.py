@@ -183,7 +183,7 @@ class ProcessRecording:
 class Source:
     """The table that a preparation was made of, and what its columns are; column names without units.
 
-    `digest` is the hex sha256 of the table as it is uploaded, `units` are those of its header by column (none: left
+    `digest` is the hex sha256 of the table as it is uploaded, `units` are the units in its header by column (none: left
     out); `read_as` says how its files were read. `states` have an equation of `order`, unless a `target` has one;
     `velocities` are variables for order 2.
     """
