@@ -25,10 +25,8 @@ from typing import ClassVar, TypeVar
 
 import numpy as np
 
-from atoll_coordinator.data.differentiation.interpolation import predict_left_out
+from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, make_signal, predict_left_out
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.differentiation.missing_values import make_signal
-from atoll_coordinator.data.differentiation.noise import estimate_value_noise
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
 from atoll_coordinator.model.criteria import log
 from atoll_coordinator.model.sparse.atoms import Atom, Product
