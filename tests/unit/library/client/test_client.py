@@ -117,7 +117,7 @@ def test_an_upload_goes_by_what_the_coordinator_says_is_missing() -> None:
     client, _ = client_with(handle)
     client.upload(data)
     assert sent == [0, 1, 0, 1]
-    with pytest.raises(RefusedError, match="does not keep what is uploaded: 2 of 2 parts are still missing"):
+    with pytest.raises(RefusedError, match="does not keep the uploaded data: 2 of 2 parts are still missing"):
         client.upload(data)
 
 
