@@ -1,6 +1,6 @@
 """Following a job to its end, by a subscription to its changes: in order, without gaps, resumable.
 
-The coordinator sends changes to a key of ours for as long as a lease lasts. The request that takes the lease is answered
+The coordinator sends changes to a key of ours as long as a lease lasts. The request that takes the lease is answered
 with the changes that we do not have yet. So the same request renews the lease, closes gaps, and finds a coordinator
 that was restarted. A `Display` that is passed in shows the progress.
 """
