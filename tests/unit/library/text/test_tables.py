@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from atoll.model.equations import plus_minus, r2_text
+from atoll.model.equations import plus_minus
 from atoll.text.render import (
     MOST_LINES,
     candidates_table,
@@ -58,13 +58,6 @@ CLEAN = {"sd": 1e-9, "relative": 1e-9, "method": "interpolation", "span": None, 
 )
 def test_a_value_has_the_digits_that_its_error_leaves(value: float, error: float, text: str) -> None:
     assert plus_minus(value, error) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(None, "-"), (1.0, "1"), (0.99999, "0.9999"), (0.5, "0.5000"), (-1e9, "-1e+09")]
-)
-def test_r2_is_never_rounded_up_to_one(value: float | None, text: str) -> None:
-    assert r2_text(value) == text
 
 
 def test_constants_stand_in_a_line_with_their_errors() -> None:
