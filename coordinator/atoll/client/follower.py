@@ -12,7 +12,7 @@ from typing import Final, Self
 from atoll.client.client import Client
 from atoll_core.data.notes import with_kind
 from atoll_core.errors import UnreachableError
-from atoll_core.wire.messages.clients import Change
+from atoll_core.wire.messages.clients import JobChange
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 QUIET_S: Final = 2.0
@@ -35,7 +35,7 @@ class Subscription:
         self._lease_ends = 0.0
         self._is_behind = True
 
-    def wait(self, limit_s: float) -> Change | None:
+    def wait(self, limit_s: float) -> JobChange | None:
         """Return the next change, after at most `limit_s` seconds; None if there was none.
 
         Raises UnreachableError if the coordinator does not answer, RefusedError if it does not know the job.
@@ -53,7 +53,7 @@ class Subscription:
             if self._client.now() >= end:
                 return None
 
-    def _ask(self) -> Change | None:
+    def _ask(self) -> JobChange | None:
         self._is_behind = True  # also without an answer
         answer = self._client.follow(self._job, self._after, self._sequence)
         self._is_behind = False
@@ -61,14 +61,14 @@ class Subscription:
         self._ask_at, self._lease_ends = now + QUIET_S, now + RENEWED_AT * answer.lease_s
         return self._take(answer.change) if answer.change is not None else None
 
-    def _fits(self, change: Change) -> bool:
+    def _fits(self, change: JobChange) -> bool:
         """Tell whether this is the next change; changes that were missed are asked for."""
         if change.job != self._job or change.sequence <= self._sequence:
             return False
         self._is_behind = change.previous != self._sequence
         return not self._is_behind
 
-    def _take(self, change: Change) -> Change:
+    def _take(self, change: JobChange) -> JobChange:
         self._sequence, self._is_behind = change.sequence, change.has_more
         self._ask_at = self._client.now() + QUIET_S
         if self._after is None:
