@@ -6,7 +6,7 @@ the sizes of compiled kernels and the numerics of minimisers and integrators.
 
 import ast
 import os
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 Rounds = tuple[tuple[int, int], ...]
@@ -496,7 +496,7 @@ def with_changes(settings: Settings, text: str) -> Settings:
         name, _, value = word.partition("=")
         stage_name, _, field = name.partition(".")
         stage: Any = getattr(settings, stage_name, None)
-        if not is_dataclass(stage) or field not in vars(stage):
+        if stage_name not in vars(settings) or field not in vars(stage):
             raise ValueError(f"{VARIABLE} has {word!r}, but there is no setting {name!r}; write STAGE.NAME=VALUE")
         changed = ast.literal_eval(value)
         if type(changed) is not type(vars(stage)[field]):
