@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
 _STOPPED: Final = {
-    "max-time": "the limit of time stopped the search before it converged or stagnated: give more time with --max-time",
+    "max-time": "the time limit stopped the search before it converged or stagnated: give more time with --max-time",
     "max-epochs": "the search ended with its last epoch before it converged or stagnated: allow more with --max-epochs",
     "cancelled": "the search was cancelled before it converged or stagnated: let it run on",
 }

@@ -236,7 +236,7 @@ def test_text_shows_rounded_equations_and_the_front_on_request():
 def test_text_of_clean_data_says_the_verdict_and_is_short():
     first = render_text(result()).split("dv/dt")[0].splitlines()
     assert len(first) == 4
-    assert first[1].strip().startswith("doubtful: How well its 2 constants are determined")
+    assert first[1].strip().startswith("doubtful: The errors of its 2 constants")
     assert first[2].strip().startswith("checks: ")
     assert " passed" in first[2]
     assert "doubtful" not in render_text(result(state="running"))
