@@ -17,7 +17,7 @@ from atoll_coordinator.model.inference.evidence import ModelEvidence
 from atoll_coordinator.model.inference.final_model import FinalModel, finalize
 from atoll_coordinator.model.inference.long_run import long_run_of
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
-from atoll_coordinator.model.inference.random_walk import stochastic_remarks
+from atoll_coordinator.model.inference.remarks import stochastic_remarks
 from atoll_coordinator.model.inference.standard_errors import (
     ConstantErrors,
     describe_constants,
