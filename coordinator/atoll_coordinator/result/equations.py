@@ -50,17 +50,17 @@ class Constant(Estimate):
 
 
 class Factor(Part):
-    """A factor that nobody writes, and the term `of` which it is one."""
+    """A factor that is not written, and the term `of` which it is one."""
 
     of: Text | None = Field(default=None, description="the term")
 
 
 class ImpliedConstant(Estimate, Factor):  # fields of the last class stand first in the file
-    """A factor of 1 that nobody writes, as it was fitted."""
+    """A factor of 1 that is not written, as it was fitted."""
 
 
 class ImpliedUnit(Factor):
-    """A factor of 1 that nobody writes, but which has a unit."""
+    """A factor of 1 that is not written but has a unit."""
 
     unit: Text | None = Field(default=None, description="the unit of the factor")
 

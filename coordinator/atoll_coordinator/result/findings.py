@@ -26,7 +26,7 @@ Kind = Literal["dynamics", "process", "regression"]
 
 
 class Place(Part):
-    """A constant by the variable of its equation and its place there; None for a factor of one nobody writes."""
+    """A constant by the variable of its equation and its place there; None for a factor of one that is not written."""
 
     variable: Text = Field(description="variable of the equation")
     constant: Count | None = Field(
