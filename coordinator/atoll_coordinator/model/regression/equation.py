@@ -17,8 +17,8 @@ from atoll_coordinator.model.refinement import Alternative, Refined, SimpleNumbe
 from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.rounding import Estimates, round_constants
-from atoll_coordinator.model.regression.shortening import Candidate, Shortening
+from atoll_coordinator.model.regression.rounding import Estimates
+from atoll_coordinator.model.regression.shortening import Candidate, Shortening, round_constants
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig

@@ -1,4 +1,4 @@
-"""The constants of a program fitted to all rows, to convergence: Levenberg's method with Marquardt's damping.
+"""The constants of a program fitted to the rows of a target.
 
 Maximum likelihood for noise of one variance on every row, or of one that the rows' weights divide. Letters: R rows, K
 constants that are fitted.
@@ -20,6 +20,8 @@ from atoll_core.expression.restrictions import NONE, Restrictions
 
 _OVERHEAD_ROWS: Final = 500
 """Rows whose evaluation takes as long as everything else about a program."""
+_SAME: Final = 1e-9
+"""Share of the mean square of a function by which equal functions in other words differ: where fits have settled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ class LeastSquares:
         Args:
             program: where the fit begins.
             fixed: indices of nodes whose constants stay.
-            enough: a mean squared error; a fit that is not going to come near it is given up early.
+            enough: a mean squared error; a fit that will not come near it ends early.
             steps: most steps, successful or not.
         """
         admitted = self.restrictions.admitted(program)
@@ -157,7 +159,3 @@ def contains(program: Program, other: Program, points: FloatArray) -> bool:
     names = tuple(str(number) for number in range(len(points)))
     fitted = LeastSquares(Problem(names, points, Target("", "", values, 0.0, 1.0))).fit(program)
     return fitted.mse <= _SAME * square
-
-
-_SAME: Final = 1e-9
-"""Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""

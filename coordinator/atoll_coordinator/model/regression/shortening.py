@@ -8,7 +8,8 @@ are at the limit, where nothing but its size could be better. The work is bounde
 by the clock, unless there is a deadline.
 """
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,19 +17,28 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.regression.covariance import description_length
+from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.rounding import Model, round_constants
+from atoll_coordinator.model.regression.rounding import decisions, fitted_length, simple_numbers
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem
-from atoll_core.expression.program import Program, structure
-from atoll_core.expression.writing.shortest import shortest
+from atoll_core.expression.program import Program, constant_places, structure, with_constants
+from atoll_core.expression.writing.shortest import collected, shortest
 
 _MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
 """Neighbours are rounded whose description, constants as fitted, is longer than the best by at most so many nats (odds
 of 400), and the smallest model that is not longer by more has its neighbours tried, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A program as it would be shown: its length in nats and its mean squared error."""
+
+    program: Program
+    length: float
+    mse: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,3 +197,46 @@ class Shortening:
 
     def _is_exhausted(self) -> bool:
         return self._deadline.is_over or self.least_squares.evaluations > SETTINGS.regression.most_evaluations
+
+
+def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_squares: LeastSquares) -> Model:
+    """Return the shortest model that comes from `fitted` by making constants simple; itself when none is shorter.
+
+    Equations are compared by these models: simple numbers speak for an equation before any of them is singled out.
+    """
+    best = Model(fitted.program, description_length(fitted, criterion), fitted.mse)
+    places = constant_places(fitted.program)
+    if not 0 < len(places) <= SETTINGS.effort.beam or not math.isfinite(best.length):
+        return best
+    candidates = decisions(fitted.program.constants[places], covariance_of(fitted, criterion))
+    probable = sorted((decision for decision in candidates if decision.numbers), key=lambda decision: -decision.nats)
+    for decision in probable[: SETTINGS.effort.beam]:
+        model = _measured(fitted.program, places, dict(decision.numbers), criterion, least_squares)
+        if model.length <= best.length:
+            best = model
+    return best
+
+
+def _measured(
+    program: Program,
+    places: Sequence[int],
+    decided: Mapping[int, float],
+    criterion: RegressionCriterion,
+    least_squares: LeastSquares,
+) -> Model:
+    """Return the model with simple numbers for decided constants, the others fitted and neutral ones left out."""
+    values = {places[index]: number for index, number in decided.items()}
+    prices = {number: min(simple_numbers(number, 0.0).values(), default=0.0) for number in values.values()}
+    refitted = least_squares.fit(with_constants(program, values), [*values])
+    if not math.isfinite(refitted.mse):
+        return Model(refitted.program, math.inf, math.inf)
+    freed = refitted.program.constants[[place for place in places if place not in values]].tolist()
+    prices |= dict(zip(freed, map(fitted_length, freed, standard_errors(refitted, criterion)), strict=True))
+    shown = collected(refitted.program)
+    mse = least_squares.mse(shown)
+    known = {abs(number): price for number, price in prices.items()}
+    numbers = sum(
+        known[number] if number in known else min(simple_numbers(number, 0.0).values(), default=0.0)
+        for number in set(np.abs(shown.constants[constant_places(shown)]).tolist())
+    )
+    return Model(shown, criterion.length(mse, shown, numbers), mse)

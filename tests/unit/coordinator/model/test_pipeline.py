@@ -15,7 +15,7 @@ from atoll_coordinator.model.regression import shortening as shorten
 from atoll_coordinator.model.regression.covariance import description_length, student_95
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.rounding import round_constants
+from atoll_coordinator.model.regression.shortening import round_constants
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, SpaceConfig
 from atoll_core.expression.program import Program
 from atoll_core.expression.writing.expansion import form_of

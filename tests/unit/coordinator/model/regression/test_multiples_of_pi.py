@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from atoll_coordinator.model.regression.simple_numbers import simple_numbers
+from atoll_coordinator.model.regression.rounding import simple_numbers
 
 
 def _shortest(value: float, error: float) -> float:

@@ -8,8 +8,13 @@ import pytest
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.regression import rounding
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.rounding import Estimates, decisions, round_constants
-from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
+from atoll_coordinator.model.regression.rounding import (
+    Estimates,
+    continuum_density,
+    decisions,
+    round_constants,
+    simple_numbers,
+)
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.evaluation import values_of

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from atoll_coordinator.model.regression.simple_numbers import (
+from atoll_coordinator.model.regression.rounding import (
     continuum_density,
     fitted_length,
     number_length,

@@ -5,7 +5,7 @@ import pytest
 
 from atoll_coordinator.model.pools import Member
 from atoll_coordinator.model.regression.equation import fit_equation
-from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
+from atoll_coordinator.model.regression.rounding import continuum_density, fitted_length, simple_numbers
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.program import structure
