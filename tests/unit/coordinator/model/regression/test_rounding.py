@@ -8,13 +8,8 @@ import pytest
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.regression import rounding
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.rounding import (
-    Estimates,
-    continuum_density,
-    decisions,
-    round_constants,
-    simple_numbers,
-)
+from atoll_coordinator.model.regression.rounding import Estimates, continuum_density, decisions, simple_numbers
+from atoll_coordinator.model.regression.shortening import round_constants
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.evaluation import values_of
