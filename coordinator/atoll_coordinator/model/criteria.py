@@ -25,7 +25,7 @@ import numpy as np
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Target
 from atoll_core.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, NEGATE, POW, SQUARE
-from atoll_core.expression.program import Program, structure
+from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.search.pareto import FrontEntry
 
 SMALLEST_UNCERTAINTY: Final = 1e-12
@@ -142,9 +142,17 @@ class RegressionCriterion:
         """Return the mean squared error of a misfit, the inverse of `misfit`; not below twice the least variance."""
         return max(math.exp(min(2.0 * misfit / self.rows, 700.0)), 2.0 * self.least_variance)
 
-    def length(self, mse: float, program: Program, constants: float) -> float:
-        """Return the description length; `constants` is the length of the constants' values."""
-        return self.misfit(mse) + program_length(program) + constants
+    def length_of_program(self, program: Program) -> float:
+        """Return the nats of a program, its constants fitted: 1/2 ln n for each (Schwarz 1978)."""
+        import os
+
+        if os.environ.get("V") == "b":
+            return structure_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
+        return program_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
+
+    def length(self, mse: float, program: Program) -> float:
+        """Return the description length of a program with this mean squared error, infinite where that is."""
+        return self.misfit(mse) + self.length_of_program(program)
 
 
 # -------------------------------------------------------------------------------------- a system along trajectories

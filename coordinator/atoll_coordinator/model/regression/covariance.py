@@ -1,4 +1,4 @@
-"""Standard errors of fitted constants from the normal equations, and description lengths by them. Pure.
+"""Standard errors of fitted constants from the normal equations. Pure.
 
 Letters: n rows, K constants that are fitted.
 """
@@ -14,7 +14,6 @@ from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.least_squares import inverse
 from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.rounding import fitted_length
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places
@@ -67,15 +66,6 @@ def standard_errors(fitted: Fitted, criterion: RegressionCriterion) -> list[floa
     """Return the standard errors of the constants that were fitted, in node order."""
     variances: list[float] = np.diag(covariance_of(fitted, criterion)).tolist()
     return [math.sqrt(max(variance, 0.0)) for variance in variances]
-
-
-def description_length(fitted: Fitted, criterion: RegressionCriterion) -> float:
-    """Return the description length of a model all of whose constants were fitted, infinite without a finite error."""
-    if not math.isfinite(criterion.misfit(fitted.mse)):
-        return math.inf
-    values = fitted.program.constants[constant_places(fitted.program)].tolist()
-    numbers = sum(map(fitted_length, values, standard_errors(fitted, criterion)))
-    return criterion.length(fitted.mse, fitted.program, numbers)
 
 
 def estimate_constants(

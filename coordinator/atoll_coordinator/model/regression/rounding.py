@@ -1,8 +1,7 @@
 """Constants as they are shown: simple numbers where the data single them out, else estimates with few digits.
 
 *Simple numbers.* A simple number is p/q times a power of ten, p and q whole numbers and q small, or pi times that:
-whole numbers and short decimals have q = 1. No unit is preferred: a number is as long as ten times it. A fitted
-constant counts as a decimal, too: one with as many digits as its standard error leaves it.
+whole numbers and short decimals have q = 1. No unit is preferred: a number is as long as ten times it.
 
 *One constant.* It is either a simple number, one of length L with the probability e^-L, or any number of the same
 neighbourhood; before the data both are as likely. Near its minimum the misfit is a quadratic form of the constants, so
@@ -48,8 +47,6 @@ _DIGITS_OF_PI: Final = 2
 """Digits of multiples of pi: with more, they would say less than a decimal of the same size."""
 _LARGE: Final = 1e200
 """Beyond, and below its inverse, numbers are scaled first, since powers of ten would overflow."""
-_FINER: Final = math.log(10.0) + _DIGIT
-"""A decimal that is finer than the error may need one digit more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +207,16 @@ def quadratic_form(away: FloatArray, covariance: FloatArray) -> float:
     return 0.5 * float(away @ inverse(covariance) @ away)
 
 
+def allowed_growth(means: FloatArray, covariance: FloatArray, numbers: Mapping[int, float]) -> float:
+    """Return by how many nats the misfit may grow when constants, by their place, become simple `numbers`.
+
+    By the growth that the quadratic form predicts, and by what is no evidence.
+    """
+    chosen = sorted(numbers)
+    away = means[chosen] - [numbers[index] for index in chosen]
+    return quadratic_form(away, covariance[np.ix_(chosen, chosen)]) + SETTINGS.inference.distinct_nats
+
+
 def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool = False) -> list[Decision]:
     """Return the most probable decisions on constants with these `means` (K,) and `covariance`, none among them.
 
@@ -297,15 +304,6 @@ def number_length(numerator: int, denominator: int = 1) -> float:
     """Return the length in nats of p/q times any power of ten: of p, its digits beyond the first, and q if not one."""
     digits = len(str(abs(numerator))) - 1
     return math.log1p(abs(numerator)) + _DIGIT * digits + (math.log1p(denominator) if denominator > 1 else 0.0)
-
-
-def fitted_length(value: float, error: float) -> float:
-    """Return the length in nats of `value` written with the digits that its standard error leaves it."""
-    error = min(max(error, abs(value) * 10.0**-sys.float_info.dig), abs(value))
-    if error == 0.0:
-        return 0.0
-    steps = abs(value) / error
-    return math.log1p(steps) + _DIGIT * math.log10(steps) + _FINER
 
 
 def simple_numbers(value: float, error: float) -> dict[float, float]:

@@ -12,7 +12,7 @@ from itertools import accumulate, pairwise
 from typing import Final
 
 from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
-from atoll_coordinator.model.regression.rounding import Estimates, Rounding, find_simple, quadratic_form
+from atoll_coordinator.model.regression.rounding import Estimates, Rounding, allowed_growth, find_simple
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance
@@ -49,7 +49,7 @@ def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Progr
         return model.programs
     programs, fixed = _decided(comparison, model.programs, numbers)
     after = comparison.fit_beside(model, programs, SETTINGS.effort.steps, fixed)
-    if after is None or after.misfit > model.misfit + _allowed(means, spread, numbers):
+    if after is None or after.misfit > model.misfit + allowed_growth(means, spread, numbers):
         return model.programs
     return tuple(
         program if index in comparison.fixed else collected(program) for index, program in enumerate(after.programs)
@@ -118,13 +118,6 @@ def _multiplied(system: System, simple: Sequence[SimpleNumber | None]) -> Iterat
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:
     return comparison.inflation(model) * bounded_covariance(model.fit)
-
-
-def _allowed(means: FloatArray, spread: FloatArray, numbers: Mapping[int, float]) -> float:
-    """Return by how many nats the misfit may grow: by what the quadratic form says, and what is no evidence."""
-    chosen = sorted(numbers)
-    away = means[chosen] - [numbers[index] for index in chosen]
-    return quadratic_form(away, spread[chosen][:, chosen]) + SETTINGS.inference.distinct_nats
 
 
 def _decided(

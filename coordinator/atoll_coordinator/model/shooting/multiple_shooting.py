@@ -18,7 +18,7 @@ the least sum of squared residuals over the variances of the errors. Segments gr
    alone, since nearly half of all steps fail.
 4. *Joining* (`MultipleShooting.join`). Before segments are fitted in longer ones, constants and initial states are
    moved until each segment begins where the one before ends. The conditions are linearised, and the initial states of
-   the inner segments eliminated by them: condensing (`kernels.condensing`). Without that, a chaotic trajectory is lost
+   the inner segments eliminated by them: condensing (`_condensed`). Without that, a chaotic trajectory is lost
    between two stages: a state carried from the beginning of a long segment is far away from the measured one.
 5. *Offsets and groups.* A state that was measured up to an offset has one for each whole trajectory: another number
    of the segment. Groups of trajectories with constants of their own have more columns of sensitivities
@@ -45,7 +45,6 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, Fitter, Solver, minimize, without
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.integration import OVERHEAD_NUMBERS, STEEPEST, Integrator, Method, Unsimulated
-from atoll_coordinator.model.shooting.kernels.condensing import condense
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
@@ -240,20 +239,13 @@ class MultipleShooting:
             if np.all(np.abs(gaps) <= method.tolerance):
                 return system, np.ascontiguousarray(simulated[:, begun].T)
             residuals = self.residuals(simulated, starts, segments)
-            normal, coupling, own, gradient, own_gradient = self.blocks(
-                segments, sensitivities, residuals, fit.errors, fitted
-            )
-            size = fitted + states
-            sums, moves = np.zeros((pieces[-1] + 1, size + 1, size + 1)), np.zeros((len(segments), states, size + 1))
-            condense(coupling, own, own_gradient, ends, gaps, pieces, normal, gradient, sums, moves)
-            change, its_own = np.empty(fitted), np.empty((len(sums), states))
-            parts = (sums[:, :fitted, fitted:-1], sums[:, fitted:-1, fitted:-1])
-            coupling, own = map(np.ascontiguousarray, parts)
-            own_gradient = np.ascontiguousarray(-sums[:, fitted:-1, -1])
-            if not solve_step(normal, coupling, own, gradient, own_gradient, LEAST_DAMPING, change, its_own):
+            blocks = self.blocks(segments, sensitivities, residuals, fit.errors, fitted)
+            condensed, moves = _condensed(blocks, ends, gaps, pieces)
+            change, its_own = np.empty(fitted), np.empty((len(condensed.own), states))
+            if not solve_step(*condensed, LEAST_DAMPING, change, its_own):
                 return None
             system = system.with_values(system.values + change)
-            numbers = np.concatenate([np.tile(change, (len(sums), 1)), its_own, np.ones((len(sums), 1))], axis=1)
+            numbers = np.concatenate([np.tile(change, (len(its_own), 1)), its_own, np.ones((len(its_own), 1))], axis=1)
             starts = starts + (moves * numbers[pieces][:, None]).sum(axis=2)
         return None
 
@@ -558,6 +550,48 @@ def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> flo
     """Return the weighted sum of squares, errors that go together made independent."""
     squares, _ = layout.squares(residuals, errors)
     return float((squares / (errors.sigmas * errors.sigmas)).sum())
+
+
+def _condensed(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints) -> tuple[_Blocks, FloatArray]:
+    """Return the normal equations of pieces whose segments begin where the one before ends, and how segments move.
+
+    The move of a segment's initial state is linear in the constants and in its piece's initial state: A, S B + T and
+    S c + h follow from A, B and c of the segment before, with the sensitivities S and T of its end to its initial state
+    and to the constants, and with the gap h there (Bock 1983, section 3; Albersmeyer & Diehl 2010, SIAM Journal on
+    Optimization 20:1655).
+
+    Args:
+        blocks: of each segment alone.
+        ends: T and S (G, D, P + D).
+        gaps: h, by how much the end is beyond the initial state of the next segment (G, D).
+        pieces: of which each segment is a part (G,), ascending.
+
+    Returns:
+        Blocks of the pieces, and B, A and c (G, D, P + D + 1).
+    """
+    normal, coupling, own, gradient, own_gradient = blocks
+    groups, fitted, states = coupling.shape
+    moves = np.zeros((groups, states, fitted + states + 1))
+    sums = np.zeros((int(pieces[-1]) + 1, fitted + states + 1, fitted + states + 1))
+    crossed = np.zeros((fitted, fitted))
+    for g, piece in enumerate(pieces.tolist()):
+        move = moves[g]
+        if g and piece == pieces[g - 1]:
+            move += ends[g - 1, :, fitted:] @ moves[g - 1]
+            move[:, :fitted] += ends[g - 1, :, :fitted]
+            move[:, -1] += gaps[g - 1]
+        else:
+            move[:, fitted:-1] = np.eye(states)
+        costs = own[g] @ move
+        costs[:, -1] -= own_gradient[g]
+        sums[piece] += move.T @ costs
+        sums[piece, :fitted] += coupling[g] @ move
+        crossed += coupling[g] @ move[:, :fitted]
+    normal = normal + crossed.T + sums[:, :fitted, :fitted].sum(axis=0)
+    gradient = gradient - sums[:, :fitted, -1].sum(axis=0)
+    parts = (sums[:, :fitted, fitted:-1], sums[:, fitted:-1, fitted:-1], -sums[:, fitted:-1, -1])
+    coupling, own, own_gradient = map(np.ascontiguousarray, parts)
+    return _Blocks(normal, coupling, own, gradient, own_gradient), moves
 
 
 def row_steps(measurements: Measurements) -> FloatArray:
