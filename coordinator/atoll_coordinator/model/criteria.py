@@ -5,8 +5,8 @@ data are, in how operators are priced and in how constants are; a number of one 
 
 - `front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It says which member of a front
   is shown while the search runs, and whether the search stagnates.
-- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of one 1.4, each constant the
-  digits that its standard error leaves it. It says which equation is shown where there are no trajectories.
+- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of one 1.4, each constant
+  1/2 ln n. It says which equation is shown where there are no trajectories.
 - `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
   1/2 ln N. It says which equations together are the model.
 
@@ -112,7 +112,7 @@ def program_length(program: Program) -> float:
 class RegressionCriterion:
     """Description lengths of the models of one target with n `rows` (Rissanen 1978).
 
-        n/2 (ln v + MSE/v - 1) + nodes ln 8 + 1.4 for each further use of a node + length of each constant
+        n/2 (ln v + MSE/v - 1) + nodes ln 8 + 1.4 for each further use of a node + k/2 ln n
 
     The misfit is minus the log-likelihood of independent Gaussian errors, up to a constant; their variance v is fitted,
     but not less than `least_variance`, the square of the target's uncertainty: v = max(MSE, least variance).
@@ -144,10 +144,6 @@ class RegressionCriterion:
 
     def length_of_program(self, program: Program) -> float:
         """Return the nats of a program, its constants fitted: 1/2 ln n for each (Schwarz 1978)."""
-        import os
-
-        if os.environ.get("V") == "b":
-            return structure_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
         return program_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
 
     def length(self, mse: float, program: Program) -> float:
