@@ -151,7 +151,7 @@ class Shortening:
         return self._length(fitted), fitted
 
     def _reduced(self, fitted: Fitted) -> Fitted:
-        """Follow the reductions, each time the one that leaves the shortest description, until none is shorter."""
+        """Follow the reductions, each time the one of the shortest description, until none is shorter."""
         path: list[bytes] = []
         while structure(fitted.program) not in self._ends:
             path.append(structure(fitted.program))
@@ -198,7 +198,7 @@ def fit_equation(
     problem: Problem, config: JobConfig, front: Sequence[Member], counted: WeighedRows | None = None,
     deadline: Deadline | None = None, *, has_intervals: bool = False,
 ) -> Refined | None:  # fmt: skip
-    """Return the shortest model that can be made of `front`; None when that must stay as it is.
+    """Return the shortest model that can be made of `front`; None when the front must stay as it is.
 
     That is so when the front is empty, and when a member meets the error at which the equation counts as found, but
     nothing shorter does. Pure without a `deadline`, after which nothing new is tried. Takes about a second for a few
@@ -255,7 +255,7 @@ def _alternatives(
     """Return the equation that is shown and what was compared with it, the shortest descriptions first.
 
     Each form once. More constants always describe about as well: such candidates are no alternatives, unless they
-    describe the rows far better. Constants are counted before they are made simple.
+    describe the rows far better. Constants are counted before some become simple.
     """
     variance = problem.target.standard_deviation**2
     most = len(constant_places(chosen.fitted.program))

@@ -115,23 +115,19 @@ class _TargetFit(Fitter[Fitted, FloatArray, Fitted]):
         self._begun = rows.linearised(program, self._places)
 
     def init(self) -> Fitted | None:
-        """Return the program as it is; None where there is nothing to fit, or no finite error."""
         return self._begun if self._places and math.isfinite(self._begun.mse) else None
 
     def equations(self, point: Fitted) -> Solver[FloatArray]:
-        """Return the solver for steps of the constants within their bounds."""
         values = point.program.constants[self._places]
         return solver(point.normal, point.gradient, (self._lower - values, self._upper - values))
 
     def step(self, point: Fitted, step: FloatArray) -> tuple[Fitted, float]:
-        """Return the program after a step."""
         constants = point.program.constants.copy()
         constants[self._places] = np.clip(constants[self._places] + step, self._lower, self._upper)
         moved = self._rows.linearised(replace(self._program, constants=constants), self._places, point.mse)
         return moved, self._rows.half * (point.mse - moved.mse)
 
     def settled(self, point: Fitted) -> float:
-        """Return a share of the cost."""
         return SETTINGS.effort.settled * self._rows.half * point.mse
 
     def done(self, point: Fitted, promise: float, taken: int) -> bool:
@@ -142,7 +138,6 @@ class _TargetFit(Fitter[Fitted, FloatArray, Fitted]):
         return bool(point.mse * left ** (self._steps - taken) > self._enough)
 
     def result(self, point: Fitted | None) -> Fitted:
-        """Return the program with its constants fitted."""
         return self._begun if point is None else point
 
 

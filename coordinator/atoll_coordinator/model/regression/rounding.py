@@ -8,7 +8,7 @@ neighbourhood; before the data both are as likely. Near its minimum the misfit i
 that the effect of each decision is known: constants are decided one after another, each by a few simple numbers near
 its estimate once the earlier ones are fixed, and a beam of the most probable decisions is kept (a sequential decoding,
 as in integer least squares). A simple number takes the place of an estimate when its odds, against all other decisions
-together, are at least those of `InferenceSettings.distinct_nats`.
+together, reach `InferenceSettings.distinct_nats`.
 
 *All constants together.* What share of them is simple is not known beforehand, and any share is as likely: of K
 constants m certain ones are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession), so that
@@ -38,9 +38,9 @@ ERROR_DIGITS: Final = tuple(1 + 2**power for power in range(5))
 """Digits of standard errors to which estimates may be rounded, at last all of a double: the first number of digits with
 which simulations stay as they are is taken. With two, estimates are off by at most a twentieth of a standard error."""
 _ROUNDING: Final = 2.0**-50
-"""Standard errors below this share of a constant are those of arithmetic."""
+"""Standard errors below this share of a constant are rounding errors."""
 _DIGIT: Final = math.log(3.0)
-"""Nats of each digit beyond the first, in addition to those of the whole number."""
+"""Nats of each digit beyond the first, in addition to the nats of the whole number."""
 _SHORT: Final = 3
 """Of numerators with more digits the sum of probabilities is an integral."""
 _DIGITS_OF_PI: Final = 2
@@ -53,7 +53,7 @@ _LARGE: Final = 1e200
 class Decision:
     """Some constants decided, by their number in node order; the present estimates of the others, and their covariance.
 
-    `nats` is the logarithm of the probability of these simple numbers over that of any numbers in their place.
+    `nats` is the logarithm of the probability of these simple numbers over the one of any numbers in their place.
     """
 
     numbers: tuple[tuple[int, float], ...]
@@ -64,7 +64,7 @@ class Decision:
 
     @classmethod
     def none(cls, means: FloatArray, covariance: FloatArray) -> "Decision":
-        """Return the decision on no constant; variances are at least those of arithmetic."""
+        """Return the decision on no constant; variances are at least those of rounding errors."""
         least = np.maximum((_ROUNDING * means) ** 2, np.finfo(np.float64).tiny)
         spread = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
         return cls((), 0.0, tuple(range(len(means))), means, spread)
@@ -123,7 +123,7 @@ class Considered:
 class Rounding:
     """Constants as they are shown: their `values` (K,), and the nearest simple number of each.
 
-    `means` (K,) and `covariance` are those of the estimates, `considered` the decisions that were weighed.
+    `means` (K,) and `covariance` belong to the estimates; `considered` are the decisions that were weighed.
     """
 
     values: FloatArray
@@ -180,7 +180,7 @@ class Estimates:
 
         Estimates are rounded to so many digits of their standard errors, one after another, each at its estimate given
         the earlier ones: so the last of several constants that only together are determined keeps the digits it needs.
-        Simple numbers that are singled out take their place, but for those of the `estimates`, by number.
+        Simple numbers that are singled out take their place, except for the `estimates`, by number.
         """
         means, decision = self._means, Decision.none(self._means, self._covariance)
         covariance = decision.covariance
@@ -249,7 +249,7 @@ def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool =
 def _gains(value: float, error: float, others: Sequence[float]) -> dict[float, float]:
     """Return for the simple numbers near an estimate the nats by which each is more probable than any number.
 
-    Among them are those that are simple as factors of one of `others`: they are half as probable as the others
+    Numbers that are simple as factors of one of `others` are among them: they are half as probable as the others
     together, and only of interest where none of these is more probable than any number.
     """
     if value == 0.0 or not math.isfinite(value) or not math.isfinite(error):  # no number is near
@@ -333,7 +333,7 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
 
 
 def continuum_density(value: float) -> float:
-    """Return the probability of any number per unit at `value`, when it is as large by decades as that of simple ones.
+    """Return the probability of any number per unit at `value`, when each decade is as probable as by simple numbers.
 
     Simple numbers of length L have the probability e^-L, up to a common factor; the sum of those between two powers of
     ten, the same for all, is spread evenly over the logarithm of that decade.
