@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from atoll.client.client import Client, connected
-from atoll.client.local_workers import worker_command
+from atoll.client.local_processes import worker_command
 from atoll.terminal.output import count, duration, note
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
@@ -44,7 +44,7 @@ _LOOK_S: Final = 0.1
 TIED_COORDINATOR: Final = """
 import sys
 from atoll.cli.main import main
-from atoll_island_worker.processes.parent import end_with_parent
+from atoll_island_worker.processes import end_with_parent
 end_with_parent(int(sys.argv[1]))
 sys.exit(main(sys.argv[2:]))
 """

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.verbs.router import upstream_settings
+from atoll.cli.verbs.serve import upstream_settings
 from atoll.client.client import Client, connected
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
@@ -23,7 +23,7 @@ from atoll_core.wire.bus import zenoh_bus
 from atoll_core.wire.bus.interface import Message, Presence, Query, Reply
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Jobs, Request
+from atoll_core.wire.messages.clients import ClientRequest, ListJobs
 from atoll_core.wire.messages.handshake import Greeting, Hello
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
@@ -235,11 +235,11 @@ def speak_for_others(hostile: ZenohBus, cluster: str) -> None:
     hostile.watch(topics.all_workers(cluster, "alive"))
     hello = Hello(role="worker", name="lab1-0", instance="x", protocol=0, version="", engine=0)
     for key, body in (
-        (topics.client(cluster, "ann-1"), Request(body=Jobs())),
-        (topics.client(cluster, "lab2-1"), Request(body=Jobs())),
+        (topics.client(cluster, "ann-1"), ClientRequest(body=ListJobs())),
+        (topics.client(cluster, "lab2-1"), ClientRequest(body=ListJobs())),
         (topics.hello("lab1-0"), Greeting(body=hello)),
         (topics.hello("ann-1"), Greeting(body=hello)),
-        (topics.worker(cluster, "lab9", "pull"), Request(body=Jobs())),
+        (topics.worker(cluster, "lab9", "pull"), ClientRequest(body=ListJobs())),
     ):
         hostile.get(key, encode(body), timeout_s=0.2)
 
@@ -284,7 +284,7 @@ def worker_error(lab: Lab, router: ZenohBus, name: str, wait_s: float = LIMIT_S)
 def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
     lab: Lab, role_bindings: RoleBindings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atoll_island_worker.connection.connection.GREET_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("atoll_island_worker.connection.GREET_TIMEOUT_S", 0.2)
     old = RoleBindings({name: role for name, role in role_bindings.roles.items() if name not in ("bob", "lab2")})
     stop = threading.Event()
     with Store.open(None) as store, open_router(serving(lab), role_bindings=old) as router:
@@ -300,7 +300,7 @@ def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
                 connected(bob, wait_s=1.0),
             ):
                 pass
-            assert "access control on the way" in worker_error(lab, router, "lab2", wait_s=0.8)
+            assert "access control" in worker_error(lab, router, "lab2", wait_s=0.8)
         finally:
             stop.set()
             thread.join(LIMIT_S)

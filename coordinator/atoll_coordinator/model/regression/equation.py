@@ -20,7 +20,7 @@ import numpy as np
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pools import Member, may_be_shown
-from atoll_coordinator.model.refinement import Alternative, Refined, SimpleNumber, SimpleTogether
+from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
@@ -28,6 +28,7 @@ from atoll_coordinator.model.regression.rounding import Estimates, allowed_growt
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.model.thinning import thinned_places
+from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray, Problem

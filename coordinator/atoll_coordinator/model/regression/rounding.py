@@ -30,7 +30,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.least_squares import inverse
-from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
+from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
@@ -158,7 +158,7 @@ class Rounding:
                 away = self.means[chosen] - [numbers[index] for index in chosen]
                 chi_square = 2.0 * quadratic_form(away, self.covariance[np.ix_(chosen, chosen)])
                 values = tuple(numbers[constants[place]] for place in places)
-                return SimpleTogether(places, values, odds[best], chi_square)
+                return SimpleTogether(constants=places, values=values, odds=odds[best], chi_square=chi_square)
         return None
 
 
@@ -294,7 +294,8 @@ def _simple_number(
         return None
     number = max(near, key=near.__getitem__)
     error = math.sqrt(max(float(variance), 0.0))
-    return SimpleNumber(number, near[number], abs(number - float(mean)) / error if error > 0.0 else 0.0)
+    away = abs(number - float(mean)) / error if error > 0.0 else 0.0
+    return SimpleNumber(value=number, odds=near[number], standard_errors=away)
 
 
 # ------------------------------------------------------------------------------------------------ simple numbers

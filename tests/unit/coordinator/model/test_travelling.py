@@ -9,21 +9,15 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation, ProcessRecording, SampledPath
-from atoll_coordinator.dimensions import EquationUnits
 from atoll_coordinator.model.criteria import TrajectoryMisfit
-from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Law, LawsByGroup, Pools
-from atoll_coordinator.model.refinement import Chaos, Refinement, SharedTerm
-from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.service.jobs.job import Prepared
-from atoll_coordinator.units import parse_unit
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.wire.values import decode_value, encode_value
-from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, compare, measurements, pools, table
 from tests.values import is_same
 
@@ -60,18 +54,6 @@ def test_preparations_and_pools(preparation: Preparation) -> None:
     assert is_back(replace(preparation, recording=None, process=process))
 
 
-def test_refinements(preparation: Preparation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(joint_search, "SETTINGS", settings("effort", work=1_000_000))
-    refined = refine_all(preparation, CONFIG, pools(preparation, **POOL))
-    assert refined.simulation is not None
-    assert refined.equations["x"].constants
-    assert is_back(refined)
-    unit = parse_unit("kg*m/s^2")
-    one = replace(refined.equations["x"], units=EquationUnits((unit, None), (("x", unit),), ("clause",)))
-    shared = (SharedTerm(((1, 2), (3, ((4, 1),))), {"x": None, "y": -1.5}),)
-    assert is_back(Refinement({"x": one}, chaos=Chaos(1.5, False, None), shared_terms=shared, end="max-time"))
-
-
 def test_what_comparisons_are_made_of() -> None:
     seen = measurements(LOTKA, STARTS, TIMES, noise=0.05)
     comparison = compare(LOTKA, seen)
@@ -80,7 +62,7 @@ def test_what_comparisons_are_made_of() -> None:
     assert is_back(seen, Measurements)
     assert is_back(model.fit.system, System)
     assert is_back(replace(model.fit.errors, sigmas=np.array([math.inf, math.nan])), ErrorModel)
-    assert is_back(comparison.misfit, TrajectoryMisfit)
+    assert is_back(comparison.score.misfit, TrajectoryMisfit)
     constants = np.stack([model.fit.system.constants, 2.0 * model.fit.system.constants])
     first, other = comparison.places(model.fit.system)[:2]
     assert is_back(model.fit.system.sharing_numbers(constants, [((first, 1.0), (other, 2.0))]))

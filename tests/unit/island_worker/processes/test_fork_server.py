@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from atoll_core.errors import AtollError
-from atoll_island_worker.processes.fork_server import Forked
+from atoll_island_worker.processes import Forked
 
 LIMIT_S = 100.0
 
 SCRIPT = """
 import gc, sys
 from pathlib import Path
-from atoll_island_worker.processes.fork_server import load_ahead
+from atoll_island_worker.processes import load_ahead
 load_ahead()
 lines = Path("/proc/self/status").read_text().splitlines()
 print(*(line.split()[1] for line in lines if line.startswith("Threads:")))
@@ -41,12 +41,6 @@ def loaded(cache: Path, **more: str) -> list[str]:
 def test_libraries_are_loaded_without_a_thread_and_compiling_is_left_to_the_workers(tmp_path: Path) -> None:
     assert loaded(tmp_path) == ["1", "atoll_island_worker.evolution.island", "True"]
     assert list(tmp_path.rglob("*.nb?")) == []
-
-
-@pytest.mark.slow
-def test_a_trouble_is_left_to_the_workers_to_say(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    assert loaded(tmp_path / "file") == ["1", "atoll_island_worker.evolution.island", "True"]
 
 
 def test_a_system_that_starts_no_more_processes_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,180 @@
+"""The worker processes of a local run: started first of all, since loading takes them a second.
+
+One process, ``island-worker --supervise``, loads everything once, forks them where the system allows it, starts again
+those that die, and ends them with itself (ADR 0062). They connect as soon as the router listens; their log is one file.
+Whatever happens, the workers end: that process is told to, then killed, and it watches this one, should that be killed.
+"""
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, Self
+
+from atoll_core.command_line import TLS_OPTIONS
+from atoll_core.errors import AtollError, UnreachableError
+from atoll_core.wire.addresses import own_address
+
+_STOP_LIMIT_S: Final = 7.0
+"""Longer than the process that watches over the workers gives these."""
+
+_ENDED: Final = "the process that watches over the workers has ended, and they with it"
+_SPEAKER: Final = b"island-worker: "
+"""Begins lines of the log that are for people."""
+
+
+def start_apart(
+    command: Sequence[str], given: Mapping[str, str] = MappingProxyType({}), **streams: Any
+) -> "subprocess.Popen[bytes]":
+    """Start a program in a session of its own, since a Ctrl-C on the terminal is ours alone to handle.
+
+    Its environment is ours without certificates, since on this machine alone nothing is encrypted, and what is `given`.
+    """
+    certificates = {variable for variable, _ in TLS_OPTIONS.values()}
+    environment = {name: value for name, value in os.environ.items() if name not in certificates}
+    environment |= given
+    return subprocess.Popen[bytes](command, env=environment, start_new_session=True, **streams)
+
+
+class NoWorkerLeftError(AtollError):
+    """Raised when the process that watches over the workers of a local run has ended before the job."""
+
+
+class LocalWorkers:
+    """Worker processes of this machine; a context manager that leaves none behind, and kills them after an error."""
+
+    def __init__(self, endpoint: str, number: int, log: Path) -> None:
+        self.log = log
+        self.number = number
+        self._command = supervisor_command(endpoint, number)
+        self._begin = self._read = 0
+
+    def __enter__(self) -> Self:
+        with self.log.open("ab") as log:
+            self._begin = self._read = log.tell()
+            self._process = start_apart(self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:  # one that is starting may hear nothing for seconds, and nothing is lost with it
+            self._process.kill()
+        self.stop()
+
+    def check(self) -> list[str]:
+        """Return what was said since the last check of workers that died, in this run.
+
+        Raises NoWorkerLeftError when the process that watches over them has ended, and they with it.
+        """
+        has_ended = self._process.poll() is not None
+        sentences = self._said()
+        if has_ended:
+            lines = self.log.read_bytes()[self._begin :].decode("utf-8", "replace").strip().splitlines()
+            last = f": {lines[-1]}" if lines else ""
+            raise NoWorkerLeftError(f"{_ENDED}; the reason is in {self.log}{last}")
+        return sentences
+
+    def dismiss(self) -> None:
+        """Tell all workers to end, without waiting for it."""
+        self._process.terminate()
+
+    def stop(self) -> None:
+        """End all workers, in steps of rising force and each within a limit. An interrupt goes straight to the last."""
+        try:
+            self.dismiss()
+            self._wait()
+        finally:
+            self._process.kill()
+            self._wait()
+
+    def _wait(self) -> None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_STOP_LIMIT_S)
+
+    def _said(self) -> list[str]:
+        """Return the sentences for people that this run has added to the log since the last time."""
+        with self.log.open("rb") as log:
+            log.seek(self._read)
+            *lines, rest = log.read().split(b"\n")
+            self._read = log.tell() - len(rest)
+        return [line.removeprefix(_SPEAKER).decode("utf-8", "replace") for line in lines if line.startswith(_SPEAKER)]
+
+
+def supervisor_command(endpoint: str, number: int) -> Sequence[str]:
+    """Return the command of the process that keeps so many workers, w-0, w-1 and so on, and ends when this one does."""
+    return [*worker_command(endpoint, "w", number), "--supervise"]
+
+
+def worker_command(
+    endpoint: str, name: str | None, number: int = 1, *, wait_s: float = 30.0, grace_s: float = 0.0
+) -> Sequence[str]:
+    """Return the command of so many worker processes, which end when this process does.
+
+    Without a `name` theirs are those of host and process; see ``island-worker --help`` for the other options.
+    """
+    options = ["--connect", endpoint, "--processes", str(number), *(["--name", name] if name is not None else [])]
+    options += ["--wait", f"{wait_s:g}", "--grace", f"{grace_s:g}"]
+    return [sys.executable, "-m", "atoll_island_worker", *options, "--parent", str(os.getpid())]
+
+
+_COORDINATOR_STOP_S: Final = 5.0
+_OPEN_LIMIT_S: Final = 20.0
+
+
+@contextlib.contextmanager
+def local_processes(number: int, log: Path) -> Iterator[tuple[str, LocalWorkers]]:
+    """Start what is to load first: workers, which dial the address that is yielded."""
+    with own_address() as address, LocalWorkers(str(address), number, log) as workers:
+        yield str(address), workers
+
+
+class LocalCoordinator:
+    """Router and service in a thread of their own, the store in memory; a context manager."""
+
+    def __init__(self, endpoint: str, workers: int) -> None:
+        """`workers` is how many are expected to join."""
+        self._endpoint = endpoint
+        self._workers = workers
+        self._stop = threading.Event()
+        self._listening = threading.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="coordinator", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join(_COORDINATOR_STOP_S)
+
+    def wait(self) -> None:
+        """Wait until the router listens; raises what kept it from doing so."""
+        if not self._listening.wait(_OPEN_LIMIT_S):
+            raise UnreachableError(f"the router did not listen on {self._endpoint} within {_OPEN_LIMIT_S:.0f} s")
+        self.check()
+
+    def check(self) -> None:
+        """Raise what has ended the coordinator, if it has ended."""
+        if self._error is not None:
+            raise self._error
+        if not self._thread.is_alive():
+            raise AtollError("the coordinator ended by itself, which it never should")
+
+    def _run(self) -> None:
+        try:
+            from atoll_coordinator.service.service_loop import Service
+            from atoll_coordinator.service.store.store import Store
+            from atoll_core.wire.bus.zenoh_bus import open_router
+
+            with Store.open(None) as store, open_router(self._endpoint) as bus:
+                service = Service(bus, store, expected_workers=self._workers, dismisses_workers=True)
+                self._listening.set()
+                service.run(self._stop)
+        except BaseException as error:  # handed to the main thread, which raises it
+            self._error = error
+        finally:
+            self._listening.set()
