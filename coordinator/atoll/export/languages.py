@@ -1,14 +1,7 @@
-"""Python: a module that needs numpy alone, with its own integrator; processes by the method of Euler and Maruyama.
+"""The languages of exports: reserved words, notation and templates of each.
 
-C99: a program that integrates by itself and prints CSV; of a regression a function.
-
-Julia: a system of ModelingToolkit, which BifurcationKit, StructuralIdentifiability and Attractors take as well.
-
-MATLAB and Octave: a function that solves by ode45, with the rates beside it.
-
-Modelica: a model for OpenModelica, Dymola and others, which make FMUs of it.
-
-XPPAUT: an .ode file, for phase planes and for AUTO's continuation.
+Python and C carry their own integrator (Dormand and Prince, orders 5 and 4); Julia, MATLAB, Modelica and XPPAUT use the
+solvers of their tools. Templates are written as `atoll.export.language` describes.
 """
 
 import keyword

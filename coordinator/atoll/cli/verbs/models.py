@@ -10,8 +10,8 @@ from atoll.cli.exit_codes import DONE
 from atoll.cli.options.values import finite_number, if_given, interval, intervals, numbers, whole_number
 from atoll.cli.request import result_of
 from atoll.model.arguments import FileStart, ReadColumns, start_of_file, times_until
-from atoll.model.files import write_text
 from atoll.model.model import Model
+from atoll.model.shortcuts import write_text
 from atoll.model.simulation import SimulationWarning
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.data.differentiation.inputs import InputCurve

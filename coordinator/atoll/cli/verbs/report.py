@@ -8,7 +8,7 @@ from atoll.cli.analyses import ask
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import is_saved
 from atoll.cli.result_files import REPORT, write_page
-from atoll.model.files import write_text
+from atoll.model.shortcuts import write_text
 from atoll.tasks.analyses import Report
 from atoll.terminal.output import note
 from atoll_core.errors import AtollError, UsageError

@@ -422,7 +422,7 @@ def test_a_candidate_is_not_of_the_groups_of_the_equation_that_is_shown() -> Non
         assert candidate.equations[0].exact == "1.0 - x*x"
         assert candidate.groups == ()
         assert "dx/dt" in candidate.remark
-        assert "of all groups together" in candidate.remark
+        assert "all groups together" in candidate.remark
         assert candidate.result.groups == ()
         equation = candidate.result.equations[0]
         assert (equation.groups, equation.bounds, equation.units) == ((), (), None)

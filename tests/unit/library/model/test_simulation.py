@@ -85,7 +85,7 @@ def test_a_state_that_begins_at_0_has_the_size_that_was_measured_or_that_it_come
 
 def test_an_early_end_says_how_many_times_were_reached() -> None:
     simulation = simulate(VectorField.of({"x": "x**2"}), np.array([1.0]), TIMES)
-    assert simulation.message == "a state grows beyond all bounds near time 1; 2 of 11 times were reached"
+    assert simulation.message == "a state grows without bounds near time 1; 2 of 11 times were reached"
 
 
 PREY = VectorField.of({"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"})

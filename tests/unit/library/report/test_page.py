@@ -103,7 +103,7 @@ def test_what_repeats_a_run_is_not_the_clock() -> None:
     )
     contents["equations"][0] |= {"why": "max-time", "epoch": 12}
     assert any(
-        "--max-epochs x=12 in the place of --max-time" in text
+        "--max-epochs x=12 in place of --max-time" in text
         for text in read([origin(Findings(Result.of(contents), None))]).texts
     )
 
@@ -126,7 +126,7 @@ def test_a_verdict_is_explained_once_however_many_equations_have_it() -> None:
 
 
 def test_a_page_says_what_the_equation_of_noise_is() -> None:
-    said = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time."
+    said = "d[x]/dt is the variance that noise adds to the state x per unit of time."
     assert said in read([overview(Findings(Result.of(process()), None))]).texts
     assert said not in read([overview(Findings(Result.of(dynamics()), None))]).texts
 
@@ -165,7 +165,7 @@ def test_constants_are_called_as_those_of_the_model() -> None:
     page = read(constants(Findings(Result.of(contents), None)))
     names = [name for name, param in Model(contents).params.items() if param.stderr is not None]
     assert [text for text in page.texts if text in Model(contents).params] == names
-    assert f"{names[0]} and {names[1]} are hardly told apart: correlation -0.99." in page.texts
+    assert f"{names[0]} and {names[1]} are hardly distinguished: correlation -0.99." in page.texts
 
 
 SURE = "which of the two is right is known then with more than 99.9 % certainty"

@@ -38,7 +38,7 @@ def test_a_file_gives_initial_state_times_and_inputs(saved: Path, capsys: pytest
 
 def test_an_input_of_which_nothing_is_given_is_said_to_be_held(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", str(saved), "--format", "python"]) == 0
-    assert "held at 0, since nothing is given of them: u;" in capsys.readouterr().err
+    assert "held at 0, since no value is given: u;" in capsys.readouterr().err
     assert main(["export", str(saved), "--format", "python", "--hold", "u=0"]) == 0
     assert capsys.readouterr().err == ""
 
@@ -110,5 +110,5 @@ def test_the_heading_of_one_group_names_it(saved: Path, capsys: pytest.CaptureFi
     picked = exported(capsys, *words, *start, "--pick", "x=0")
     assert "those of dx/dt are of all groups together." in picked
     assert "0.75" in picked
-    assert "Constants are those of group a b." in text
+    assert "Constants belong to group a b." in text
     assert "0.6" in text

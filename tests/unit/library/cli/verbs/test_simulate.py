@@ -106,7 +106,7 @@ def test_an_early_end_is_said_and_is_no_error(saved: Path, capsys: pytest.Captur
     written = json.loads((saved / "o.json").read_text())
     assert written["status"] == "blow-up"
     assert written["columns"]["t"] == [0.0, 0.5]
-    assert "ended early: a state grows beyond all bounds" in capsys.readouterr().err
+    assert "ended early: a state grows without bounds" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
