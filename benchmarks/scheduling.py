@@ -262,7 +262,7 @@ def play_bytes(seed: int) -> list[str]:
             )
             for number in range(30):
                 _one_thing(stream, controller, clients, number)
-                stored = {user: store.stored_bytes(user) for user in roles.roles}
+                stored = {user: store.held(user).stored for user in roles.roles}
                 wrong += [f"{user} stores {amount} bytes of {own}" for user, amount in stored.items() if amount > own]
     finally:
         admission.RESULT_RESERVE = reserve  # type: ignore[misc]

@@ -22,7 +22,7 @@ from typing import Final
 
 from atoll.client.client import Client, connected
 from atoll.terminal.output import note, say
-from atoll_coordinator.service.store import blobs, events, jobs
+from atoll_coordinator.service.store import events, jobs
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
@@ -96,7 +96,8 @@ def _add(sql: sqlite3.Connection, index: int, spec: str) -> None:
     job, table, dataset = f"job-{index:06d}", f"table {index}".encode() * 20, f"dataset {index}".encode() * 20
     digests = [hashlib.sha256(data).hexdigest() for data in (table, dataset)]
     for digest, data in zip(digests, (table, dataset), strict=True):
-        blobs.add(sql, digest, data)
+        sql.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?, 1)", (digest, len(data)))
+        sql.execute("INSERT OR IGNORE INTO chunks VALUES (?, 0, ?)", (digest, data))
     state = _STATES[index % len(_STATES)]
     record = JobRecord(job, f"job {index}", spec, digests[0], _time(index), "running", dataset_digest=digests[1])
     jobs.add(sql, record)

@@ -15,6 +15,7 @@ from atoll_coordinator.service.monitoring.drafts import Draft
 from atoll_coordinator.service.monitoring.views import ended_view, outcomes_of
 from atoll_coordinator.service.requests import deferred
 from atoll_coordinator.service.service_loop import Service
+from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.dependencies import Dependencies
 from atoll_core.errors import AtollError, RefusedError
@@ -106,7 +107,7 @@ def test_a_cancelled_job_is_shown_as_it_was_until_its_end_is_in_the_store(world:
     view, record = world.client.status("job"), world.store.job("job")
     assert record is not None
     assert ended_view(record, world.store.result("job")).variables == view.variables
-    assert world.store.held_for_all().live == 0
+    assert world.store.held(ALL).live == 0
 
 
 def test_whoever_cancels_is_answered_when_that_lasts(world: Held) -> None:

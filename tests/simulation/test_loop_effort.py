@@ -33,6 +33,7 @@ from atoll_core.wire.bus.interface import Event, Message, Posted, Query
 from atoll_core.wire.codec import decode
 from atoll_core.wire.messages.clients import Request
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE, MAX_PAGE_JOBS
+from tests.blobs import put_blob
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World
 
@@ -82,7 +83,7 @@ class CountedWorld(World):
     def start_service(self) -> Service:
         for number in range(self.jobs):
             name = f"stored{number:06}"
-            table = self.store.put_blob(b"table %d" % (number % 7))
+            table = put_blob(self.store, b"table %d" % (number % 7))
             record = JobRecord(name, name, JobConfig().model_dump_json(), table, "2026", state="done")
             self.store.add_job(record)
             self.store.keep_views({name: ended_view(record, None).model_dump_json()})

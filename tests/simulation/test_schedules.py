@@ -8,13 +8,12 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from inspect import isfunction, signature
+from inspect import getmembers, isfunction, signature
 from typing import get_args
 
 import pytest
 
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
-from atoll_coordinator.service.store.open_file import OpenFile
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.schema import _prepare
 from atoll_coordinator.service.store.store import Store
@@ -120,7 +119,7 @@ def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_what_is_left_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atoll_island_worker.datasets.Datasets.forget", lambda self, job: None)
+    monkeypatch.setattr("atoll_island_worker.downloads.Datasets.forget", lambda self, job: None)
     outcome = play(disturbed())
     assert any("still holds datasets" in sentence for sentence in outcome.wrong), told(outcome)
 
@@ -307,11 +306,10 @@ def test_what_reads_the_store_needs_no_room(name: str) -> None:
 
 
 def test_whatever_else_the_store_does_needs_room() -> None:
-    methods = {**vars(OpenFile), **vars(Store)}
-    public = {name for name, method in methods.items() if not name.startswith("_") and isfunction(method)}
+    public = {name for name, _ in getmembers(Store, isfunction) if not name.startswith("_")}
     assert public - READS == {
         "keep_served", "add_job", "update_job", "keep_prepared", "commit_result", "delete_job", "begin_terms",
-        "commit_cuts", "add_deaths", "take_back_deaths", "add_events", "commit_checkpoint", "put_blob", "put_chunk",
+        "commit_cuts", "add_deaths", "take_back_deaths", "add_events", "commit_checkpoint", "put_chunk",
         "delete_unused_blobs", "keep_views", "share_job", "cordon", "add_usage", "pause_queue",
     }  # fmt: skip
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.main import main
+from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.schema import FILE_NAME
 from atoll_coordinator.service.store.store import Store
@@ -83,7 +84,7 @@ def test_a_cancelled_job_keeps_what_it_has_found_whether_or_not_a_worker_is_ther
     kept = world.result()
     assert kept["digest"] == found["digest"]
     assert [each["expression"] for each in kept["equations"]] == [each["expression"] for each in found["equations"]]
-    assert world.store.held_for_all().live == 0, "what was kept of its preparation alone is deleted with its end"
+    assert world.store.held(ALL).live == 0, "what was kept of its preparation alone is deleted with its end"
     world.close()
 
 

@@ -16,9 +16,8 @@ import numpy.typing as npt
 
 from atoll.model.simulation import MOST_NUMBERS, Inputs
 from atoll_coordinator.data.differentiation.inputs import InputCurve
-from atoll_coordinator.data.roles.trajectory_column import TRAJECTORY_NAME
-from atoll_coordinator.data.trajectories.measurements import RADIANS_PER_DEGREE
-from atoll_coordinator.data.trajectories.trajectories import unwrap
+from atoll_coordinator.data.roles.columns import TRAJECTORY_NAME
+from atoll_coordinator.data.trajectories.measurements import RADIANS_PER_DEGREE, unwrap
 from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.listed_trajectories import Recorded, Simulated
 from atoll_coordinator.result.result import Result

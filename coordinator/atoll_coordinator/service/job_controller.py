@@ -826,7 +826,7 @@ class JobController:
         if text is None or most is None:
             return text
         size = len(text.encode())
-        while self._store.stored_bytes(job.submitter) + size > most:
+        while self._store.held(job.submitter).stored + size > most:
             oldest = self._store.oldest_ended_job(Viewer(job.submitter))
             if oldest is None:
                 job.state, job.fault = "failed", "internal"

@@ -17,9 +17,9 @@ from atoll_core.wire.codec import encode
 READS: Final = frozenset({
     "job", "jobs", "open_jobs", "views", "job_page", "count_jobs", "submitter", "is_deleted", "result", "cuts",
     "checkpoints", "state", "whole_checkpoints", "events", "has_blob", "is_begun", "is_sound", "get_blob", "get_chunk",
-    "blob_bytes", "deaths", "oldest_ended_job", "is_seen", "uses_table", "uses_table_of", "blob_size", "stored_bytes",
-    "all_stored_bytes", "is_queue_paused", "cordons", "usage", "held", "held_for_all",
-    "count_holders", "first_to_go", "has_search", "unused_blobs", "timing", "check", "close",
+    "blob_bytes", "deaths", "oldest_ended_job", "is_seen", "uses_table", "uses_table_of", "blob_size",
+    "is_queue_paused", "cordons", "usage", "held", "count_holders",
+    "first_to_delete", "has_search", "unused_blobs", "timing", "check", "close",
     "room", "beat", "size_bytes",
 })  # fmt: skip
 """What needs no room: it answers on a full disk as well, and no coordinator dies of it."""

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.least_squares import Solver, coefficients_of, inverse, minimize, solver
+from atoll_coordinator.model.least_squares import Descent, Solver, coefficients_of, inverse, minimize, solver
 from atoll_coordinator.model.sparse.elimination import on_the_way
 from atoll_coordinator.model.sparse.products import products
 from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, program_of, shapes
@@ -341,7 +341,7 @@ class _Pursuit:
             following = self._solved(terms, moved)
             return None if following is None else (following, self._misfit(at) - self._misfit(following))
 
-        return minimize(begun, linearise, move)
+        return minimize(Descent(begun, linearise, move))
 
     def _solved(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
         """Return the sum with the coefficients of least squares at these inner constants."""

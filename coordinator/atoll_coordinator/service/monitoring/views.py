@@ -2,13 +2,12 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, Literal, cast
 
 from pydantic import ValidationError
 
-from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.model.result.result import KNOWN, VariableOutcome, equation_of
+from atoll_coordinator.result.base import finite
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
@@ -24,7 +23,7 @@ from atoll_core.wire.messages.views import FINAL_STATES, JobCounters, JobState, 
 
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
-    """Return how the searches of a job stand or ended, with what refinement has made of them; known equations as well.
+    """Return how the searches of a job stand or ended; known equations as well.
 
     They come in the order of the dataset.
     """
@@ -33,7 +32,7 @@ def outcomes_of(job: Job) -> list[VariableOutcome]:
     outcomes = {name: outcome_of(archipelago) for name, archipelago in job.archipelagos.items()}
     outcomes |= {name: VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in job.prepared.known.items()}
     order = [name for name in job.prepared.dataset.variables if name in outcomes]
-    return [replace(outcomes[name], refined=job.refinement.equations.get(name)) for name in order]
+    return [outcomes[name] for name in order]
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:
@@ -196,7 +195,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
         finished=outcome.why is not None,
         why=cast(Why | Literal["known"] | None, outcome.why),
     )
-    shown = equation_of(outcome, prepared.dataset, prepared.config)
+    shown = equation_of(outcome, None, prepared.dataset, prepared.config)
     if shown is None:
         return view
     normalized = finite(shown.error / target.standard_deviation) if target.standard_deviation else None

@@ -5,6 +5,7 @@ from typing import Final
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.uploads import Uploads
 from atoll_coordinator.service.scheduling.limits import Limits
+from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig
@@ -70,7 +71,7 @@ class Admission:
         most = self._retention.most_live
         if most is None or not size:
             return
-        live, own = self._store.held_for_all().live, self._store.held(user).live
+        live, own = self._store.held(ALL).live, self._store.held(user).live
         share = most // max(1, self._store.count_holders() + (not own))
         if live + size > most and own + size > share:
             raise RefusedError(
@@ -85,7 +86,7 @@ class Admission:
         live = self._controller.live_of
         own, total = self._limits.of(user).stored, self._limits.total.stored
         if own is not None:
-            used, kept = self._store.stored_bytes(user) + pending[0], RESULT_RESERVE * (live[user] + 1)
+            used, kept = self._store.held(user).stored + pending[0], RESULT_RESERVE * (live[user] + 1)
             if used + size + kept > own:
                 raise RefusedError(
                     f"{_name(user)} stores {used} bytes of tables and results, and {size} more with {kept} kept for "
@@ -93,7 +94,7 @@ class Admission:
                     "(coordinator delete ID)"
                 )
         if total is not None:
-            used, kept = self._store.all_stored_bytes() + pending[1], RESULT_RESERVE * (live.total() + 1)
+            used, kept = self._store.held(ALL).stored + pending[1], RESULT_RESERVE * (live.total() + 1)
             if used + size + kept > total:
                 raise RefusedError(
                     f"all users store {used} bytes of tables and results, and {size} more with {kept} kept for results "

@@ -3,6 +3,7 @@
 from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError
@@ -46,9 +47,9 @@ class JobDeletion:
         oldest = self._store.oldest_ended_job()
         if oldest is not None and self.retention.is_too_old(oldest, self._store.served_s):
             return oldest.id, f"it ended more than {(self.retention.age_s or 0.0) / 86400:g} days ago"
-        if not self.retention.is_too_much(self._store.held_for_all().freeable):
+        if not self.retention.is_too_much(self._store.held(ALL).freeable):
             return None
-        first = self._store.first_to_go()
+        first = self._store.first_to_delete()
         if first is None:
             return None
         size = (self.retention.size_bytes or 0) / 1e9

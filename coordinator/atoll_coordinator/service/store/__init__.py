@@ -1,8 +1,6 @@
-"""What the coordinator still knows after its own end: one SQLite file.
+"""The coordinator's durable memory: one SQLite file, ``atoll.sqlite3``.
 
-``store`` is the whole interface, one transaction for each method; ``open_file`` runs these and says what room is left;
-``schema`` opens, checks and migrates the file and locks its folder. A module for each group of tables, whose functions
-are parts of a transaction: ``jobs``, ``archipelagos`` (terms, placements, cuts), ``checkpoint_table``
-(with states), ``deaths``, ``events``, ``blobs`` (tables and datasets by digest). ``retention`` says which ended jobs
-are kept.
+`store` is the interface, one transaction a method; its parts are `jobs`, `searches`, `blobs`, `events` and `holdings`.
+`open_file` runs transactions; `schema` creates, checks and migrates the file; `lock` keeps other coordinators out, and
+`standby` waits for the lock; `backup` copies a store; `retention` says which ended jobs are kept.
 """

@@ -1,26 +1,27 @@
-"""The store's table of events: what happened, in the order in which it did, and not without end."""
+"""The store's table of events, of bounded length. Functions that take `sql` are part of the caller's transaction."""
 
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from atoll_coordinator.service.store.jobs import Viewer
+from atoll_coordinator.service.store.open_file import OpenFile, first_value
 
 MAX_EVENTS: Final = 2000
-"""Events kept of each job, and of no job in particular; older ones are forgotten."""
+"""Events kept of each job, and without a job; older ones are deleted."""
 
 LEAST_COMMITS: Final = 500
-"""Of these events so many may be commits and lines of logs before anything rarer is forgotten for them."""
+"""So many of these may be commits and log lines before any rarer event is deleted."""
 
 _COMMON: Final = "kind IN ('commit', 'log')"
 
 
 @dataclass(frozen=True, slots=True)
 class EventRecord:
-    """One event as it is kept. `time` is an ISO time, `contents` JSON; `number` rises and is given by the store.
+    """One stored event. `time` is an ISO time, `contents` JSON; the store assigns rising `number`s.
 
-    `job` is None when it concerns no job in particular.
+    `job` is None when it concerns no particular job.
     """
 
     job: str | None
@@ -30,63 +31,60 @@ class EventRecord:
     number: int = 0
 
 
+class EventStore(OpenFile):
+    """The part of the store that holds events. Every method is one transaction."""
+
+    def add_events(self, events: Iterable[EventRecord]) -> None:
+        """Store events; beyond `MAX_EVENTS` of a job, or without a job, the oldest are deleted, commits first."""
+        with self._transaction() as sql:
+            add(sql, tuple(events))
+
+    def events(
+        self, job: str | None, after: int, limit: int, viewer: Viewer | None = None, *, of_workers: bool = False
+    ) -> tuple[EventRecord, ...]:  # fmt: skip
+        """Return events of `job`, or of all (None), in order: the next `limit` after number `after`, or the last (0).
+
+        A `viewer` gets the events of jobs that it sees, and of workers, but no breakages, deletions or log lines
+        without a known job: these may concern other users. `of_workers`: only log lines of workers.
+        """
+        order = "ASC" if after else "DESC"
+        sources = ("TRUE",) if viewer is None else ("owner = :name AND owner IS NOT NULL", "shared")
+        which = ("AND job = :job " if job is not None else "") + ("AND kind = 'log' " if of_workers else "")
+        index = "INDEXED BY events_of_job" if job is not None else ""
+        parts = (
+            f"SELECT * FROM (SELECT job, time, kind, contents, number FROM events {index} WHERE {whose} {which}"
+            f"AND number > :after ORDER BY number {order} LIMIT :limit)"
+            for whose in sources
+        )
+        values = {"job": job, "after": after, "limit": limit, "name": viewer.name if viewer is not None else None}
+        with self._reading() as sql:
+            rows = sql.execute(f"{' UNION '.join(parts)} ORDER BY number {order} LIMIT :limit", values).fetchall()
+        return tuple(EventRecord(*row) for row in (rows if after else reversed(rows)))
+
+
 def add(sql: sqlite3.Connection, events: Sequence[EventRecord]) -> None:
-    """Add events, in order, and forget what is too much of each job; part of the caller's transaction."""
+    """Add events, in order, and delete the excess of each job."""
     rows = [(event.job, event.time, event.kind, event.contents, *_seen_by(sql, event)) for event in events]
     sql.executemany("INSERT INTO events (job, time, kind, contents, owner, shared) VALUES (?, ?, ?, ?, ?, ?)", rows)
     for job in {event.job: None for event in events}:
-        _thin(sql, job)
+        _delete_excess(sql, job)
 
 
 def _seen_by(sql: sqlite3.Connection, event: EventRecord) -> tuple[str | None, int]:
-    """Return whose an event is, and whether everybody sees it: what its job says, or an event of workers."""
+    """Return the owner of an event, and whether all users see it."""
     if event.job is None:
         return None, int(event.kind not in ("deleted", "broken", "log"))
     row = sql.execute("SELECT submitter, shared FROM jobs WHERE id = ?", (event.job,)).fetchone()
     return row if row is not None else (None, 0)
 
 
-def share(sql: sqlite3.Connection, job: str, is_shared: bool) -> None:
-    """Have everybody see the events of a job, or its submitter alone."""
-    sql.execute("UPDATE events SET shared = ? WHERE job = ?", (int(is_shared), job))
-
-
-def _thin(sql: sqlite3.Connection, job: str | None) -> None:
-    """Forget the oldest events of a job beyond `MAX_EVENTS`: first commits and lines of logs, as long as there are
-    `LEAST_COMMITS` of them."""
-    (excess,) = sql.execute("SELECT count(*) - ? FROM events WHERE job IS ?", (MAX_EVENTS, job)).fetchone()
+def _delete_excess(sql: sqlite3.Connection, job: str | None) -> None:
+    """Delete the oldest events beyond `MAX_EVENTS`: commits and log lines first, while there are `LEAST_COMMITS`."""
+    excess = first_value(sql, "SELECT count(*) - ? FROM events WHERE job IS ?", MAX_EVENTS, job)
     if excess <= 0:
         return
     oldest = "SELECT number FROM events WHERE job IS ? AND {} ORDER BY number LIMIT ?"
-    (commits,) = sql.execute(f"SELECT count(*) FROM events WHERE job IS ? AND {_COMMON}", (job,)).fetchone()
+    commits = first_value(sql, f"SELECT count(*) FROM events WHERE job IS ? AND {_COMMON}", job)
     spare = min(excess, max(0, commits - LEAST_COMMITS))
     for condition, number in ((_COMMON, spare), (f"NOT {_COMMON}", excess - spare)):
         sql.execute(f"DELETE FROM events WHERE number IN ({oldest.format(condition)})", (job, number))
-
-
-def read(
-    sql: sqlite3.Connection, job: str | None, after: int, limit: int, viewer: Viewer | None = None,
-    of_workers: bool = False,
-) -> tuple[EventRecord, ...]:  # fmt: skip
-    """Return events of `job`, or of all (None), in order: the `limit` next ones after `after`, or the last ones (0).
-
-    A `viewer` is told of the jobs it sees, and of workers; what broke, which jobs were deleted, and what workers log of
-    no job that is known, may be others'. `of_workers`: only lines of workers' logs.
-    """
-    order = "ASC" if after else "DESC"
-    sources = ("TRUE",) if viewer is None else ("owner = :name AND owner IS NOT NULL", "shared")
-    which = ("AND job = :job " if job is not None else "") + ("AND kind = 'log' " if of_workers else "")
-    index = "INDEXED BY events_of_job" if job is not None else ""
-    parts = (
-        f"SELECT * FROM (SELECT job, time, kind, contents, number FROM events {index} WHERE {whose} {which}"
-        f"AND number > :after ORDER BY number {order} LIMIT :limit)"
-        for whose in sources
-    )
-    values = {"job": job, "after": after, "limit": limit, "name": viewer.name if viewer is not None else None}
-    rows = sql.execute(f"{' UNION '.join(parts)} ORDER BY number {order} LIMIT :limit", values).fetchall()
-    return tuple(EventRecord(*row) for row in (rows if after else reversed(rows)))
-
-
-def delete(sql: sqlite3.Connection, job: str) -> None:
-    """Delete the events of a job; part of the caller's transaction."""
-    sql.execute("DELETE FROM events WHERE job = ?", (job,))

@@ -1,8 +1,8 @@
-"""The store's tables of what is held for whom: bytes of each user's jobs, kept as they change, so that nobody adds up.
+"""The store's tables of held bytes: the bytes of each user's jobs, updated with every change, never summed up.
 
 A blob counts once for a user, however many jobs use it, and once for all users together (`ALL`). It is *live* for a
-user while a job of the user uses it that has not ended. It is *freeable* for all users whose ended jobs use it when no
-job that has not ended does, whoever submitted that: only then deleting ended jobs frees it. Every function is part of
+user while a job of the user that has not ended uses it. It is *freeable* for all users whose ended jobs use it while no
+job that has not ended does, of any user: only then deleting ended jobs frees it. Functions that take `sql` are part of
 the caller's transaction.
 """
 
@@ -10,19 +10,21 @@ import sqlite3
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from atoll_coordinator.service.store.open_file import OpenFile, first_value
+
 ALL: Final = "*"
-"""Owner of what all users hold together; no name in a certificate."""
+"""Owner of the sums over all users; no certificate has this name."""
 
 Kind = Literal["table", "made"]
-"""What a blob is: a table that was uploaded, which counts in what its user may store, or what was made of one."""
+"""An uploaded table, which counts towards a user's limit, or data prepared from one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """Bytes that are held for a user, or for all together.
+    """Bytes that are held for a user, or for all users together.
 
-    `stored` are those of tables and results, which limits count; `live` those of blobs of jobs that have not ended;
-    `freeable` those that deleting ended jobs frees: of blobs that only ended jobs use, of any user, and of results.
+    `stored`: tables and results, which limits count; `live`: blobs of jobs that have not ended; `freeable`: blobs that
+    only ended jobs use, and results.
     """
 
     stored: int = 0
@@ -30,56 +32,57 @@ class Held:
     freeable: int = 0
 
 
-def read(sql: sqlite3.Connection, owner: str | None) -> Held:
-    """Return what is held for a user (None: for nobody in particular) or for `ALL`."""
-    row = sql.execute(
-        "SELECT tables + results, live, freeable + results FROM holdings WHERE owner = ?", (owner or "",)
-    ).fetchone()
-    return Held(*row) if row is not None else Held()
+class HoldingStore(OpenFile):
+    """The part of the store that says how many bytes are held for whom. Every method is one transaction."""
+
+    def held(self, owner: str | None) -> Held:
+        """Return the bytes held for a user (None: for jobs without a submitter) or for `ALL` users together."""
+        query = "SELECT tables + results, live, freeable + results FROM holdings WHERE owner = ?"
+        rows = self._rows(query, owner or "")
+        return Held(*rows[0]) if rows else Held()
+
+    def count_holders(self) -> int:
+        """Return for how many users bytes are held."""
+        return int(self._value("SELECT count(*) FROM holdings WHERE owner <> ?", ALL))
 
 
 def most_freeable(sql: sqlite3.Connection) -> str | None:
-    """Return the user for whom most is held that can be freed, "" for nobody in particular; None: nothing can."""
-    row = sql.execute(
+    """Return the user with the most freeable bytes, "" for jobs without a submitter; None: nothing is freeable."""
+    owner: str | None = first_value(
+        sql,
         "SELECT owner FROM holdings WHERE owner <> ? AND freeable + results > 0 "
         "ORDER BY freeable + results DESC, owner LIMIT 1",
-        (ALL,),
-    ).fetchone()
-    return row[0] if row is not None else None
-
-
-def owners(sql: sqlite3.Connection) -> int:
-    """Return for how many users something is held."""
-    (number,) = sql.execute("SELECT count(*) FROM holdings WHERE owner <> ?", (ALL,)).fetchone()
-    return int(number)
+        ALL,
+    )
+    return owner
 
 
 def use(sql: sqlite3.Connection, owner: str | None, digest: str, kind: Kind, *, live: int = 0, ended: int = 0) -> None:
-    """Take in how many jobs more, or fewer, of a user use a blob: those that have not ended, and those that have."""
+    """Change the numbers of jobs of a user that use a blob: of those that have not ended, and of those that have."""
     owners = (owner or "", ALL)
     _count_freeable(sql, digest, kind, -1)
     for whose in owners:
-        row = sql.execute("SELECT size, live, ended FROM uses WHERE owner = ? AND digest = ? AND kind = ?",
-                          (whose, digest, kind)).fetchone()  # fmt: skip
-        size, was_live, was_ended = row or (_size(sql, digest), 0, 0)
+        key = (whose, digest, kind)
+        row = sql.execute(
+            "SELECT size, live, ended FROM uses WHERE owner = ? AND digest = ? AND kind = ?", key
+        ).fetchone()
+        size, was_live, was_ended = row or (
+            int(first_value(sql, "SELECT size FROM blobs WHERE digest = ?", digest) or 0), 0, 0
+        )  # fmt: skip
         now_live, now_ended = was_live + live, was_ended + ended
         if now_live or now_ended:
-            sql.execute("INSERT OR REPLACE INTO uses VALUES (?, ?, ?, ?, ?, ?)",
-                        (whose, digest, kind, size, now_live, now_ended))  # fmt: skip
+            sql.execute("INSERT OR REPLACE INTO uses VALUES (?, ?, ?, ?, ?, ?)", (*key, size, now_live, now_ended))
         else:
-            sql.execute("DELETE FROM uses WHERE owner = ? AND digest = ? AND kind = ?", (whose, digest, kind))
-        counted = kind == "table"
-        _add(
-            sql, whose,
-            tables=size * counted * (bool(now_live or now_ended) - bool(was_live or was_ended)),
-            live=size * (bool(now_live) - bool(was_live)),
-        )  # fmt: skip
+            sql.execute("DELETE FROM uses WHERE owner = ? AND digest = ? AND kind = ?", key)
+        is_used, was_used = bool(now_live or now_ended), bool(was_live or was_ended)
+        tables = size * (is_used - was_used) if kind == "table" else 0
+        _add(sql, whose, tables=tables, live=size * (bool(now_live) - bool(was_live)))
     _count_freeable(sql, digest, kind, 1)
     _forget_empty(sql, owners)
 
 
 def add_result(sql: sqlite3.Connection, owner: str | None, size: int) -> None:
-    """Take in that the results of a user have so many bytes more, or fewer."""
+    """Add bytes (negative: fewer) to the results of a user."""
     owners = (owner or "", ALL)
     for whose in owners:
         _add(sql, whose, results=size)
@@ -87,9 +90,9 @@ def add_result(sql: sqlite3.Connection, owner: str | None, size: int) -> None:
 
 
 def _count_freeable(sql: sqlite3.Connection, digest: str, kind: Kind, sign: int) -> None:
-    """Add a blob to what is freeable of all whose ended jobs use it, or (-1) take it from there: as its uses are now.
+    """Add a blob to (-1: subtract it from) the freeable bytes of all users whose ended jobs use it, if none is live.
 
-    It costs as much as users use the same blob.
+    The cost grows with the number of users of the same blob.
     """
     sql.execute(
         "INSERT INTO holdings SELECT owner, 0, 0, 0, ? * size FROM uses WHERE digest = ? AND kind = ? AND ended > 0 "
@@ -97,11 +100,6 @@ def _count_freeable(sql: sqlite3.Connection, digest: str, kind: Kind, sign: int)
         "ON CONFLICT DO UPDATE SET freeable = freeable + excluded.freeable",
         (sign, digest, kind, ALL, digest, kind),
     )
-
-
-def _size(sql: sqlite3.Connection, digest: str) -> int:
-    row = sql.execute("SELECT size FROM blobs WHERE digest = ?", (digest,)).fetchone()
-    return int(row[0]) if row is not None else 0
 
 
 def _add(sql: sqlite3.Connection, owner: str, *, tables: int = 0, results: int = 0, live: int = 0) -> None:

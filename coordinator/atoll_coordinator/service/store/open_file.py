@@ -1,4 +1,4 @@
-"""The store's file while it is open: whose it is, its transactions, how long they take, and what room is left for more.
+"""The store's file while it is open: ownership, transactions, their durations, and free space.
 
 Any thread may call. What a transaction wrote is on the disk (``synchronous=FULL``) when it ends.
 """
@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from atoll_coordinator.service.store.lock import Lock
 from atoll_coordinator.service.store.schema import FILE_NAME, connect, connect_to_read, translated
@@ -22,7 +22,7 @@ from atoll_core.wire.messages.views import StoreView
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """How many bytes may still be written, and how large the disk is."""
+    """Bytes that may still be written, and the size of the disk."""
 
     free: int
     total: int
@@ -38,7 +38,7 @@ class OpenFile:
         self, connection: sqlite3.Connection, lock: Lock | None, directory: Path | None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
-        """`now` gives seconds that only rise, whatever is done to the time of day."""
+        """`now` gives monotonic seconds."""
         self._connection = connection
         self._lock_on_directory = lock
         self._directory = directory
@@ -54,12 +54,12 @@ class OpenFile:
 
     @classmethod
     def open(cls, directory: Path | None, now: Callable[[], float] = time.monotonic, lock: Lock | None = None) -> Self:
-        """Open the store in `directory`, making it if need be; None: in memory, gone when closed.
+        """Open the store in `directory`, creating it if necessary; None: in memory, lost when closed.
 
-        `lock` is the one on the directory, if it has been taken already; it is given back with the store.
+        `lock` is the lock on the directory if the caller has it already; closing the store releases it.
 
         Raises:
-            StoreError: another coordinator serves from it, it is damaged, of a newer version, or cannot be written.
+            StoreError: another coordinator uses the store, or it is damaged, of a newer version, or not writable.
         """
         if directory is None:
             return cls(connect(None), None, None, now)
@@ -79,7 +79,7 @@ class OpenFile:
         self.close()
 
     def close(self) -> None:
-        """Close the store and let others open it. Repeatable."""
+        """Close the store and release its lock. Repeatable."""
         with self._lock, self._reading_lock:
             if self._reader is not None:
                 self._reader.close()
@@ -94,11 +94,11 @@ class OpenFile:
             pass
 
     def beat(self) -> None:
-        """Show a coordinator on standby that this one gets on; raise StoreError when it has taken over nevertheless."""
+        """Show a standby coordinator that this one is alive; raise StoreError when it has taken over all the same."""
         if self._lock_on_directory is None:
             return
         self._lock_on_directory.beat()
-        if self._lock.acquire(blocking=False):  # else a transaction is under way, and looks by itself
+        if self._lock.acquire(blocking=False):  # else a transaction is under way, which checks by itself
             try:
                 with translated(self._directory):
                     self._check_incarnation(self._connection)
@@ -107,31 +107,28 @@ class OpenFile:
 
     @property
     def served_s(self) -> float:
-        """For how many seconds it has been open, in all coordinators' lives: by this, jobs that ended grow old."""
+        """Seconds for which the store has been open, by any coordinator; the age of ended jobs is counted in them."""
         return self._now() - self._served_since
 
     def keep_served(self) -> None:
-        """Make `served_s` durable; what is not is lost with the coordinator, and jobs are the younger for it."""
+        """Store `served_s`; what is not stored is lost with the coordinator, and ended jobs count as younger."""
         with self._transaction() as sql:
             sql.execute("UPDATE realm SET served = ?", (self.served_s,))
 
     def timing(self) -> StoreView:
-        """Return how many transactions there were since the store was opened, and how long they took."""
+        """Return number and durations of the transactions since the store was opened."""
         with self._timing_lock:
             return self._timing
 
     def size_bytes(self) -> int:
-        """Return how many bytes the store's file has; 0 in memory."""
+        """Return the size of the store's file in bytes; 0 in memory."""
         try:
             return (self._directory / FILE_NAME).stat().st_size if self._directory is not None else 0
         except OSError:
             return 0
 
     def room(self) -> Room | None:
-        """Return what room there is: on its disk, and in its file, whose free pages are used again.
-
-        None: it is in memory, or the system does not say.
-        """
+        """Return the free space on the disk and in the file's unused pages; None: in memory, or unknown."""
         if self._directory is None:
             return None
         try:
@@ -159,7 +156,7 @@ class OpenFile:
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
-        """What only reads does not wait for what another thread writes, such as a checkpoint of many megabytes."""
+        """A connection of its own for reading: it does not wait for another thread's write of many megabytes."""
         reader = self._reader
         if reader is None:  # in memory there is one connection
             with self._transaction() as sql:
@@ -175,8 +172,18 @@ class OpenFile:
                 reader.execute("ROLLBACK")
             self._count(time.perf_counter() - began)
 
+    def _value(self, query: str, *values: object) -> Any:
+        """Return the first value of the first row that a query reads; None without a row."""
+        with self._reading() as sql:
+            return first_value(sql, query, *values)
+
+    def _rows(self, query: str, *values: object) -> list[Any]:
+        """Return the rows that a query reads."""
+        with self._reading() as sql:
+            return sql.execute(query, values).fetchall()
+
     def _check_incarnation(self, connection: sqlite3.Connection) -> None:
-        """Raise StoreError when somebody else has opened the store since: nothing is written over another's work."""
+        """Raise StoreError when another coordinator has opened the store since: its work is never overwritten."""
         (incarnation,) = connection.execute("SELECT incarnation FROM realm").fetchone()
         if incarnation != self.incarnation:
             raise StoreError(
@@ -192,3 +199,9 @@ class OpenFile:
                 total_s=before.total_s + seconds,
                 worst_s=max(before.worst_s, seconds),
             )
+
+
+def first_value(sql: sqlite3.Connection, query: str, *values: object) -> Any:
+    """Return the first value of the first row; None without a row."""
+    row = sql.execute(query, values).fetchone()
+    return row[0] if row is not None else None

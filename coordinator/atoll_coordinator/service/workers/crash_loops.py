@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import ArchipelagoKey
-from atoll_coordinator.service.store.deaths import Death
+from atoll_coordinator.service.store.searches import Death
 from atoll_coordinator.service.store.store import Store
 
 QUARANTINE_AFTER: Final = 3

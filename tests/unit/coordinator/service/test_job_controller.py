@@ -9,6 +9,7 @@ from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
 from atoll_core.wire.messages.clients import JobList
+from tests.blobs import put_blob
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
 EQUATION = {
@@ -20,7 +21,7 @@ READABLE = json.dumps({"equations": [EQUATION], "point_evaluations": 7, "warning
 
 def recovered(store: Store, result: str) -> JobController:
     """Return the controller of a store that has one job, which has ended with `result`."""
-    blob = store.put_blob(b"t,x\n0,1\n")
+    blob = put_blob(store, b"t,x\n0,1\n")
     store.add_job(JobRecord("job", "a job", JobConfig(seed=3).model_dump_json(), blob, "2026-01-01T00:00:00"))
     store.commit_result("job", "done", result)
     controller = controller_of(store, Tasks())

@@ -24,25 +24,16 @@ from atoll_core.wire.messages.epochs import (
 )
 from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import State, split_states
-from atoll_island_worker.session.actions import (
+from atoll_island_worker.session.interface import (
+    Abandoned,
     AskPeer,
+    Broken,
     Discard,
     DiscardJob,
+    EpochComputed,
     FetchJob,
     FetchPlacements,
     FetchStates,
-    Respond,
-    RunTask,
-    Send,
-    SendHeartbeat,
-    SendReport,
-    StopAt,
-)
-from atoll_island_worker.session.epoch_tasks import ShardKey, TaskKey
-from atoll_island_worker.session.events import (
-    Abandoned,
-    Broken,
-    Computed,
     JobReady,
     LoadFailed,
     Mailed,
@@ -50,8 +41,16 @@ from atoll_island_worker.session.events import (
     PullAsked,
     Rejected,
     Reset,
+    Respond,
+    RunTask,
+    Send,
+    SendHeartbeat,
+    SendReport,
+    ShardKey,
     Snapshot,
     StatesCame,
+    StopAt,
+    TaskKey,
     Tick,
 )
 from atoll_island_worker.session.worker_session import Session
@@ -96,12 +95,12 @@ def report(island: int, hit: int | None = None, generations: int = 100) -> Islan
     )
 
 
-def computed(task: TaskKey, emigrants: dict[int, bytes], *senders: int, hit: int | None = None) -> Computed:
-    return Computed(task, report(task.island, hit), emigrants, frozenset(senders))
+def computed(task: TaskKey, emigrants: dict[int, bytes], *senders: int, hit: int | None = None) -> EpochComputed:
+    return EpochComputed(task, report(task.island, hit), emigrants, frozenset(senders))
 
 
-def stopped(task: TaskKey, generations: int) -> Computed:
-    return Computed(task, report(task.island, generations=generations), {}, frozenset())
+def stopped(task: TaskKey, generations: int) -> EpochComputed:
+    return EpochComputed(task, report(task.island, generations=generations), {}, frozenset())
 
 
 def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str = "peer") -> Mailed:
@@ -391,12 +390,12 @@ def test_reports_can_be_pulled_until_all_islands_have_reported_them(session: Ses
 def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atoll_island_worker.session.retransmit_buffer.ADDITIONS_PER_ANSWER", 1)
+    monkeypatch.setattr("atoll_island_worker.session.kept_messages.ADDITIONS_PER_ANSWER", 1)
     begun(session, "me")
     addition = Addition(complexity=1, error=0.1, mse=0.1, generation=1, program=b"")
     for epoch in range(3):
         full = report(0).model_copy(update={"additions": (addition,)})
-        session.handle(Computed(key(0, epoch), full, {0: b"own"}, frozenset()))
+        session.handle(EpochComputed(key(0, epoch), full, {0: b"own"}, frozenset()))
     (answer,) = session.handle(PullAsked("h", PullReports(job="job", variable="x", term=1, first=1, last=3)))
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
@@ -502,7 +501,7 @@ def test_a_dataset_that_cannot_be_read_is_trouble(session: Session) -> None:
 
 def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
     begun(session, "me", "peer")
-    with pytest.raises(LocalProtocolError, match="nobody asked"):
+    with pytest.raises(LocalProtocolError, match="not asked for"):
         session.handle(computed(key(0, 1), {}))
 
 

@@ -49,6 +49,7 @@ from atoll_core.wire.messages.clients import (
     Workers,
 )
 from atoll_core.wire.messages.limits import CHUNK_SIZE
+from tests.blobs import put_blob
 
 TABLE = b"t,x\n0,1\n"
 BLOB = hashlib.sha256(TABLE).hexdigest()
@@ -340,7 +341,7 @@ def test_without_workers_the_list_is_empty(clients: ClientRequests) -> None:
 
 def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(tasks: Tasks) -> None:
     with Store.open(None) as store:
-        blob = store.put_blob(TABLE)
+        blob = put_blob(store, TABLE)
         for job, spec in (("old", '{"colour": "red"}'), ("torn", "{"), ("good", JobConfig(seed=3).model_dump_json())):
             store.add_job(JobRecord(job, job, spec, blob, "2026-01-01T00:00:00"))
         controller = controller_of(store, tasks, "2026-01-01T00:00:01")
@@ -420,7 +421,7 @@ def test_on_a_disk_nearly_full_uploads_that_no_job_uses_go_first(
     room = Room(15 * MB, 60 * MB)
     monkeypatch.setattr(Store, "room", lambda self: room)
     store = clients._store
-    used, unused = store.put_blob(b"used"), store.put_blob(b"unused")
+    used, unused = put_blob(store, b"used"), put_blob(store, b"unused")
     store.add_job(JobRecord("job", "", JobConfig().model_dump_json(), used, "2026"))
     clients.uploads.expire()
     assert store.has_blob(unused)
@@ -452,5 +453,5 @@ def test_half_uploads_end_no_coordinator_on_a_small_disk(tmp_path: Path, monkeyp
                 uploads.take(half, None, None, "")
             except RefusedError:
                 refused += 1
-            store.put_blob(bytes([number]) * (MB // 2))
+            put_blob(store, bytes([number]) * (MB // 2))
         assert 0 < refused < 14

@@ -7,6 +7,7 @@ import pytest
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import CHECK_INTERVAL_S, JobDeletion
+from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.store import Store
@@ -15,6 +16,7 @@ from atoll_core.errors import RefusedError
 from atoll_core.wire.messages.clients import Cancel, Delete, Request, Submit
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.security.roles import RoleBindings
+from tests.blobs import put_blob
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
 DAY = 86400.0
@@ -35,7 +37,7 @@ def store() -> Iterator[Store]:
 
 def add(store: Store, name: str, finished: str | None, submitter: str = "ann") -> None:
     """Add a job, which has ended on a day of January 2026 if that is given; the store is served from the first."""
-    table = store.put_blob(name.encode() * 100_000)
+    table = put_blob(store, name.encode() * 100_000)
     spec, submitted = JobConfig().model_dump_json(), "2026-01-01T00:00:00+00:00"
     store.add_job(JobRecord(name, name, spec, table, submitted, submitter=submitter))
     if finished is not None:
@@ -88,7 +90,7 @@ def test_the_id_of_a_deleted_job_is_not_given_again(store: Store) -> None:
     add(store, "a", "10")
     deletes, controller = deletion(store)
     deletes.delete("a", "a client asked for it")
-    again = Submit(job="a", name="a", config=JobConfig(), table=store.put_blob(b"table"))
+    again = Submit(job="a", name="a", config=JobConfig(), table=put_blob(store, b"table"))
     with pytest.raises(RefusedError, match="job a was deleted, and its id is not given again; submit under another"):
         controller.submit(again, 1.0)
     controller.submit(again.model_copy(update={"job": "b"}), 2.0)
@@ -104,17 +106,17 @@ def test_jobs_beyond_an_age_are_deleted_oldest_first(store: Store) -> None:
 def test_jobs_beyond_a_size_are_deleted_oldest_first(store: Store) -> None:
     for name, finished in (("second", "11"), ("first", "10"), ("third", "12"), ("live", None)):
         add(store, name, finished)
-    assert deleted_in_turn(store, Retention(size_bytes=store.held_for_all().freeable - 900_000)) == ["first", "second"]
+    assert deleted_in_turn(store, Retention(size_bytes=store.held(ALL).freeable - 900_000)) == ["first", "second"]
 
 
 def test_tables_that_wait_delete_nobodys_results(store: Store) -> None:
     """No deletion could bring their size down: all that has ended would go, and the store be as full as before."""
     add(store, "mine", "10")
-    most = store.held_for_all().freeable + 110_000
+    most = store.held(ALL).freeable + 110_000
     for number in range(5):
         add(store, f"his-{number}", None, "bob")
     assert deleted_in_turn(store, Retention(size_bytes=most)) == []
-    assert store.held_for_all().live > most
+    assert store.held(ALL).live > most
     store.commit_result("his-0", "cancelled", None)
     assert deleted_in_turn(store, Retention(size_bytes=most)) != []
 
@@ -122,7 +124,7 @@ def test_tables_that_wait_delete_nobodys_results(store: Store) -> None:
 def test_the_user_who_holds_most_loses_first(store: Store) -> None:
     for name, finished in (("mine", "02"), ("mine-too", "03")):
         add(store, name, finished)
-    most = store.held_for_all().freeable + 110_000
+    most = store.held(ALL).freeable + 110_000
     for number, finished in enumerate(("10", "11", "12", "13")):
         add(store, f"his-{number}", finished, "bob")
     deleted = deleted_in_turn(store, Retention(size_bytes=most))
@@ -133,7 +135,7 @@ def test_the_user_who_holds_most_loses_first(store: Store) -> None:
 
 def test_tables_that_jobs_of_others_need_count_for_nobody(store: Store) -> None:
     """Deleting all of one user's results would free nothing of a table that another user's job waits with."""
-    table = store.put_blob(bytes(3_000_000))
+    table = put_blob(store, bytes(3_000_000))
     for name, owner in (("mine", "ann"), ("waits", "bob")):
         store.add_job(JobRecord(name, name, "{}", table, "2026", submitter=owner))
     store.commit_result("mine", "done", "{}")
@@ -161,7 +163,7 @@ def test_a_clock_that_is_set_to_another_year_deletes_nothing(store: Store) -> No
 def test_uploads_that_no_job_uses_cost_no_job_its_life(store: Store) -> None:
     """Six uploads, each begun and never submitted, take more than the store is to hold."""
     add(store, "mine", "10")
-    size = store.held_for_all().freeable + 100_000
+    size = store.held(ALL).freeable + 100_000
     for number in range(6):
         store.put_chunk(str(number) * 64, 0, bytes(CHUNK_SIZE))
     assert deleted_in_turn(store, Retention(size_bytes=size)) == []

@@ -569,10 +569,10 @@ def test_bytes_of_a_user_hold_to_the_byte(lab: Lab, monkeypatch: pytest.MonkeyPa
     table = bytes(range(40))
     view(lab.submit("ann", "a", table))  # 40 + 10
     view(lab.submit("ann", "b", table))  # the same table: 40 + 20
-    assert lab.store.stored_bytes("ann") == 40
+    assert lab.store.held("ann").stored == 40
     assert "stores 40 bytes" in said(lab.submit("ann", "c", bytes(31)))
     view(lab.submit("ann", "c", bytes(30)))  # 70 + 30
-    assert lab.store.stored_bytes("ann") == 70
+    assert lab.store.held("ann").stored == 70
     assert "are over the 100" in said(lab.submit("ann", "d", table))
     view(lab.submit("bob", "z", bytes(90)))
 

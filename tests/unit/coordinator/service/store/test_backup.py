@@ -10,6 +10,7 @@ import pytest
 
 from atoll_coordinator.service.store import backup
 from atoll_coordinator.service.store.backup import back_up, check_copy, restore
+from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.schema import FILE_NAME
 from atoll_coordinator.service.store.store import Store
@@ -101,7 +102,7 @@ def test_a_restored_store_has_the_jobs_and_a_name_of_its_own(copy: Path, state: 
     with Store.open(state) as old, Store.open(tmp_path / "new") as new:
         assert new.jobs() == old.jobs()
         assert [(job.submitter, job.shared) for job in new.jobs()] == [("user0", 0), ("user1", 1)]
-        assert (new.held("user1"), new.held_for_all()) == (old.held("user1"), old.held_for_all())
+        assert (new.held("user1"), new.held(ALL)) == (old.held("user1"), old.held(ALL))
         assert new.held("user1").stored > 0
         assert new.cluster == restored.cluster
         assert new.cluster != old.cluster == restored.copy.cluster

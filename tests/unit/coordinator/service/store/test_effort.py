@@ -10,10 +10,11 @@ from random import Random
 import pytest
 
 from atoll_coordinator.service.store.events import EventRecord
-from atoll_coordinator.service.store.holdings import Held
+from atoll_coordinator.service.store.holdings import ALL, Held
 from atoll_coordinator.service.store.jobs import MAX_COUNTED, JobRecord, Viewer
 from atoll_coordinator.service.store.schema import _LAYOUTS
 from atoll_coordinator.service.store.store import Store
+from tests.blobs import put_blob
 
 ANN = Viewer("ann")
 FEW, MANY = 100, 5_000
@@ -27,7 +28,7 @@ def filled(number: int) -> Store:
     ):  # fmt: skip
         for index in range(jobs):
             name, state = f"{next(names):06}", states[index % len(states)]
-            table = store.put_blob(f"table {index % 7} of {owner}".encode())
+            table = put_blob(store, f"table {index % 7} of {owner}".encode())
             store.add_job(JobRecord(name, name, "{}", table, "2026", submitter=owner, shared=int(index == 4)))
             store.add_events([EventRecord(name, "t", "submitted", "{}")])
             if state in ("done", "failed"):
@@ -81,13 +82,13 @@ QUESTIONS: dict[str, Callable[[Store], object]] = {
     "own events after": lambda store: store.events(None, 1, 20, ANN),
     "lines of logs": lambda store: store.events(None, 0, 20, of_workers=True),
     "own lines of logs": lambda store: store.events(None, 0, 20, ANN, of_workers=True),
-    "bytes of a user": lambda store: store.stored_bytes("bob"),
-    "bytes of all": lambda store: store.all_stored_bytes(),
+    "bytes of a user": lambda store: store.held("bob").stored,
+    "bytes of all": lambda store: store.held(ALL).stored,
     "bytes of blobs": lambda store: store.blob_bytes(),
     "users": lambda store: store.count_holders(),
     "the oldest": lambda store: store.oldest_ended_job(),
     "the oldest of a user": lambda store: store.oldest_ended_job(ANN),
-    "the first to go": lambda store: store.first_to_go(),
+    "the first to go": lambda store: store.first_to_delete(),
     "those that go on": lambda store: store.open_jobs(),
     "a table": lambda store: store.uses_table("x" * 64, ANN),
     "unused": lambda store: store.unused_blobs(),
@@ -105,7 +106,7 @@ def test_a_change_takes_no_longer_with_all_that_is_stored(stores: tuple[Store, S
     table = b"a new table"
 
     def change(store: Store) -> None:
-        store.add_job(JobRecord("new", "n", "{}", store.put_blob(table), "2026", submitter="ann"))
+        store.add_job(JobRecord("new", "n", "{}", put_blob(store, table), "2026", submitter="ann"))
         store.keep_prepared("new", b"dataset", b"prepared")
         store.share_job("new", True)
         store.commit_result("new", "done", "{}")
@@ -149,7 +150,7 @@ def check_sums(store: Store, owners: Sequence[str] = ("ann", "bob")) -> None:
     live, ended = (f"state {word} ('done', 'failed', 'cancelled')" for word in ("NOT IN", "IN"))
     for owner in owners:
         mine = f"submitter = '{owner}'"
-        assert store.stored_bytes(owner) == added_up(used.format("table_digest", mine, "1", "FALSE")) + added_up(
+        assert store.held(owner).stored == added_up(used.format("table_digest", mine, "1", "FALSE")) + added_up(
             results.format(mine)
         )
         freeable = sum(
@@ -157,7 +158,7 @@ def check_sums(store: Store, owners: Sequence[str] = ("ann", "bob")) -> None:
             for digest in ("table_digest", "dataset_digest", "prepared_digest")
         )
         assert store.held(owner).freeable == freeable + added_up(results.format(mine))
-    held, digests = store.held_for_all(), ("table_digest", "dataset_digest", "prepared_digest")
+    held, digests = store.held(ALL), ("table_digest", "dataset_digest", "prepared_digest")
     assert store.blob_bytes() == added_up("SELECT sum(size) FROM blobs")
     assert held.live == sum(added_up(used.format(digest, live, "1", "FALSE")) for digest in digests)
     free = sum(added_up(used.format(digest, ended, f"coalesce({digest}, '')", live)) for digest in digests)
@@ -174,7 +175,7 @@ def test_sums_hold_whatever_becomes_of_jobs(seed: int) -> None:
         for _ in range(150):
             match random.choice(("add", "search", "end", "delete")):
                 case "add":
-                    table = store.put_blob(b"t" * random.randrange(1, 6))
+                    table = put_blob(store, b"t" * random.randrange(1, 6))
                     owner = random.choice((None, "ann", "bob"))
                     live.append(f"j{next(names)}")
                     store.add_job(JobRecord(live[-1], "n", "{}", table, "2026", submitter=owner))
@@ -194,13 +195,13 @@ def test_sums_hold_whatever_becomes_of_jobs(seed: int) -> None:
             store.commit_result(job, "done", "{}")
         for job in (*live, *ended):
             store.delete_job(job)
-        assert (store.held_for_all(), store.blob_bytes(), store.count_holders()) == (Held(), 0, 0)
+        assert (store.held(ALL), store.blob_bytes(), store.count_holders()) == (Held(), 0, 0)
 
 
 def test_a_store_of_layout_7_adds_up_once_when_it_is_opened() -> None:
     with filled(FEW) as store:
         for name, owner in (("hers", "ann"), ("his", "bob")):
-            store.add_job(JobRecord(name, name, "{}", store.put_blob(b"of both"), "2026", submitter=owner))
+            store.add_job(JobRecord(name, name, "{}", put_blob(store, b"of both"), "2026", submitter=owner))
         store.commit_result("hers", "done", "{}")
         expected = [store.held(owner) for owner in ("ann", "bob", "*")], store.blob_bytes()
         sql = store._connection

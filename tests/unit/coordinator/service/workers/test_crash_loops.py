@@ -7,6 +7,7 @@ from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.crash_loops import FAIL_AFTER, QUARANTINE_AFTER, CrashLoop, CrashLoops
 from atoll_core.wire.messages.views import EventView
+from tests.blobs import put_blob
 
 KEY = ("job", "x")
 
@@ -99,7 +100,7 @@ def events(store: Store, loops: CrashLoops) -> list[EventView]:
 
 def test_deaths_are_counted_over_restarts_until_the_job_fails() -> None:
     with Store.open(None) as store:
-        store.add_job(JobRecord("job", "", "{}", store.put_blob(b"t"), "2026-01-01T00:00:00"))
+        store.add_job(JobRecord("job", "", "{}", put_blob(store, b"t"), "2026-01-01T00:00:00"))
         kinds = []
         for number in range(1, FAIL_AFTER):
             loops = started(store)
@@ -117,7 +118,7 @@ def test_deaths_are_counted_over_restarts_until_the_job_fails() -> None:
 
 def test_a_commit_ends_the_quarantine_and_a_return_the_suspicion() -> None:
     with Store.open(None) as store:
-        store.add_job(JobRecord("job", "", "{}", store.put_blob(b"t"), "2026-01-01T00:00:00"))
+        store.add_job(JobRecord("job", "", "{}", put_blob(store, b"t"), "2026-01-01T00:00:00"))
         loops = started(store)
         for number in range(QUARANTINE_AFTER):
             loops.add_death(KEY, number, process(number), "gone")

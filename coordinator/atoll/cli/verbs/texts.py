@@ -1,0 +1,33 @@
+"""``coordinator schema``: what job files and result files may hold, as JSON schema for editors and checkers."""
+
+import argparse
+from typing import Final
+
+from argcomplete.shell_integration import shellcode
+
+from atoll.cli.exit_codes import DONE
+from atoll.terminal.output import as_json, say
+from atoll_core.config import JobConfig
+
+_DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+
+
+def schema(options: argparse.Namespace) -> int:
+    """Print the schema of ``--config`` files or of ``result.json``; return the exit code."""
+    if options.file == "result":
+        from atoll_coordinator.result.result import json_schema
+
+        say(as_json(json_schema()))
+    else:
+        head = {"$schema": _DIALECT, "title": "Job file of coordinator run and submit"}
+        say(as_json(head | JobConfig.model_json_schema() | head))
+    return DONE
+
+
+_PROGRAMS = ("coordinator", "island-worker")
+
+
+def completion(options: argparse.Namespace) -> int:
+    """Print the lines for ``options.shell``; return the exit code."""
+    say(shellcode(_PROGRAMS, shell=options.shell))
+    return DONE
