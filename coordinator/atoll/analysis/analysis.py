@@ -147,7 +147,6 @@ def analyse(
 def _continued(
     box: Box, flow: Flow, parameter: ContinuationParameter, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
 ) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
-    """Return the branches of fixed points and of limit cycles; `cycles` are the cycles at the value of the model."""
     branches = continuation(flow, box, parameter, bounds)
     value = parameter.value
     if not bounds[0] <= value <= bounds[1]:

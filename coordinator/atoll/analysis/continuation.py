@@ -161,7 +161,6 @@ class Coefficients:
         return varied, ContinuationParameter(name, named[0], tuple(indices), factors)
 
     def _values(self, parameters: FloatArray) -> FloatArray:
-        """Return the values of the parameters of `explicit`."""
         return np.array([1.0 if origin is None else float(parameters[origin]) for origin in self.origins])
 
     def _indices(self, name: str) -> list[int]:
@@ -363,7 +362,6 @@ def _located(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> 
 
 
 def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float, across: FloatArray) -> PointT | None:
-    """Return the point of the curve in the plane `across` a direction, at a share of the way between two points."""
     z = curve.correct(first.z + share * (second.z - first.z), across)
     return None if z is None else curve.curve_point(z, first.tangent)
 

@@ -133,7 +133,6 @@ def cycle_continuation(
 
 
 def _ends_at(branches: Sequence[CycleBranch], special: SpecialPoint, box: Box, bounds: tuple[float, float]) -> bool:
-    """Tell whether a branch ends, or begins, at a Hopf point."""
     for branch in branches:
         for end, at in zip(branch.ends, (0, -1), strict=True):
             middle = branch.cycles[at].points.mean(axis=0)
@@ -220,8 +219,6 @@ class _OrbitChange:
 
 
 class _Factors:
-    """A sparse matrix (n, n) factorised; raises LinAlgError where it is singular."""
-
     def __init__(self, rows: FloatArray, columns: FloatArray, values: FloatArray) -> None:
         from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
@@ -579,7 +576,6 @@ class _CycleSearch:
     def _joined(
         self, curve: _CycleCurve, behind: CurveSide[_CycleOnCurve], ahead: CurveSide[_CycleOnCurve], most: int
     ) -> list[CycleBranch]:
-        """Return the branch of two sides, and the branches from its period doublings."""
         points, special = joined(behind, ahead)
         if len(points) < 2 or most < 1:
             return []

@@ -104,7 +104,6 @@ def _described(analysis: Analysis) -> Iterator[str | TextTable]:
 
 
 def _destinations(analysis: Analysis) -> list[int]:
-    """Return the attractors (by index), and the codes that some initial states have."""
     reached = analysis.basins.reached
     return [*range(len(analysis.attractors)), *(code for code in CODES if (reached == code).any())]
 
@@ -133,7 +132,6 @@ def _point_text(point: FloatArray) -> str:
 
 
 def _complex_text(numbers: Iterable[complex]) -> str:
-    """Return complex numbers as text, conjugate ones as a pair."""
     texts = []
     for number in numbers:
         if number.imag < 0.0:

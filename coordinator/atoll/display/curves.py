@@ -163,7 +163,6 @@ def _corners(scaled: FloatArray, times: FloatArray, tolerance: float) -> npt.NDA
 
 
 def _rows(part: Simulated) -> _ListedRows | None:
-    """Return the rows that have a time and all values; None where there are not two."""
     if not part.values:
         return None
     times, values = values_of_curve(part.times), np.array([values_of_curve(curve) for curve in part.values.values()])

@@ -77,7 +77,6 @@ def html(model: "Model") -> str:
 
 
 def _row(row: str, cell: str, contents: Iterable[str]) -> str:
-    """Return elements `cell` with these contents, which are markup, in an element `row`."""
     return f"<{row}>{''.join(f'<{cell}>{content}</{cell}>' for content in contents)}</{row}>"
 
 
@@ -95,7 +94,6 @@ def _mathml_parts(lhs: str, variable: str, expression: str, names: Sequence[str]
 
 
 def _cells(constant: "Parameter") -> tuple[str, ...]:
-    """Return the cells of a constant, under `_HEADS`."""
     between = "?" if constant.interval is None else _between(constant.value, *constant.interval)
     error = "?" if constant.stderr is None else f"{constant.stderr:.2g}"
     return constant.name, f"{constant.value:.6g}{unit_text(constant.unit)}", error, between, constant.variable

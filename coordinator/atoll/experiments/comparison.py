@@ -190,7 +190,6 @@ def most_errors(count: int) -> float:
 
 
 def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
-    """Compare on the data of `holder`, called `letter`, or of a table."""
     _require_columns(holder, other)
     shown = fit_shown(measured_of(holder, table), holder)
     texts = {equation.variable: equation.expression or "" for equation in other.equations}

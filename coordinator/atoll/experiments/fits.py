@@ -111,7 +111,6 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
 
 
 def _stored(result: Result) -> Recording:
-    """Return the measurements in a result."""
     if not result.recorded:
         raise UsageError(
             "the result has no measurements", python="give them as data", command="give the data file with --data"
@@ -328,7 +327,6 @@ def equations_of(result: Result) -> EquationSet:
 
 
 def _bounds(equation: Equation) -> tuple[tuple[float, float], ...]:
-    """Return the bounds of all constants of an equation; none where no constant has any."""
     ends = [constant.bounds or (None, None) for constant in equation.constants]
     if not any(end is not None for pair in ends for end in pair):
         return ()

@@ -219,8 +219,6 @@ class ConstantProfile:
 
 @dataclass(frozen=True, eq=False)
 class _ProfilePoint:
-    """A value, the root of the deviance and the fit of all other constants there."""
-
     value: float
     root: float
     fit: TrajectoryFit
@@ -279,7 +277,6 @@ class _ProfileSide:
         return points[1:], self._direction * math.inf, False
 
     def _next(self, points: list[_ProfilePoint], step: float) -> tuple[_ProfilePoint | None, float]:
-        """Return the next point and the step to it, shorter where the model cannot be simulated or is bounded."""
         step = min(step, abs(self._bound - points[-1].value))
         for _ in range(_HALVINGS if step > 0.0 else 0):
             point = self._point(points, points[-1].value + self._direction * step)

@@ -364,7 +364,6 @@ class _DesignSearch:
         return _Tried(design, self.space.price(design), gain if is_finite else NONE)
 
     def _improved(self, best: _Tried) -> _Tried:
-        """Return an experiment moved to larger worth, one number after the other."""
         for step in _ROUNDS:
             for moved in self.space.around(self.space.point(best.design), step):
                 neighbour = self._tried(self.space.design(moved, self.space.share(best.design)))
@@ -372,7 +371,6 @@ class _DesignSearch:
         return best
 
     def _apart(self, tried: Sequence[_Tried], count: int) -> list[_Tried]:
-        """Return the best experiments that differ from one another and are worth something."""
         kept: list[_Tried] = []
         for experiment in sorted(tried, key=lambda experiment: experiment.worth, reverse=True):
             is_other = all(self.space.are_apart(experiment.design, other.design) for other in kept)

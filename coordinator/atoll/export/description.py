@@ -240,7 +240,6 @@ def _input(
 
 
 def _zeros(inputs: tuple[ExportedInput, ...], without_tables: str) -> tuple[str, ...]:
-    """Return sentences on the inputs that are held at 0 for lack of a value."""
     reasons = {
         "dropped": f"not as recorded, since {without_tables} has no tables",
         "unknown": "since no value is given",
@@ -252,7 +251,6 @@ def _zeros(inputs: tuple[ExportedInput, ...], without_tables: str) -> tuple[str,
 
 
 def _origin(model: "Model") -> tuple[str, ...]:
-    """Return lines on the origin of the model, with its equations and verdicts."""
     result, data = model.result, model.result.data
     lines = [f"Written by Atoll {VERSION}. Result: job {result.job}, seed {result.seed}, digest {result.digest}."]
     if data and data.digest:

@@ -93,7 +93,6 @@ def _constant_latex(words: ConstantWords) -> str:
 
 
 def _numbers_latex(text: str) -> str:
-    """Return numbers with ``±`` or ``to`` between them as mathematics."""
     text = _POWER.sub(lambda power: rf" \cdot 10^{{{int(power[1])}}}", text)
     return text.replace("±", r"\pm").replace(" to ", r"\text{ to }")
 

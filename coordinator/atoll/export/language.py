@@ -55,7 +55,6 @@ def _filled(template: Iterable[str], values: Values) -> Iterator[str]:
 
 
 def _block(lines: Iterator[str]) -> Iterator[str]:
-    """Yield the lines of a block up to its ``$end``, which is taken as well."""
     depth = 1
     for line in lines:
         instruction = _LINE.fullmatch(line)

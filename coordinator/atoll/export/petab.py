@@ -128,8 +128,6 @@ def _given(model: "Model", data: Sequence[Columns]) -> list[PetabTrajectory]:
 
 
 class _Tables:
-    """The tables of a problem, row by row, the header first."""
-
     def __init__(self, model: "Model", description: Description, trajectories: Sequence[PetabTrajectory]) -> None:
         self._description = description
         self._words = Wording(description, SBML)

@@ -235,7 +235,6 @@ def _number(value: float) -> str:
 
 
 def _expression(formula: Formula, symbols: Sequence[str], words: Wording) -> str:
-    """Return a formula, node by node."""
     nodes: list[str] = []
     for place, (code, left, right, value) in enumerate(formula.program.nodes()):
         match OPERATORS[code].name:

@@ -329,7 +329,6 @@ def of_group(result: Result, group: Group) -> Result:
 
 
 def _with_share(noise: Noise, share: float) -> Noise:
-    """Return noise with a share of its independent rows."""
     errors = noise.errors
     if errors is None or not errors.independent_rows:
         return noise

@@ -84,7 +84,6 @@ def _equation(equation: Equation, findings: Findings) -> Element:
 
 
 def _checks(checks: Sequence[Check]) -> list[Element]:
-    """Return the number of passed checks, a list of the failed ones, and the others in a box that can be opened."""
     text = checks_text(checks).partition(";")[0]
     listed = [check for check in checks if check.outcome in ("failed", "not made")]
     others = [check for check in checks if check.outcome not in ("failed", "not made")]
@@ -96,7 +95,6 @@ def _checks(checks: Sequence[Check]) -> list[Element]:
 
 
 def _items(checks: Sequence[Check]) -> list[Element]:
-    """Return an item for each reason, with all checks that have it."""
     names: dict[tuple[str, str], list[str]] = {}
     for check in checks:
         names.setdefault((check.outcome, check.reason), []).append(check.name)
@@ -147,7 +145,6 @@ def constants(findings: Findings) -> list[Element]:
 
 
 def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:
-    """Return a table of the constants that differ between groups of trajectories, if there are any."""
     if not differing_groups(findings.result):
         return []
     heads = ["equation", "constant", "group", "value", "standard error", "95 % interval"]
@@ -170,7 +167,6 @@ def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Elem
 
 
 def _profiles(identifiability: "Identifiability") -> list[Element]:
-    """Return the profile likelihood of each constant, as a sentence and as a picture."""
     text = paragraph(
         "Each constant is held at values of a range while all others are fitted again. The data allow the values whose "
         "deviance is below the line."
@@ -260,7 +256,6 @@ def choice(findings: Findings) -> list[Element]:
 
 
 def _next_experiment(suggestions: "Suggestions") -> list[Element]:
-    """Return the suggested experiments, and the systems that they tell apart."""
     told_apart = suggestions.purpose == "discrimination"
     systems: list[list[Child]] = [
         [number(weight, 2), origin, element("code", equations_text(equations))]
@@ -327,7 +322,6 @@ def _candidates(equation: Equation, findings: Findings) -> list[Element]:
 
 
 def _decision(equation: Equation) -> list[Element]:
-    """Return the measurement that would decide between the candidates, if it is known."""
     prediction = equation.prediction
     if prediction is None or not prediction.measure_from:
         return []

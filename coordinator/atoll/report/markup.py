@@ -219,8 +219,6 @@ class Chart:
 
 @dataclass(frozen=True)
 class _Scale:
-    """From numbers within bounds to pixels."""
-
     bounds: tuple[float, float]
     first: float
     last: float

@@ -135,7 +135,6 @@ def _curves(part: Simulated, state: str) -> list[Curve]:
 
 
 def _some_rows(curves: Sequence[tuple[str, Sequence[Curve]]]) -> Iterable[list[str]]:
-    """Return some rows of the curves of each trajectory, after its name."""
     for name, its in curves:
         rows = list(zip(*its, strict=True))
         for row in rows[:: max(1, len(curves) * len(rows) // ROWS)]:
@@ -285,7 +284,6 @@ def dynamics(findings: Findings) -> list[Element]:
 
 
 def _part(part: str | TextTable) -> Element:
-    """Return a sentence as a paragraph, and a table with rows as a table."""
     text = part.title if isinstance(part, TextTable) else part
     text = text[:1].upper() + text[1:]
     if isinstance(part, TextTable) and part.rows:
@@ -349,13 +347,11 @@ def _add_basins(drawn: Chart, analysis: "Analysis") -> None:
 
 
 def _runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the beginning and the end of each run of true flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _add_arrows(drawn: Chart, analysis: "Analysis") -> None:
-    """Add short lines along the flow."""
     cells = 14
     places = [
         low + (np.arange(cells) + 0.5) * width / cells

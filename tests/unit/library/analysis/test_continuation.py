@@ -10,7 +10,7 @@ from atoll.analysis.continuation import ContinuationParameter, continuation, spe
 from atoll.analysis.flow import Flow
 from atoll.analysis.nullclines import nullclines
 from atoll.model.vector_field import VectorField
-from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
+from tests.unit.library.analysis.systems import COMPETITION, box, flow
 
 
 def constant(system: Flow) -> ContinuationParameter:
@@ -106,13 +106,6 @@ def test_no_law_is_hinted_where_there_is_none_however_small_or_far_the_box(equat
 def test_a_law_is_seen_in_a_narrow_box_as_well() -> None:
     (energy,) = conserved_quantities(flow(x="y", y="-2.0*sin(x)"), box((1.0, 1.001), (1.0, 1.001)))
     assert energy.text == "-0.25*y**2 + cos(x)"
-
-
-def test_a_dissipative_system_keeps_nothing() -> None:
-    where = box((-20.0, 20.0), (-20.0, 20.0), (0.0, 40.0))
-    assert conserved_quantities(LORENZ, where) == ()
-    assert not is_volume_preserving(LORENZ, where)
-    assert is_volume_preserving(flow(x="y", y="-sin(x)"), box((-1, 1), (-1, 1)))
 
 
 WIDE = ((-2.0, 2.0), (-2.0, 2.0))

@@ -13,14 +13,12 @@ from atoll.experiments.designs import (
     DesignRequest,
     certainties,
     discrepancy,
-    distances_of,
     expected_gain,
     needed,
     precision,
 )
 from atoll.experiments.fits import equations_of, measured_of
 from atoll.experiments.suggestion import suggest
-from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
@@ -79,14 +77,6 @@ def test_an_experiment_that_begins_outside_of_the_data_is_warned_of() -> None:
     assert [experiment.remark for experiment in within.experiments] == [""] * len(within.experiments)
 
 
-def test_numbers_of_models_far_from_their_data_are_bounded() -> None:
-    along = np.zeros((1, 1, 1))
-    here, far = DesignPrediction(np.array([[0.0]]), along, 1), DesignPrediction(np.array([[1e41]]), along, 1)
-    distances = distances_of([here, far], [0.6, 0.4])
-    assert distances.max() == 500.0
-    assert expected_gain(distances, [0.6, 0.4], needed([0.0, 0.0])).evidence <= 2000.0
-
-
 def test_certainties_are_those_of_two_gaussians_at_least() -> None:
     """Of equal spread and d apart, with B = d**2/8, the error with equal weights is that of the normal tail at d/2."""
     assert certainties(np.zeros((2, 2)), [0.7, 0.3]) == (pytest.approx(0.7),)
@@ -95,12 +85,6 @@ def test_certainties_are_those_of_two_gaussians_at_least() -> None:
         (sure,) = certainties(distances, [0.5, 0.5])
         assert 0.5 <= sure <= ndtr(apart / 2.0)
     assert certainties(np.full((3, 3), 500.0), [0.5, 0.3, 0.2]) == (pytest.approx(1.0), pytest.approx(1.0))
-
-
-def test_the_same_seed_suggests_the_same_and_the_model_as_well() -> None:
-    first = suggest(Result.of(FOUND), DesignRequest(WIDE, count=2, seed=5)).as_dict()
-    assert Model(FOUND).suggest(WIDE, count=2, seed=5).as_dict() == first
-    assert len(first["experiments"]) <= 2
 
 
 def test_costs_make_experiments_shorter() -> None:

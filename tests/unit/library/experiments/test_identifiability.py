@@ -191,13 +191,6 @@ def test_of_trajectories_the_chosen_one_is_used() -> None:
         chosen.identifiability(data=data | {"run": data["run"] + 2.0})
 
 
-def test_a_model_without_constants_cannot_be_profiled() -> None:
-    result = measured({"x": "-x"}, [(TIMES, {"x": DECAY})], 0.02)
-    result["equations"][0]["origin"] = "known"
-    with pytest.raises(UsageError, match="constants"):
-        identify(Result.of(result))
-
-
 def test_a_profile_ends_at_a_bound_of_its_constant() -> None:
     free = of_decay("-0.5*x")["c1"]
     bound = free.estimate - 0.5 * free.std_error
