@@ -66,7 +66,7 @@ LONGEST: Final = 0.02
 """Longest step along a branch, in ranges of parameter and box."""
 
 _SEEDED: Final = 3
-"""Values of the parameter, spread over its range, at which branches are sought, besides the value of the model."""
+"""Values of the parameter, spread over its range, at which branches are sought, in addition to the model's value."""
 
 OUTSIDE: Final = 1.0
 """Widths of the box beyond which a branch is not followed."""

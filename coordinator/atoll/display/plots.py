@@ -60,8 +60,8 @@ def plot_residuals(model: "Model", axes: object = None) -> Axes:
     each = _axes_over_time(model, states, axes)
     for at, state in zip(each, states, strict=True):
         for number, part in enumerate(parts):
-            left = residuals(part.measured[state], (part.values or {})[state])
-            at.plot(part.times, values_of_curve(left), ".", color=f"C{number % 10}")
+            differences = residuals(part.measured[state], (part.values or {})[state])
+            at.plot(part.times, values_of_curve(differences), ".", color=f"C{number % 10}")
         at.axhline(0.0, color="0.5", linewidth=0.8)
     return each
 

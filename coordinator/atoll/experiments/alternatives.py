@@ -120,7 +120,7 @@ def _half_akaike(fitted: FittedEquations) -> float:
 def _given(shown: EquationSet, texts: Mapping[str, str]) -> EquationSet:
     for name, text in texts.items():
         if name not in shown.variables:
-            raise UsageError(f"a rival names '{name}'; equations are those of {', '.join(shown.variables)}")
+            raise UsageError(f"a rival names '{name}'; there are equations of {', '.join(shown.variables)}")
         place = shown.variables.index(name)
         shown = replace(shown, fixed=shown.fixed - {place}).exchanged(place, from_infix(text, shown.names))
     return shown

@@ -123,7 +123,7 @@ def compare(
         first: A; both are compared on its data.
         second: B; if its data are different, both are compared on these as well.
         names: the names of the models.
-        table: measurements in place of those of the results.
+        table: measurements in place of the measurements in the results.
 
     Raises:
         UsageError: they have different states or targets, or there are no measurements.

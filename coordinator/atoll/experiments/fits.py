@@ -69,7 +69,7 @@ class FitData:
 
 
 def measured_of(result: Result, table: Table | None = None) -> FitData:
-    """Return the measurements behind the model of a result, or those of a table, read as the job did.
+    """Return the measurements of the model of a result, or of a table, read as in the job.
 
     Raises:
         UsageError: the states of the result were not measured in time, or it has no measurements.

@@ -1,10 +1,10 @@
 """How well the data determine the constants of a model: profile likelihoods, and directions of joint change.
 
 Along a profile one constant is held at each value, and all other constants and all initial states are fitted again. The
-errors of the measurements are held at those of the best fit, so that the deviance, the sum of squared residuals over
+measurement errors are held at their values in the best fit, so that the deviance, the sum of squared residuals over
 their variances in excess of the best fit, is exactly the squared distance in standard errors where the model is linear
 (Bates & Watts 1988, chapter 6). A value lies within the interval while its deviance is at most the squared quantile of
-Student's t, which is that of chi-squared with one degree of freedom for many rows.
+Student's t, which for many rows equals the quantile of chi-squared with one degree of freedom.
 
 The directions are eigenvectors of the curvature of the misfit by the constants, with initial states eliminated, each
 constant in units of its own size: in logarithmic coordinates where it keeps its sign (Gutenkunst et al. 2007). Letters:
@@ -101,7 +101,7 @@ class ProfiledConstant:
 class Identifiability:
     """How well the data determine the constants of a model.
 
-    `quantile` is that of Student's t at `level` with `freedom` degrees; deviances are compared with its square.
+    `quantile` is the quantile of Student's t at `level` with `freedom` degrees; deviances are compared with its square.
     `directions` are directions in all constants, the least determined first. `source` names the data; trajectories were
     simulated in pieces of `piece` rows.
     """
@@ -418,11 +418,13 @@ def _product(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
     power = Fraction(abs(ratio)).limit_denominator(_LARGEST_POWER)
     if not 0 < power.numerator <= _LARGEST_POWER:
         return _ConstantRelation()
-    # along the path the logarithm of the second changes by `ratio` times that of the first
+    # along the path the logarithm of the second changes `ratio` times as much as the first
     first, second = power.numerator, power.denominator * (1 if ratio < 0.0 else -1)
-    left = float(np.ptp(first * logs[:, 0] + second * logs[:, 1])) / float(first * spread[0] + abs(second) * spread[1])
+    change = float(np.ptp(first * logs[:, 0] + second * logs[:, 1])) / float(
+        first * spread[0] + abs(second) * spread[1]
+    )
     operator = "*" if second > 0 else "/"
-    return _ConstantRelation(left, f"{_power(names[0], first)}{operator}{_power(names[1], abs(second))}", True)
+    return _ConstantRelation(change, f"{_power(names[0], first)}{operator}{_power(names[1], abs(second))}", True)
 
 
 def _sum(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
@@ -432,9 +434,9 @@ def _sum(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
     ratio = _slope(path)
     factor = float(f"{abs(ratio):.2g}")
     sign = -1.0 if ratio > 0.0 else 1.0
-    left = float(np.ptp(factor * path[:, 0] + sign * path[:, 1])) / float(factor * spread[0] + spread[1])
+    change = float(np.ptp(factor * path[:, 0] + sign * path[:, 1])) / float(factor * spread[0] + spread[1])
     first = names[0] if factor == 1.0 else f"{factor:g}*{names[0]}"
-    return _ConstantRelation(left, f"{first} {'+' if sign > 0 else '-'} {names[1]}", factor == 1.0)
+    return _ConstantRelation(change, f"{first} {'+' if sign > 0 else '-'} {names[1]}", factor == 1.0)
 
 
 def _slope(path: FloatArray) -> float:
@@ -452,7 +454,7 @@ MOST_CONSTANTS: Final = 60
 """More constants than this take minutes."""
 _RESTARTS: Final = 2
 _BETTER: Final = 0.01
-"""Deviance below that of the best fit from which a profile has found a better one."""
+"""Decrease in deviance from which a profile has found a better fit."""
 
 _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
     (False, False): "determined",
@@ -465,7 +467,7 @@ _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
 def identify(
     result: Result, table: Table | None = None, level: float = 0.95, spread: Spread | None = None
 ) -> Identifiability:
-    """Return how well the data (None: those of the result) determine the constants of a model, by intervals of a level.
+    """Return how well the data (None: of the result) determine the constants of a model, by intervals of a level.
 
     The profiles are independent of one another; `spread` distributes them over workers.
 
@@ -523,10 +525,10 @@ class _Parts:
     def profiler(self) -> "_Profiler":
         result = Result.of(json.loads(self.result))
         table = None if self.table is None else Table.from_bytes(self.table)
-        made = _Profiler(fit_shown(measured_of(result, table), result), self.quantile, result, table)
+        profiler = _Profiler(fit_shown(measured_of(result, table), result), self.quantile, result, table)
         for values in self.restarts:
-            made = made.from_values(values) or made
-        return made
+            profiler = profiler.from_values(values) or profiler
+        return profiler
 
 
 @dataclass(frozen=True, eq=False)
@@ -567,8 +569,8 @@ _PROFILE: Final = BatchFunction("profile", _Parts, int, ConstantProfile, _Profil
 def _profiled(profiler: _Profiler, count: int, spread: Spread) -> tuple[FittedEquations, list[ConstantProfile]]:
     """Return the profiles of all constants, and their fit: a better one where a profile has found it."""
     for _ in range(_RESTARTS + 1):
-        made = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)
-        profiles = [likelihood for likelihood in made if likelihood is not None]
+        mapped = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)
+        profiles = [likelihood for likelihood in mapped if likelihood is not None]
         lowest = min(profiles, key=lambda likelihood: float(likelihood.deviances.min()))
         if lowest.deviances.min() > -_BETTER:
             break

@@ -71,7 +71,7 @@ _IMPROVED: Final = 6
 _ROUNDS: Final = (0.1, 0.1, 0.03, 0.03)
 """Steps of an improvement, over the widths of the bounds."""
 _REFITTED: Final = 5
-"""Candidates, those of largest weight, that are fitted to each other's outcomes of the best experiments."""
+"""Number of candidates, with the largest weights, that are fitted to predicted outcomes of the best experiments."""
 _TOO_MANY: Final = 10
 """If so many experiments of a kind would not decide between candidates, another purpose serves better."""
 

@@ -167,8 +167,8 @@ _TOLERANCE: Final = 1e-12
 _LEAST_NOMINAL: Final = 1e-30
 """Share of the initial value: tools divide by nominal values, whose squares must not underflow."""
 _UNDEFINED: Final = (
-    "Arithmetic is that of doubles. Where the mathematics has no value (a division by zero, the logarithm or a broken "
-    "power of a negative number)"
+    "Arithmetic is that of doubles. Where the mathematics has no value (a division by zero, the logarithm or a "
+    "fractional power of a negative number)"
 )
 _NOISE: Final = "Noise: dx = f dt + g dW in the sense of Ito; g is the root of the covariance per time."
 _LARGE_ANGLES: Final = "sin and cos of more than 1e5, which Atoll's search takes for undefined, have values here."

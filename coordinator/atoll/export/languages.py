@@ -43,7 +43,7 @@ import numpy as np
 
 STATES = (<<states|'$name'>>$comma_of_one)
 START = np.array([<<states|$start>>])
-$unless process:SIZES = np.array([<<states|$size>>])  # beside these errors are small
+$unless process:SIZES = np.array([<<states|$size>>])  # sizes of the states, for absolute tolerances
 TIMES = np.linspace($first_time, $last_time, $rows)
 PARAMETERS = {
 $for constants:    '$name': $value,$remark
@@ -227,7 +227,7 @@ $for parameters:    const double $name = parameters[$place];
 #define SIZE $states
 
 static const double start[SIZE] = {<<states|$start>>};
-// beside these errors are small: how large the states are, as far as they come back from it
+// sizes of the states, for absolute tolerances
 static const double sizes[SIZE] = {<<states|$size>>};
 static const double begin_time = $first_time, end_time = $last_time;
 static const long step_count = $steps;

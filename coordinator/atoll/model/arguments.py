@@ -229,7 +229,7 @@ class InitialConditions:
 
 
 def initial_conditions(model: "Model") -> InitialConditions:
-    """Return those of the first simulated trajectory, of the ensemble of a process, else of a measured trajectory."""
+    """Return those of the first simulated trajectory, otherwise of a process or of the first measured trajectory."""
     result = model.result
     for part in result.simulated:
         if part.start:

@@ -21,15 +21,15 @@ _MATHML: Final = "{http://www.w3.org/1998/Math/MathML}"
 
 def element(tag: str, *children: Child, **attributes: str | float) -> Element:
     """Return an element; ``class_`` stands for the attribute ``class``, and ``stroke_width`` for ``stroke-width``."""
-    made = Element(tag, {name.rstrip("_").replace("_", "-"): str(value) for name, value in attributes.items()})
+    built = Element(tag, {name.rstrip("_").replace("_", "-"): str(value) for name, value in attributes.items()})
     for child in children:
         if not isinstance(child, str):
-            made.append(child)
-        elif len(made):
-            made[-1].tail = (made[-1].tail or "") + child
+            built.append(child)
+        elif len(built):
+            built[-1].tail = (built[-1].tail or "") + child
         else:
-            made.text = (made.text or "") + child
-    return made
+            built.text = (built.text or "") + child
+    return built
 
 
 def section(identifier: str, title: str, *children: Child) -> Element:
@@ -58,8 +58,8 @@ def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Child]], *
     head = element("tr", *(element("th", heads[place], scope="col") for place in kept))
     body = element("tbody", *(element("tr", *(_cell(row[place], heads[place]) for place in kept)) for row in rows))
     kind = {"class_": "stacked"} if is_stacked else {}
-    made = element("table", element("caption", caption), element("thead", head), body, **kind)
-    return scrolling(caption, made)
+    built = element("table", element("caption", caption), element("thead", head), body, **kind)
+    return scrolling(caption, built)
 
 
 def _cell(content: Child, head: str) -> Element:
@@ -201,20 +201,20 @@ class Chart:
 
     def _axes(self, across: "_Scale", up: "_Scale") -> list[Element]:
         bottom, middle = HEIGHT - _BOTTOM, 0.5 * (_TOP + HEIGHT - _BOTTOM)
-        made = [element("path", class_="axis", d=f"M{_LEFT},{_TOP}V{bottom}H{WIDTH - _RIGHT}", fill="none")]
+        built = [element("path", class_="axis", d=f"M{_LEFT},{_TOP}V{bottom}H{WIDTH - _RIGHT}", fill="none")]
         for place, label in ticks(across.bounds, self.x.is_logarithmic):
             at = round(across(place), 1)
-            made.append(element("path", class_="grid", d=f"M{at},{_TOP}V{bottom}"))
-            made.append(element("text", label, x=at, y=bottom + 16, text_anchor="middle"))
+            built.append(element("path", class_="grid", d=f"M{at},{_TOP}V{bottom}"))
+            built.append(element("text", label, x=at, y=bottom + 16, text_anchor="middle"))
         for place, label in ticks(up.bounds, self.y.is_logarithmic):
             at = round(up(place), 1)
-            made.append(element("path", class_="grid", d=f"M{_LEFT},{at}H{WIDTH - _RIGHT}"))
-            made.append(element("text", label, x=_LEFT - 6, y=at + 4, text_anchor="end"))
+            built.append(element("path", class_="grid", d=f"M{_LEFT},{at}H{WIDTH - _RIGHT}"))
+            built.append(element("text", label, x=_LEFT - 6, y=at + 4, text_anchor="end"))
         rotation = f"rotate(-90 14 {middle})"
-        made.append(element("text", self.y.label, x=14, y=middle, text_anchor="middle", transform=rotation))
+        built.append(element("text", self.y.label, x=14, y=middle, text_anchor="middle", transform=rotation))
         centre = 0.5 * (_LEFT + WIDTH - _RIGHT)
-        made.append(element("text", self.x.label, x=centre, y=HEIGHT - 8, text_anchor="middle"))
-        return made
+        built.append(element("text", self.x.label, x=centre, y=HEIGHT - 8, text_anchor="middle"))
+        return built
 
 
 @dataclass(frozen=True)
@@ -282,7 +282,7 @@ def _logarithmic_ticks(low: float, high: float) -> list[tuple[float, str]]:
     every = max(1, math.ceil((high - low) / _TICKS))
     parts = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
     places = [(decade + math.log10(part), decade, part) for decade in decades if decade % every == 0 for part in parts]
-    made = [(place, f"{part * 10.0**decade:g}") for place, decade, part in places if low <= place <= high]
-    if len(made) > 1:
-        return made
+    built = [(place, f"{part * 10.0**decade:g}") for place, decade, part in places if low <= place <= high]
+    if len(built) > 1:
+        return built
     return [(math.log10(value), label) for value, label in _even_ticks(10.0**low, 10.0**high) if value > 0.0]

@@ -48,9 +48,9 @@ def trajectories(findings: Findings) -> list[Element]:
     if parts:
         states = list(parts[0].values or {})
         fits = pictures(_fit(state, findings) for state in states)
-        left = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
+        residual_figures = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
         sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explanation(findings)))
-        sections.append(section("residuals", "Residuals", paragraph(_RESIDUALS), left))
+        sections.append(section("residuals", "Residuals", paragraph(_RESIDUALS), residual_figures))
     elif findings.result.simulated:
         sections.append(section("fit", "Measured and simulated", paragraph("The model could not be simulated.")))
     if findings.result.noise:
@@ -77,14 +77,14 @@ def fitted_values(findings: Findings) -> list[Element]:
         known_values = [value for value in measured if value is not None]
         ends = [min(known_values), max(known_values)] if known_values else []
         fit.add_line(ends, ends, "rule")
-    left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured minus fitted"))
-    left.add_points(fitted, residuals(measured, fitted), "c0")
+    over_fitted = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured minus fitted"))
+    over_fitted.add_points(fitted, residuals(measured, fitted), "c0")
     rows = list(zip(*variables.values(), measured, fitted, strict=True))
     some = [[number(value, 6) for value in row] for row in rows[:: max(1, len(rows) // ROWS)]]
     numbers = table(f"{target}, measured and fitted", [*variables, "measured", "fitted"], some)
     drawn = [
         figure(fit.svg(), f"{target}: dots measured, line fitted", numbers),
-        figure(left.svg(), "residuals", None),
+        figure(over_fitted.svg(), "residuals", None),
     ]
     return [section("fit", "Measured and fitted", pictures(drawn))]
 
@@ -135,8 +135,8 @@ def _curves(part: Simulated, state: str) -> list[Curve]:
 
 
 def _some_rows(curves: Sequence[tuple[str, Sequence[Curve]]]) -> Iterable[list[str]]:
-    for name, its in curves:
-        rows = list(zip(*its, strict=True))
+    for name, columns in curves:
+        rows = list(zip(*columns, strict=True))
         for row in rows[:: max(1, len(curves) * len(rows) // ROWS)]:
             yield [name, *(number(value, 6) for value in row)]
 
@@ -156,17 +156,17 @@ def _explanation(findings: Findings) -> Element:
 
 def _residuals(state: str, parts: Sequence[Simulated], findings: Findings) -> Element:
     drawn = findings.over_time(f"residuals of {state} over time", state)
-    left = [residuals(part.measured[state], (part.values or {})[state]) for part in parts]
+    differences = [residuals(part.measured[state], (part.values or {})[state]) for part in parts]
     times = [time for part in parts for time in part.times if time is not None]
     noise = findings.result.noise.get(state)
     sd = None if noise is None else noise.error
     for level in (-2.0, 0.0, 2.0) if sd else (0.0,):
         drawn.add_line((min(times), max(times)), (level * (sd or 0.0),) * 2, "rule")
-    for index, (part, values) in enumerate(zip(parts, left, strict=True)):
+    for index, (part, values) in enumerate(zip(parts, differences, strict=True)):
         drawn.add_points(part.times, values, f"c{index}")
     rows = [
         [part.name, number(time, 6), number(value)]
-        for part, values in zip(parts, left, strict=True)
+        for part, values in zip(parts, differences, strict=True)
         for time, value in list(zip(part.times, values, strict=True))[:: max(1, len(times) // ROWS)]
     ]
     numbers = table(f"residuals of {state}", ["trajectory", findings.result.time, "residual"], rows)
