@@ -11,7 +11,7 @@ from typing import Final, get_args
 
 import numpy as np
 
-from atoll.model.equations import differing_groups, program_of
+from atoll.model.equations import differing_groups, matched, program_of
 from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -342,7 +342,7 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
         values = program.constants[constant_places(program)].tolist()
         text = from_infix(result.equations[place].expression or "", equations.names)
         shown = text.constants[constant_places(text)].tolist()
-        numbers = _matched(values, shown)
+        numbers = matched(values, shown)
         terms = iter(explicit.terms)
         for origin in explicit.origins if place not in equations.fixed else ():
             if origin is None:
@@ -355,18 +355,6 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
             constants.append(FreeConstant(name, variable, sign, True))
         taken += len(shown)
     return tuple(constants)
-
-
-def _matched(values: Sequence[float], shown: Sequence[float]) -> list[int | None]:
-    """Return for each constant of a program its place in the text, as `atoll.model.equations` numbers them."""
-    left = list(range(len(values)))
-    numbers: list[int | None] = [None] * len(values)
-    for number, value in enumerate(shown):
-        place = next((index for index in left if abs(values[index]) == abs(value)), None)
-        if place is not None:
-            numbers[place] = number
-            left.remove(place)
-    return numbers
 
 
 @dataclass(frozen=True, eq=False)

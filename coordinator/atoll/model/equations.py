@@ -159,14 +159,23 @@ def _numbers(equation: Equation | GroupEquation, names: Sequence[str]) -> list[t
     """Return the numbers in the text of an equation, each with its fitted constant, if there is one."""
     if equation.expression is None:
         return []
-    left = list(equation.constants)
     program = from_infix(equation.expression, names)
-    numbers: list[tuple[float, Constant | None]] = []
-    for value in program.constants[constant_places(program)].tolist():
-        constant = next((each for each in left if each.value is not None and abs(each.value) == abs(value)), None)
-        left = [each for each in left if each is not constant]
-        numbers.append((value, constant))
-    return numbers
+    values = program.constants[constant_places(program)].tolist()
+    known = [math.nan if constant.value is None else constant.value for constant in equation.constants]
+    by_place = dict(zip(matched(known, values), equation.constants, strict=True))
+    return [(value, by_place.get(place)) for place, value in enumerate(values)]
+
+
+def matched(constants: Sequence[float], numbers: Sequence[float]) -> list[int | None]:
+    """Return for each constant the place of a number of the same size in a text; each number is used once."""
+    left = list(range(len(constants)))
+    places: list[int | None] = [None] * len(constants)
+    for place, number in enumerate(numbers):
+        found = next((index for index in left if abs(constants[index]) == abs(number)), None)
+        if found is not None:
+            places[found] = place
+            left.remove(found)
+    return places
 
 
 def _parameter(name: str, variable: str, value: float, constant: Constant | None) -> Parameter:
