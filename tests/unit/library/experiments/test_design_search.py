@@ -19,6 +19,7 @@ from atoll.experiments.designs import (
 )
 from atoll.experiments.fits import equations_of, measured_of
 from atoll.experiments.suggestion import suggest
+from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
@@ -85,6 +86,12 @@ def test_certainties_are_those_of_two_gaussians_at_least() -> None:
         (sure,) = certainties(distances, [0.5, 0.5])
         assert 0.5 <= sure <= ndtr(apart / 2.0)
     assert certainties(np.full((3, 3), 500.0), [0.5, 0.3, 0.2]) == (pytest.approx(1.0), pytest.approx(1.0))
+
+
+def test_the_same_seed_suggests_the_same_and_the_model_as_well() -> None:
+    first = suggest(Result.of(FOUND), DesignRequest(WIDE, count=2, seed=5)).as_dict()
+    assert Model(FOUND).suggest(WIDE, count=2, seed=5).as_dict() == first
+    assert len(first["experiments"]) <= 2
 
 
 def test_costs_make_experiments_shorter() -> None:
