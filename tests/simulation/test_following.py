@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 
 from atoll.client.client import Client
-from atoll.client.subscription import Subscription
+from atoll.client.follower import Subscription
 from atoll_coordinator.service.monitoring.followers import INTERVAL_S, LEASE_S
 from atoll_core.errors import RefusedError, UnreachableError
 from atoll_core.wire import topics

@@ -239,7 +239,7 @@ class Client:
         return self._ask(body, messages.EventList, "the log of events").events
 
     def follow(self, job: str | None, after: int | None, sequence: int) -> messages.Following:
-        """Have changes come to us for a while, see `atoll.client.subscription`; return what we do not have yet."""
+        """Have changes come to us for a while, see `atoll.client.follower`; return what we do not have yet."""
         if self._changes is None:
             self._changes = deque(maxlen=MAX_CHANGES)
             self._bus.subscribe(topics.client(self._cluster or self.greet(), self._name, "changes"))

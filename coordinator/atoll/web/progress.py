@@ -9,7 +9,7 @@ import numpy as np
 from atoll.display.notation import equation_mathml
 from atoll.model.equations import r2_text, rounded
 from atoll.text.conclusion import conclusion
-from atoll.text.tables import constants_line
+from atoll.text.render import constants_line
 from atoll_coordinator.result.equations import Candidate, Convergence, Equation, Member
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError

@@ -15,7 +15,6 @@ from atoll_core.task_frames import (
     Finished,
     FromProcess,
     Give,
-    Load,
     Progressed,
     Run,
     Said,
@@ -39,7 +38,7 @@ from atoll_core.wire.messages.tasks import (
     TaskInput,
 )
 from atoll_island_worker.connection import PendingRequest
-from atoll_island_worker.tasks.task_runner import TASK_TRANSITIONS, TaskRunner
+from atoll_island_worker.tasks.task_runner import TaskRunner
 
 A, B = "a" * 64, "b" * 64
 SMALL = b"small"
@@ -143,10 +142,6 @@ def scene() -> Scene:
     return Scene()
 
 
-def test_every_state_can_be_released() -> None:
-    assert all("release" in row for row in TASK_TRANSITIONS.values())
-
-
 def test_a_lease_with_its_inputs_runs_and_its_result_is_pushed_and_kept(scene: Scene) -> None:
     assert scene.runner.is_idle
     scene.runner.handle(lease())
@@ -215,38 +210,6 @@ def test_what_does_not_come_or_is_something_else_is_fetched_again(scene: Scene) 
     assert len(scene.process.told(Run)) == 1
 
 
-def test_inputs_larger_than_the_cache_reach_the_process_too(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene.runner._cache, "_limit", CHUNK_SIZE)
-    other = b"z" * CHUNK_SIZE
-    scene.runner.handle(lease(A, LARGE, other))
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    scene.answer(A, LARGE, 1, b"y")
-    scene.answer(A, other, 0, other)
-    assert [run.inputs for run in scene.process.told(Run)] == [(LARGE, other)]
-
-
-def test_inputs_and_contexts_share_one_cache(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Docs say how much a worker keeps, in all."""
-    monkeypatch.setattr(scene.runner._cache, "_limit", 2 * CHUNK_SIZE)
-    scene.runner.handle(lease(A, LARGE))
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    scene.answer(A, LARGE, 1, b"y")
-    scene.runner.handle(Release(task=A))
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    scene.give_batch(context=b"c" * CHUNK_SIZE)
-    scene.requests.inputs.clear()
-    scene.runner.handle(lease(A, LARGE))
-    assert scene.requests.inputs == [(A, digest(LARGE), 0), (A, digest(LARGE), 1)], "the context took its room"
-
-
-def test_what_comes_for_a_task_that_was_released_changes_nothing(scene: Scene) -> None:
-    scene.runner.handle(lease(A, LARGE))
-    scene.runner.handle(Release(task=A))
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    scene.runner.fetch(A)
-    assert (scene.process.said, scene.runner.is_idle) == ([], True)
-
-
 def test_a_lease_that_is_said_twice_is_one_task_and_pushes_what_is_there(scene: Scene) -> None:
     scene.runner.handle(lease())
     scene.runner.handle(lease())
@@ -269,14 +232,6 @@ def test_a_failure_is_said_again_until_a_new_term_has_it_tried_again(scene: Scen
     assert len(scene.process.told(Run)) == 1
     scene.say(Failed(A, "error", "it broke"))
     assert scene.requests.reports[-1] == failed.model_copy(update={"term": 2})
-
-
-def test_a_lease_of_another_term_is_that_of_what_runs(scene: Scene) -> None:
-    scene.running()
-    scene.runner.handle(lease(term=4, function="refine"))
-    assert scene.process.said == []
-    scene.say(Failed(A, "memory", "memory ran out"))
-    assert scene.requests.reports == [TaskFailed(task=A, term=4, failure="memory", sentence="memory ran out")]
 
 
 def test_the_release_of_what_runs_ends_its_process(scene: Scene) -> None:
@@ -336,12 +291,6 @@ def test_another_store_s_coordinator_leaves_nothing(scene: Scene) -> None:
     assert (scene.runner.is_idle, scene.process.is_started) == (True, False)
 
 
-def test_the_end_of_a_worker_ends_its_process(scene: Scene) -> None:
-    scene.running()
-    scene.runner.close()
-    assert not scene.process.is_started
-
-
 # -------------------------------------------------------------------------------------------------- who helps
 
 
@@ -362,15 +311,6 @@ def test_a_helper_pulls_batch_after_batch_and_names_the_contexts_it_has(scene: S
     assert scene.requests.pulls[-1][1].result == BatchResult(number=8, result=None)
 
 
-@pytest.mark.parametrize("answer", [None, encode(PullAnswer(body=NoTask()))])
-def test_helping_ends_where_there_is_no_task(scene: Scene, answer: bytes | None) -> None:
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    scene.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=NotYet())))
-    assert len(scene.requests.pulls) == 2
-    scene.runner.answered(PendingRequest("batch", B), answer)
-    assert scene.runner.is_idle
-
-
 def test_helping_ends_with_what_cannot_be_read_so_that_it_begins_again(scene: Scene) -> None:
     scene.runner.handle(Help(task=B, job="j", worker="w1"))
     with pytest.raises(RemoteProtocolError):
@@ -381,13 +321,6 @@ def test_helping_ends_with_what_cannot_be_read_so_that_it_begins_again(scene: Sc
         scene.give_batch(known=True)
     assert scene.runner.is_idle
     assert scene.process.said == []
-
-
-def test_a_context_is_known_by_its_own_digest_whatever_who_gives_it_says(scene: Scene) -> None:
-    scene.runner.handle(Help(task=B, job="k", worker="peer"))
-    given = GivenBatch(number=7, function="f", digest=digest(b"anothers"), context=b"false", item=b"i")
-    with pytest.raises(RemoteProtocolError, match="which is not here"):
-        scene.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=given)))
 
 
 def test_its_own_task_goes_before_helping(scene: Scene) -> None:
@@ -412,14 +345,6 @@ def test_a_batch_that_ends_the_process_ends_helping(scene: Scene) -> None:
     assert scene.states() == {B: "helping"}
     assert not scene.say(Ended("crash", "its process ended"))
     assert scene.runner.is_idle
-
-
-def test_a_release_ends_helping(scene: Scene) -> None:
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    scene.runner.handle(Release(task=B))
-    assert scene.runner.is_idle
-    scene.give_batch()
-    assert scene.process.said == []
 
 
 # ------------------------------------------------------------------------------------------- who has the task
@@ -465,9 +390,3 @@ def test_the_end_of_a_task_answers_its_helpers(scene: Scene, end: FromProcess | 
     assert scene.replies == [(query(1), NoTask())]
     scene.say(Give(ask.token, None))
     assert len(scene.replies) == 1
-
-
-def test_nothing_else_is_loaded_than_what_most_likely_follows(scene: Scene) -> None:
-    scene.running(A, "refine")
-    scene.say(Finished(A, b"made"))
-    assert (scene.process.loaded, scene.process.told(Load)) == ([], [])
