@@ -7,7 +7,7 @@ from typing import Final, Self
 from atoll.client.client import Client
 from atoll_core.data.notes import with_kind
 from atoll_core.errors import UnreachableError
-from atoll_core.wire.messages.clients import Change
+from atoll_core.wire.messages.clients import JobChange
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 QUIET_S: Final = 2.0
@@ -31,7 +31,7 @@ class Subscription:
         self._lease_ends = 0.0
         self._is_behind = True
 
-    def wait(self, limit_s: float) -> Change | None:
+    def wait(self, limit_s: float) -> JobChange | None:
         """Return the next change, waiting so many seconds at most; None when there was none.
 
         Raises UnreachableError when the coordinator is asked and does not answer, RefusedError when it knows no such
@@ -50,7 +50,7 @@ class Subscription:
             if self._client.now() >= end:
                 return None
 
-    def _ask(self) -> Change | None:
+    def _ask(self) -> JobChange | None:
         self._is_behind = True  # also when this is not answered
         answer = self._client.follow(self._job, self._after, self._sequence)
         self._is_behind = False
@@ -58,14 +58,14 @@ class Subscription:
         self._ask_at, self._lease_ends = now + QUIET_S, now + RENEWED_AT * answer.lease_s
         return self._take(answer.change) if answer.change is not None else None
 
-    def _fits(self, change: Change) -> bool:
+    def _fits(self, change: JobChange) -> bool:
         """Tell whether this is the next change; when some have been missed, they are asked for."""
         if change.job != self._job or change.sequence <= self._sequence:
             return False
         self._is_behind = change.previous != self._sequence
         return not self._is_behind
 
-    def _take(self, change: Change) -> Change:
+    def _take(self, change: JobChange) -> JobChange:
         self._sequence, self._is_behind = change.sequence, change.has_more
         self._ask_at = self._client.now() + QUIET_S
         if self._after is None:

@@ -23,7 +23,7 @@ from atoll_core import task_frames as frames
 from atoll_core.logs import fields
 from atoll_core.machine import collect_rarely, memory_bytes
 from atoll_core.signals import ENDING, ignore
-from atoll_core.task_frames import OTHER_VERSION, Ask, Batch, FromProcess, Give, Progressed, version
+from atoll_core.task_frames import OTHER_VERSION, Ask, FromProcess, Give, Progressed, TaskBatch, version
 from atoll_core.wire.messages.tasks import MAX_BATCH
 
 HOLD_S: Final = 2.0
@@ -208,12 +208,12 @@ class Team:
                 return
             self._give(batch)
 
-    def _give(self, batch: Batch | None) -> None:
+    def _give(self, batch: TaskBatch | None) -> None:
         """Answer the helper that has waited longest."""
         question, _ = self._asked.popleft()
         self._send(Give(question.token, batch))
 
-    def _batch(self, question: Ask) -> Batch | None:
+    def _batch(self, question: Ask) -> TaskBatch | None:
         """Return a batch for a helper: the last of the call that has most waiting; the first is left for its thread."""
         fit = [call for call in self._calls if len(call.waiting) > 1 and _size(call) <= MAX_BATCH]
         if not fit:
@@ -222,14 +222,14 @@ class Team:
         place = call.waiting.pop()
         call.given[place] = self._clock()
         context = b"" if call.digest in question.contexts else call.context
-        return Batch(call.first + place, call.function, call.digest, context, call.items[place])
+        return TaskBatch(call.first + place, call.function, call.digest, context, call.items[place])
 
 
 def _size(call: _Call) -> int:
     return len(call.context) + len(call.items[call.waiting[-1]])
 
 
-def compute(batch: Batch) -> bytes | None:
+def compute(batch: TaskBatch) -> bytes | None:
     """Return what a batch of another worker's task comes to; None where it breaks here: it is computed there."""
     try:
         return _computed(batch.function, batch.context, batch.item)
@@ -294,7 +294,7 @@ class TaskLoop:
 
         self._connection = connection
         self._sending = threading.Lock()
-        self._waiting: queue.SimpleQueue[frames.Run | frames.Load | frames.Batch] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[frames.Run | frames.Load | frames.TaskBatch] = queue.SimpleQueue()
         self._team: Final = Team(self._send)
         logging.basicConfig(level=level, handlers=[_LogSender(self._send)], force=True)
 
@@ -309,8 +309,8 @@ class TaskLoop:
                     del run
                 case frames.Load() as load:
                     self._load(load)
-                case frames.Batch() as batch:
-                    self._send(frames.Computed(batch.number, compute(batch)))
+                case frames.TaskBatch() as batch:
+                    self._send(frames.BatchComputed(batch.number, compute(batch)))
                     del batch
 
     def _load(self, load: frames.Load) -> None:
@@ -339,7 +339,7 @@ class TaskLoop:
         else:
             spent = {"seconds": round(time.monotonic() - began, 3), "size": len(result)}
             _LOG.info("a task is done", extra=fields(**about, **spent, **self._team.counts))
-            self._send(frames.Finished(run.task, result, memory_bytes()))
+            self._send(frames.TaskFinished(run.task, result, memory_bytes()))
         finally:
             self._team.end()
 

@@ -42,7 +42,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, RemoteProtocolError, UnknownJobError, UnreachableError
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Request as Question
+from atoll_core.wire.messages.clients import ClientRequest as Question
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello
 from atoll_core.wire.messages.limits import MAX_MESSAGE, MAX_PAGE_JOBS, Priority
 from atoll_core.wire.messages.views import JobState, JobView, WorkerService

@@ -10,10 +10,10 @@ from typing import Final, Protocol
 from atoll_coordinator.service.store.jobs import Viewer
 from atoll_core.wire.messages.clients import (
     Cancel,
+    ClientRequest,
     Delete,
     Follow,
     Pause,
-    Request,
     Retry,
     SetPriority,
     SetQueue,
@@ -84,7 +84,7 @@ class Authorization:
             return self._revoked(name)
         return f"the coordinator's roster does not name {name!r} as a worker any more"
 
-    def refuse_request(self, client: str, request: Request) -> str | None:
+    def refuse_request(self, client: str, request: ClientRequest) -> str | None:
         """Return why `client` may not ask this; None: it may. Ask `hides` first: of a hidden job nothing is said."""
         if self.role_bindings is None:
             return None
@@ -107,7 +107,7 @@ class Authorization:
         may = f"only {owner} or an admin may {_CHANGES[type(body)]} it"
         return f"job {body.job} was submitted by {owner}; {may}"
 
-    def hides(self, client: str, request: Request) -> str | None:
+    def hides(self, client: str, request: ClientRequest) -> str | None:
         """Return the id of the job that is asked about, if `client` is to be told that there is none."""
         viewer, job = self.viewer(client), getattr(request.body, "job", None)
         if viewer is None or job is None or isinstance(request.body, Submit):
@@ -122,7 +122,7 @@ class Authorization:
 
     def may_follow(self, client: str, job: str | None, viewer: Viewer | None) -> bool:
         """Tell whether `client` may be told of a job, or of all that happens (None) as `viewer` sees it."""
-        if self.refuse_request(client, Request(body=Follow(job=job))) is not None:
+        if self.refuse_request(client, ClientRequest(body=Follow(job=job))) is not None:
             return False
         own = self.viewer(client)
         return own == viewer if job is None else own is None or self._jobs.is_seen(job, own)

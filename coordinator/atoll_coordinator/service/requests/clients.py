@@ -15,9 +15,10 @@ from atoll_coordinator.service.store.jobs import MAX_COUNTED, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.messages.clients import (
-    Analyse,
     AnalysisAnswer,
+    AskAnalysis,
     Cancel,
+    ClientRequest,
     Delete,
     Deleted,
     EventList,
@@ -34,12 +35,12 @@ from atoll_core.wire.messages.clients import (
     IslandList,
     JobFound,
     JobList,
-    Jobs,
     JobStatus,
+    ListJobs,
+    ListWorkers,
     Pause,
     QueueDepth,
-    Request,
-    Result,
+    ResultText,
     Retry,
     SetPriority,
     SetQueue,
@@ -51,7 +52,6 @@ from atoll_core.wire.messages.clients import (
     Upload,
     Uploaded,
     WorkerList,
-    Workers,
 )
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS, chunk_count
 from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
@@ -66,12 +66,12 @@ MAX_RESULT_BYTES: Final = 1024 * 1024
 _SHOWN: Final = 5
 
 Body = (
-    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | IslandList | TableChunk
+    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | ResultText | IslandList | TableChunk
     | AnalysisAnswer     | Deleted | EventList | Following | Failure
 )  # fmt: skip
-Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetIslands | GetTable | GetEvents
+Told = ListJobs | FindJob | Status | ListWorkers | GetQueueDepth | GetResult | GetIslands | GetTable | GetEvents
 Asked = (
-    Upload | Submit | Analyse | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
+    Upload | Submit | AskAnalysis | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
 )  # fmt: skip
 
 
@@ -95,7 +95,7 @@ class ClientRequests:
         self._coordinator = coordinator
         self._followers = followers
 
-    def answer(self, client: str, request: Request) -> Body:
+    def answer(self, client: str, request: ClientRequest) -> Body:
         """Return the answer to a question of `client`.
 
         Raises:
@@ -145,14 +145,14 @@ class ClientRequests:
                 return Deleted(job=body.job)
             case Pause() | SetPriority() | Share():
                 return self._change(body)
-            case Analyse():
+            case AskAnalysis():
                 return self._analyse(client, body, submitter, viewer)
             case SetWorker():
                 self._controller.set_worker(body.worker, body.service, self._now())
-                return self._workers(Workers(prefix=body.worker, limit=1), viewer)
+                return self._workers(ListWorkers(prefix=body.worker, limit=1), viewer)
             case SetQueue():
                 self._controller.pause_queue(body.paused, self._now())
-                return self._workers(Workers(limit=1), viewer)
+                return self._workers(ListWorkers(limit=1), viewer)
             case _:
                 return self._tell(body, viewer)
 
@@ -179,7 +179,7 @@ class ClientRequests:
         self.uploads.end(body.table, submitter, client)
         return self._status(body.job)
 
-    def _analyse(self, client: str, body: Analyse, user: str | None, viewer: Viewer | None) -> Body:
+    def _analyse(self, client: str, body: AskAnalysis, user: str | None, viewer: Viewer | None) -> Body:
         """Answer a question about the result of a job, or say that its answer is not there yet."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
@@ -219,13 +219,13 @@ class ClientRequests:
     def _tell(self, body: Told, viewer: Viewer | None) -> Body:
         """Answer a question that changes nothing."""
         match body:
-            case Jobs():
+            case ListJobs():
                 return self._page(body, viewer)
             case FindJob():
                 return self._find(body.prefix, viewer)
             case Status():
                 return self._status(body.job)
-            case Workers():
+            case ListWorkers():
                 return self._workers(body, viewer)
             case GetQueueDepth():
                 return self._controller.queue_depth()
@@ -255,7 +255,7 @@ class ClientRequests:
         views = [view for archipelago in live.open_archipelagos for view in archipelago.island_views()]
         return IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
 
-    def _workers(self, question: Workers, viewer: Viewer | None) -> WorkerList:
+    def _workers(self, question: ListWorkers, viewer: Viewer | None) -> WorkerList:
         """Return a page of workers, by name; what they compute for others is left out."""
         views = self._controller.workers.membership.views(self._now())
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
@@ -277,7 +277,7 @@ class ClientRequests:
             events=log.read(question.job, question.after, question.limit, viewer, of_workers=question.of_workers)
         )
 
-    def _page(self, question: Jobs, viewer: Viewer | None) -> JobList:
+    def _page(self, question: ListJobs, viewer: Viewer | None) -> JobList:
         """Return a page of jobs, newest last, that an answer bears."""
         page = self._store.job_page(
             question.prefix, is_open=question.is_open, before=question.before, limit=question.limit, viewer=viewer,
@@ -319,7 +319,7 @@ class ClientRequests:
         view = self._controller.shown.view(job, self._now())
         return JobStatus(job=view) if view is not None else _unknown(job)
 
-    def _result(self, job: str) -> Result | Failure:
+    def _result(self, job: str) -> ResultText | Failure:
         view = self._controller.shown.view(job, self._now())
         if view is None:
             return _unknown(job)
@@ -330,7 +330,7 @@ class ClientRequests:
             self._controller.compose(found)
             raise NotYetError(job, is_final=False)
         if found is not None:
-            return Result(json_text=found)
+            return ResultText(json_text=found)
         if view.state == "failed":
             kind: FailureKind = "data" if view.fault == "data" else "internal"
             return Failure(failure=kind, sentence=view.reason or f"job {job} failed")

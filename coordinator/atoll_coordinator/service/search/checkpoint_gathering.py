@@ -11,7 +11,7 @@ from atoll_core import ENGINE_REVISION
 from atoll_core.config import Frozen
 from atoll_core.wire.messages.epochs import PullStates, States
 from atoll_core.wire.messages.workers import Placement
-from atoll_core.wire.state_pieces import Assembly, State
+from atoll_core.wire.state_pieces import Assembly, IslandState
 
 
 class Counted(Frozen):
@@ -92,7 +92,7 @@ class Gathering:
         return sum(assembly.size for assembly in self._assemblies.values())
 
     @property
-    def states(self) -> dict[int, State]:
+    def states(self) -> dict[int, IslandState]:
         """The states that are here, by island."""
         return {island: state for assembly in self._assemblies.values() for island, state in assembly.states.items()}
 

@@ -28,7 +28,7 @@ from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.task_frames import Failure
-from atoll_core.wire.messages.clients import Analyse
+from atoll_core.wire.messages.clients import AskAnalysis
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
 from atoll_core.wire.messages.tasks import (
     MAX_RESULT,
@@ -120,7 +120,7 @@ class TaskController:
         inputs = (self._keep_input(job, *self._prepared[job]), self._input(job, searched.to_bytes()))
         self._add(job, "refine", inputs, seconds, now, config)
 
-    def analyse(self, asked: Analyse, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
+    def analyse(self, asked: AskAnalysis, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
         """Have a question about a job answered, of the job's result as JSON, for a `user`.
 
         Raises:

@@ -9,8 +9,8 @@ from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import (
     Addition,
     Block,
-    Finished,
     HitStatement,
+    IslandFinished,
     IslandReport,
     Migrants,
     NewerTerm,
@@ -23,7 +23,7 @@ from atoll_core.wire.messages.epochs import (
     States,
 )
 from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement, Schedule
-from atoll_core.wire.state_pieces import State, split_states
+from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import (
     Abandoned,
     AskPeer,
@@ -103,8 +103,8 @@ def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str
     return Mailed(sender, Migrants(job="job", variable="x", term=term, epoch=epoch, blocks=wire_blocks))
 
 
-def finished(island: int, epoch: int, term: int = 1, generation: int = 20) -> Finished:
-    return Finished(job="job", variable="x", term=term, epoch=epoch, generation=generation, island=island)
+def finished(island: int, epoch: int, term: int = 1, generation: int = 20) -> IslandFinished:
+    return IslandFinished(job="job", variable="x", term=term, epoch=epoch, generation=generation, island=island)
 
 
 def begun(session: Session, *workers: str, **fields: int) -> list[object]:
@@ -372,7 +372,7 @@ def pull_states(epoch: int, *islands: int, term: int = 1, offset: int = 0) -> Pu
 
 def states(**of: bytes) -> States:
     """Return whole states, given by island as i0=b"...", i1=b"..."."""
-    by_island = {int(name[1:]): State.of(data) for name, data in of.items()}
+    by_island = {int(name[1:]): IslandState.of(data) for name, data in of.items()}
     return States(pieces=split_states(list(by_island), 0, by_island.__getitem__))
 
 

@@ -8,7 +8,7 @@ import pytest
 from atoll.tasks import process as module
 from atoll.tasks.process import NOTED_S, Team, compute
 from atoll_coordinator.model.batches import CANCELLED, FUNCTIONS
-from atoll_core.task_frames import Ask, Batch, FromProcess, Give, Progressed
+from atoll_core.task_frames import Ask, FromProcess, Give, Progressed, TaskBatch
 
 LIMIT_S = 60.0
 TASK = "t" * 64
@@ -37,7 +37,7 @@ class Said:
             self.gave.append(message)
             self.changed.notify_all()
 
-    def answer_to(self, token: int) -> Batch | None:
+    def answer_to(self, token: int) -> TaskBatch | None:
         with self.changed:
             assert self.changed.wait_for(lambda: any(one.token == token for one in self.gave), LIMIT_S)
             return next(one.batch for one in self.gave if one.token == token)
@@ -203,7 +203,7 @@ def test_what_breaks_in_a_batch_breaks_the_call_here_and_is_none_elsewhere(
     team = Team(said)
     with pytest.raises(ValueError, match="planted"):
         team.map("test: made", CONTEXT, ITEMS)
-    assert compute(Batch(1, "test: made", DIGEST, CONTEXT, b"")) is None
+    assert compute(TaskBatch(1, "test: made", DIGEST, CONTEXT, b"")) is None
     assert "a batch broke" in caplog.text
     team.ask(Ask(1))
     team.end()
