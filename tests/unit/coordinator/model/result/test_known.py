@@ -8,9 +8,8 @@ import pytest
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.known import known_entries, with_remarks
-from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, result_digest
 from atoll_core.config import EvolutionConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.data.notes import Note
@@ -92,8 +91,8 @@ def test_without_a_search_it_covers_what_is_known_and_the_data():
 def test_people_read_that_it_was_known():
     lines = render_text(result()[0]).split("\n")
     assert "dy/dt = -0.1*x" in lines
-    assert "    known: error 0.02 of the target's deviation" in lines
-    assert "    known: error ? of the target's deviation" in render_text(result("log(x)")[0]).split("\n")
+    assert "    known: error 0.02 of the target's standard deviation" in lines
+    assert "    known: error ? of the target's standard deviation" in render_text(result("log(x)")[0]).split("\n")
 
 
 def test_notes_are_told_by_where_they_were_written():
