@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from atoll.display.curves import chosen, curves_of, label
-from atoll.model.arguments import beginning_of
+from atoll.model.arguments import initial_conditions
 from atoll.model.model import Model
 from atoll.model.simulation import Simulation
 from atoll.web.progress import some
@@ -48,7 +48,7 @@ def simulation_of(result: Result) -> dict[str, Any]:
 
 def _part(model: Model, simulation: Simulation) -> Simulated:
     """Return the simulation of an equation that was picked, from the first measured state, as a result lists it."""
-    beginning, names = beginning_of(model), model.result.columns_by_symbol
+    beginning, names = initial_conditions(model), model.result.columns_by_symbol
     recorded = next((part for part in model.result.recorded if part.name == beginning.name), None)
     rows = range(len(simulation.t))
     is_same = recorded is not None and len(recorded.times) == len(rows)
