@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from atoll_coordinator.service.workers.worker_logs import BURST
+from atoll_coordinator.service.monitoring.event_log import BURST
 from atoll_core.wire import topics
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.views import EventView

@@ -10,7 +10,7 @@ import numpy as np
 
 from atoll.client.options import OPTIONS
 from atoll.web.options import read_options
-from atoll.web.progress import some
+from atoll.web.pictures import some
 from atoll.web.reading import TABLE
 from atoll_coordinator.data.outline import Outline, outline
 from atoll_coordinator.data.prepare import prepare

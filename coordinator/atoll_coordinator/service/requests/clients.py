@@ -1,16 +1,16 @@
-"""Requests of clients: uploads, submissions, questions about jobs and workers. Whatever is wrong becomes a Failure."""
+"""Requests of clients: uploads, submissions, questions about jobs and workers. Errors become a `Failure`."""
 
 from collections.abc import Callable
 from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
-from atoll_coordinator.service.monitoring.drafts import Draft
 from atoll_coordinator.service.monitoring.followers import Followers
+from atoll_coordinator.service.monitoring.job_views import Draft
 from atoll_coordinator.service.requests.admission import Admission
 from atoll_coordinator.service.requests.authorization import Authorization
-from atoll_coordinator.service.requests.deferred import NotYetError
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import Uploads
+from atoll_coordinator.service.requests.waiting import NotYetError
 from atoll_coordinator.service.store.jobs import MAX_COUNTED, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
@@ -57,17 +57,17 @@ from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS, chunk
 from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
-"""Of a list of jobs, as JSON, unless a single one has more: each item of a message has two bytes of JSON at least, so
-that the list keeps to `atoll_core.wire.codec.MAX_ITEMS`."""
+"""JSON bytes of a list of jobs, unless a single job has more. Each item of a message has at least two bytes of JSON, so
+that a list stays below `atoll_core.wire.codec.MAX_ITEMS`."""
 
 MAX_RESULT_BYTES: Final = 1024 * 1024
-"""Of results of jobs that ended under an earlier version, of which a list has views made: for 10 ms and not longer."""
+"""Bytes of results of an earlier version that one list may read to make views, which takes 10 ms."""
 
 _SHOWN: Final = 5
 
 Body = (
     Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | IslandList | TableChunk
-    | AnalysisAnswer     | Deleted | EventList | Following | Failure
+    | AnalysisAnswer | Deleted | EventList | Following | Failure
 )  # fmt: skip
 Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetIslands | GetTable | GetEvents
 Asked = (
@@ -76,15 +76,14 @@ Asked = (
 
 
 class ClientRequests:
-    """Answers the questions of clients, one by one."""
+    """Answers requests of clients, one by one."""
 
     def __init__(  # noqa: PLR0913  # what answers are made of
         self, controller: JobController, store: Store, authorization: Authorization, deletion: JobDeletion,
         now: Callable[[], float], coordinator: Callable[[], CoordinatorView | None] = lambda: None,
         followers: Followers | None = None,
     ) -> None:  # fmt: skip
-        """`now` gives the bus's seconds, `coordinator` the view of the coordinator itself; without `followers` nobody
-        can follow."""
+        """`now` returns seconds of the bus, `coordinator` its view; without `followers` clients cannot follow."""
         self._controller = controller
         self._store = store
         self._authorization = authorization
@@ -96,11 +95,11 @@ class ClientRequests:
         self._followers = followers
 
     def answer(self, client: str, request: Request) -> Body:
-        """Return the answer to a question of `client`.
+        """Return the answer to a request of `client`.
 
         Raises:
-            StoreError: A job was to be cancelled, and that could not be made durable.
-            NotYetError: The answer is there when the result of a job is composed.
+            StoreError: The cancellation of a job could not be stored.
+            NotYetError: It can be answered when the result of a job has been composed.
         """
         hidden = self._authorization.hides(client, request)
         if hidden is not None:
@@ -118,7 +117,7 @@ class ClientRequests:
         except (RefusedError, RemoteProtocolError) as error:
             return Failure(failure="refused", sentence=str(error)[:4000])
         except StoreError as error:
-            # The job has left its search already, and only a coordinator that starts again finds its way back.
+            # The job has already left its search; only a restarted coordinator continues it.
             if isinstance(request.body, Cancel):
                 raise
             return Failure(failure="internal", sentence=str(error)[:4000])
@@ -157,14 +156,14 @@ class ClientRequests:
                 return self._tell(body, viewer)
 
     def _cancel(self, job: str) -> Body:
-        """End a job; that it has ended is told when that lasts."""
+        """End a job; the answer comes when its end is stored."""
         self._controller.cancel(job, self._now())
         if job in self._controller.ending:
             raise NotYetError(job, is_final=True, meanwhile=lambda: self._status(job))
         return self._status(job)
 
     def _submit(self, client: str, body: Submit, submitter: str | None, viewer: Viewer | None) -> Body:
-        """Take in a job; to somebody else's, or on a table that has not been shown, it says no more than it must."""
+        """Accept a job; refusals reveal nothing about other users' jobs and tables."""
         if (
             viewer is not None
             and self._store.job(body.job) is not None
@@ -180,7 +179,7 @@ class ClientRequests:
         return self._status(body.job)
 
     def _analyse(self, client: str, body: Analyse, user: str | None, viewer: Viewer | None) -> Body:
-        """Answer a question about the result of a job, or say that its answer is not there yet."""
+        """Answer a question about the result of a job, or say what the answer waits for."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
         if body.table is not None and not self.uploads.has(body.table, user, viewer, client):
@@ -212,7 +211,7 @@ class ClientRequests:
         return self._status(body.job)
 
     def check_followers(self) -> None:
-        """Tell followers no more of what they may not see any more."""
+        """Stop notifying followers of jobs that they may no longer see."""
         if self._followers is not None:
             self._followers.keep(self._authorization.may_follow)
 
@@ -256,7 +255,7 @@ class ClientRequests:
         return IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
 
     def _workers(self, question: Workers, viewer: Viewer | None) -> WorkerList:
-        """Return a page of workers, by name; what they compute for others is left out."""
+        """Return a page of workers, by name, without what they compute for other users."""
         views = self._controller.workers.membership.views(self._now())
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
         page = tuple(wanted[: question.limit])
@@ -269,7 +268,6 @@ class ClientRequests:
         return WorkerList(workers=page, after=after, coordinator=coordinator)
 
     def _events(self, question: GetEvents, viewer: Viewer | None) -> EventList | Failure:
-        """Return what happened; as much of it as one answer bears."""
         if question.job is not None and self._controller.shown.view(question.job, self._now()) is None:
             return _unknown(question.job)
         log = self._controller.events
@@ -278,7 +276,7 @@ class ClientRequests:
         )
 
     def _page(self, question: Jobs, viewer: Viewer | None) -> JobList:
-        """Return a page of jobs, newest last, that an answer bears."""
+        """Return a page of jobs, newest last, that fits into one answer."""
         page = self._store.job_page(
             question.prefix, is_open=question.is_open, before=question.before, limit=question.limit, viewer=viewer,
             state=question.state,
@@ -291,7 +289,7 @@ class ClientRequests:
             size += len(view.model_dump_json())
             if views and (size > MAX_PAGE_BYTES or shown.bytes_read - read > MAX_RESULT_BYTES):
                 return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
-            # One that was taken over, and waits again, is listed in the state that is stored.
+            # A job that waits again after a restart is listed by its stored state.
             if question.state in (None, view.state) or view.state == "queued":
                 views.append(view)
         is_last = len(numbers) < question.limit
@@ -344,6 +342,6 @@ def _unknown(job: str) -> Failure:
 
 
 def _without_others(view: WorkerView, store: Store, viewer: Viewer) -> WorkerView:
-    """Return a worker's view that says what it computes only if the viewer sees the job."""
+    """Return a worker's view that names its job only if the viewer sees the job."""
     job = view.doing.partition("/")[0]
     return view if not job or store.is_seen(job, viewer) else view.model_copy(update={"doing": "another user's job"})

@@ -18,7 +18,7 @@ from atoll_coordinator.service.scheduling.limits import Limits, Total
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_coordinator.service.tasks.analyses import Analyses
-from atoll_coordinator.service.tasks.outcomes import JobPrepared
+from atoll_coordinator.service.tasks.background import JobPrepared, TableChecked
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, StoreError
 from atoll_core.wire.codec import decode, encode
@@ -66,7 +66,7 @@ class Tasks:
     def check_table(self, job: str, digest: str) -> None:
         """Find every table sound, at once."""
         if self.controller is not None:
-            self.controller.prepare_checked(job, True, None, Now.s)
+            self.controller.take_outcome(TableChecked(job, True), Now.s)
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *arguments: self.calls.append((name, *arguments))
@@ -274,7 +274,7 @@ def test_the_dataset_of_a_job_that_ended_while_it_was_prepared_is_not_kept(
     controller, store = clients._controller, clients._store
     before = store.blob_bytes()
     store.keep_prepared("j", b"its dataset", b"the rest")
-    controller.start_search(JobPrepared("j", None, b"", ""), 6.0)  # type: ignore[arg-type]
+    controller.take_outcome(JobPrepared("j", None, b"", ""), 6.0)  # type: ignore[arg-type]
     assert store.blob_bytes() == before
     assert not store.has_blob(hashlib.sha256(b"its dataset").hexdigest())
     assert controller.jobs == {}

@@ -84,7 +84,7 @@ class Lab:
 
     def heard(self) -> set[tuple[str, str | None]]:
         """Return who has been told of which jobs since the last call."""
-        self.followers.tell(NOW + 100.0)
+        self.followers.notify(NOW + 100.0)
         told, self.told[:] = [*self.told], []
         return {(client, event.job) for client, change in told for event in change.events}
 

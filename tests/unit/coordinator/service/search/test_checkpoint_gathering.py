@@ -7,20 +7,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
-from atoll_coordinator.service.search.checkpoint_schedule import (
+from atoll_coordinator.service.search.checkpoints import (
     COST_S,
     COST_S_PER_BYTE,
     LEAST_INTERVAL,
     MOST_GROWTH,
     PAUSE_S,
     SHARE,
+    Gathering,
+    StoredSearchState,
     common_epoch,
     interval_of,
     schedule_after,
 )
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.cut import Improvement
+from atoll_coordinator.service.search.ending import Improvement
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry

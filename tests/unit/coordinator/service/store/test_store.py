@@ -60,19 +60,6 @@ def test_a_job_is_kept_as_it_was_given_and_changed_as_told(store: Store) -> None
         store.update_job("j1", dataset_digest="cd")
 
 
-def test_a_second_job_of_the_same_id_changes_nothing(store: Store) -> None:
-    store.add_job(JOB)
-    assert not store.add_job(JobRecord("j1", "other", "{}", "", ""))
-    assert store.jobs() == (JOB,)
-
-
-def test_jobs_come_in_the_order_in_which_they_were_added(store: Store) -> None:
-    for name in ("z", "a", "m"):
-        store.add_job(JobRecord(name, name, "{}", "", ""))
-    assert [job.id for job in store.jobs()] == ["z", "a", "m"]
-    assert store.job("none") is None
-
-
 @pytest.mark.parametrize("changes", [{"id": "x"}, {"spec": "{}"}, {"colour": "red"}, {"result": "{}"}, {}])
 def test_what_cannot_change_is_our_own_error(store: Store, changes: dict[str, str]) -> None:
     store.add_job(JOB)
@@ -109,12 +96,6 @@ def test_terms_begin_together_or_not_at_all(store: Store) -> None:
     with pytest.raises(ZeroDivisionError):
         store.begin_terms([("j1", "x"), ("j1", "y")], lambda index, term: b"%d" % (term // (1 - index)))
     assert placements_in(store, "j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
-
-
-def test_terms_rise_by_one_and_belong_to_a_variable(store: Store) -> None:
-    store.add_job(JOB)
-    assert [begin_term(store, "j1", "x") for _ in range(3)] == [1, 2, 3]
-    assert begin_term(store, "j1", "y") == 1
 
 
 def test_the_first_cut_of_a_variable_wins(store: Store) -> None:
@@ -193,16 +174,6 @@ def test_two_uploads_of_one_blob_are_kept_once(store: Store, is_first: bool) -> 
     assert (store.unused_blobs(), store.blob_bytes()) == ((digest,), len(data))
 
 
-def test_a_started_upload_is_not_there_yet(store: Store) -> None:
-    data, digest = _upload(CHUNK_SIZE + 1)
-    store.put_chunk(digest, 0, data[:CHUNK_SIZE])
-    with pytest.raises(KeyError):
-        store.get_chunk(digest, 0)
-    assert put_blob(store, data) == digest
-    assert store.put_chunk(digest, 1, data[CHUNK_SIZE:], digest)
-    assert store.get_blob(digest) == data
-
-
 def test_threads_may_share_a_store(store: Store) -> None:
     store.add_job(JOB)
     terms: list[int] = []
@@ -235,12 +206,6 @@ def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_
         assert begin_term(store, "j1", "x") == 2
         assert store.cuts("j1") == {"x": b"cut"}
         assert store.get_blob(digest) == b"abc"
-
-
-def test_two_stores_are_two_realms() -> None:
-    with Store.open(None) as one, Store.open(None) as two:
-        assert one.cluster != two.cluster
-        assert one.incarnation == 1
 
 
 def test_what_was_committed_survives_a_process_that_is_killed(tmp_path: Path) -> None:
