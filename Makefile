@@ -10,7 +10,7 @@ DOCS := $(VENV)/atoll-docs-installed
 BROWSER := $(VENV)/atoll-browser-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-wheel kernels check pyright soak bench compare figures docs browser lock release-rehearsal deploy-rehearsal clean
+.PHONY: help demo test test-all test-wheel kernels check pyright soak bench compare figures docs browser lock release-rehearsal deploy-rehearsal judge clean
 
 help:
 	@echo "make demo    find the two equations of a Lotka-Volterra system, on two workers"
@@ -27,6 +27,8 @@ help:
 	@echo "             times, ratios, digests; also OTHER=revision MINUTES=5 ROUNDS=1 STROGATZ=folder ONLY=name"
 	@echo "             RESULTS=1: sixty small jobs instead, compared in all that is written and printed; or once"
 	@echo "             make compare RECORD=file, which goes on with it, and later make compare AGAINST=file"
+	@echo "make judge   refine about a hundred stored pools again: right forms, grades, seconds beside the reference, under ten minutes;"
+	@echo "             with TABLES=folder REAL=folder also the tables there; ACCEPT=1 writes the reference anew"
 	@echo "make figures STROGATZ=folder DYSTS=folder   measure again what README and docs quote, about 100 minutes;"
 	@echo "             QUICK=1 few seeds, half an hour; MINUTES=35 a bound; then python -m benchmarks.figures quote"
 	@echo "make docs    the documentation as a site, site/index.html, to be read without network"
@@ -51,7 +53,7 @@ demo: $(STAMP)
 # Some tests wait for processes, so there are three at a time for two cores; the tests of one file run one after the
 # other. Each worker more takes ten seconds of a processor, for imports, collection and kernels.
 # Files begin in their order, integration first: those few long tests would otherwise be what is left at the end.
-AT_A_TIME = $(shell $(BIN)/python -c 'import os; from atoll_core.machine.cores import usable_cores as cores; \
+AT_A_TIME = $(shell $(BIN)/python -c 'import os; from atoll_core.machine import usable_cores as cores; \
   print((3 * cores(os.environ)[0] + 1) // 2)')
 PYTEST = $(BIN)/pytest -n $(AT_A_TIME) --dist loadfile --no-loadscope-reorder
 
@@ -108,6 +110,11 @@ compare: $(STAMP)
 	  $(if $(OTHER),--other "$(OTHER)") $(if $(RECORD),--record "$(RECORD)") $(if $(AGAINST),--against "$(AGAINST)") \
 	  $(if $(MINUTES),--minutes "$(MINUTES)") $(if $(ROUNDS),--rounds "$(ROUNDS)") \
 	  $(if $(STROGATZ),--strogatz "$(STROGATZ)") $(if $(ONLY),--only "$(ONLY)")
+
+# Fails when fewer equations are right than before, or more grades promise what does not hold, beyond chance.
+judge: $(STAMP) kernels
+	@$(BIN)/python -m benchmarks.pools judge --workers 2 $(if $(TABLES),--cases "$(TABLES)") \
+	  $(if $(REAL),--real "$(REAL)") $(if $(ACCEPT),--accept) $(if $(ONLY),--only $(ONLY))
 
 # Goes on where it was interrupted. Fails where a figure could not be measured, or not to its end.
 figures: $(STAMP)

@@ -1,6 +1,6 @@
 """How refining scales: batches of real jobs timed here, and what 1 to 256 workers would make of them.
 
-``python -m benchmarks.refining_scale FOLDER/*.pickle`` refines kept pools (``benchmarks.corpus --keep-pools FOLDER``)
+``python -m benchmarks.refining_scale TITLE ...`` refines stored pools (of ``benchmarks.pools``)
 as if so many as ``--batches-for`` took batches (of these there are two for each, as far as items suffice), computes
 each batch in this process, and notes its processor seconds and those between batches.
 Then the trace is played on simulated workers, batches given out in order: one core does what lies between batches, each
@@ -9,7 +9,6 @@ of all seconds over the workers' span; what the span consists of is named.
 """
 
 import heapq
-import pickle
 import sys
 import threading
 import time
@@ -26,8 +25,12 @@ from atoll.terminal.output import say, table
 from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.batches import FUNCTIONS, Batches, Spread
 from atoll_coordinator.model.deadline import Deadline
-from benchmarks.corpus.pools import KeptPool
+from atoll_coordinator.model.pools import Pools
+from atoll_coordinator.tasks.preparing import prepare_job
 from benchmarks.harness.command_line import option, program, whole
+from benchmarks.pools.campaign import POOLS
+from benchmarks.pools.cases import Folders, Job, job_of
+from benchmarks.pools.stored import file_of, read_pools
 
 Made = TypeVar("Made")
 
@@ -125,11 +128,12 @@ class RecordedSpread(Spread):
         return self._recorder.fork(calls)
 
 
-def recorded(kept: KeptPool, workers: int = max(WORKERS)) -> tuple[Trace, Counter[str]]:
+def recorded(job: Job, pools: Pools, workers: int = max(WORKERS)) -> tuple[Trace, Counter[str]]:
     """Return the trace of refining, and how often the time between batches was spent in which stage.
 
     Batches are as small as for so many `workers`.
     """
+    prepared, _ = prepare_job(job.table.to_bytes(), job.config)
     recorder, stages, is_over = Recorder(workers), Counter[str](), threading.Event()
     refining = threading.get_ident()
 
@@ -147,7 +151,7 @@ def recorded(kept: KeptPool, workers: int = max(WORKERS)) -> tuple[Trace, Counte
     watch = threading.Thread(target=look, daemon=True)
     watch.start()
     try:
-        pipeline.refine_all(kept.preparation, kept.config, kept.pools, laws=kept.laws)
+        pipeline.refine_all(prepared.preparation, prepared.config, pools, laws=prepared.laws)
     finally:
         vars(pipeline)["spreading"] = before
         is_over.set()
@@ -295,14 +299,14 @@ def _of_function(name: str, calls: Sequence[Mapped]) -> tuple[str, ...]:
 @program(
     "benchmarks.refining_scale",
     __doc__,
-    option("files", type=Path, nargs="+", metavar="FILE"),
+    option("titles", nargs="+", metavar="TITLE", help="of stored pools whose tables are drawn"),
     option("--batches-for", type=whole, default=max(WORKERS), metavar="WORKERS", help="who takes batches (256)"),
 )
 def main(options: Namespace) -> None:
-    """Print a report of each kept pool."""
-    for file in options.files:
-        kept: KeptPool = pickle.loads(file.read_bytes())
-        say(report(file.stem, *recorded(kept, options.batches_for)))
+    """Print a report of each stored pool."""
+    for title in options.titles:
+        pools = read_pools(file_of(POOLS, title))
+        say(report(title, *recorded(job_of(title, Folders()), pools, options.batches_for)))
 
 
 if __name__ == "__main__":

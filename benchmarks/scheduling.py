@@ -33,7 +33,7 @@ from atoll_core.config import JobConfig
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.messages.clients import Delete, Request, Submit, Upload
 from atoll_core.wire.messages.views import FINAL_STATES
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings
 from benchmarks.harness.command_line import option, program, whole
 
 KINDS: Final = ("greedy", "endless", "busy", "idle", "malicious")

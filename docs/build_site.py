@@ -86,7 +86,7 @@ _API: Final = (
     ("class", "atoll.model.model.Model"),
     ("class", "atoll.model.shortcuts.Shortcuts"),
     ("class", "atoll.model.model.Equation"),
-    ("class", "atoll.model.parameters.Parameter"),
+    ("class", "atoll.model.equations.Parameter"),
     ("class", "atoll.model.simulation.Simulation"),
     ("class", "atoll.analysis.analysis.Analysis"),
     ("function", "atoll.workers.start.start_on"),

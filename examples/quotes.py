@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from atoll.model.constants import plus_minus
+from atoll.model.equations import plus_minus
 from atoll.model.model import Model
 
 ROOT: Final = Path(__file__).resolve().parents[1]

@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from atoll.analysis.analysis import Analysis, analyse
-from atoll.analysis.box import Box
-from atoll.analysis.flow import Flow
+from atoll.analysis.flow import Box, Flow
 from atoll.analysis.lyapunov import lyapunov_spectrum
 from atoll.model.vector_field import VectorField
 from benchmarks.analysis.check import Check, Timer, near, same

@@ -18,17 +18,17 @@ from typing import Any, Final
 
 from atoll.terminal.output import say
 from atoll_core.errors import UsageError
-from benchmarks.corpus.campaign import configuration, judge_again, line, run_jobs
+from benchmarks.corpus.campaign import judge_again, refine_all_pools, request_of, run_jobs
 from benchmarks.corpus.cases import OURS, SAMPLINGS, UNTOLD, Key, make_case
 from benchmarks.corpus.families import FAMILIES, NAMED, WITH_FUNCTIONS
 from benchmarks.corpus.outcomes import Outcome
-from benchmarks.corpus.pools import keep_pools, refine_all_kept, refine_kept
 from benchmarks.corpus.qualities import NAMED_QUALITIES, QUALITIES, quality
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
 from benchmarks.harness.campaign import journal_of
 from benchmarks.harness.command_line import option, positive, program, seeds_of, whole, workers
 from benchmarks.peers import operon, pysindy_models
 from benchmarks.peers.operon_models import OPERON
+from benchmarks.pools.stored import keep_pools
 
 NAMED_STATES: Final = {name: len(family.equations) for name, (family, *_) in NAMED.items()}
 CHAOTIC: Final = ("lorenz",)
@@ -140,14 +140,13 @@ def main(options: Namespace) -> int:
     if options.judge_again:
         judge_again(wanted, journal)
     if options.keep_pools:
-        limit = options.max_time
-        keep_pools(wanted, options.keep_pools, options.workers, lambda key, case: configuration(key, case, limit, {}))
+        requests = {key.title: partial(request_of, key, options.max_time) for key in wanted}
+        keep_pools(requests, options.keep_pools, options.workers)
         return 0
     if options.only_judge:
         outcomes = [journal.outcomes[key] for key in wanted if key in journal.outcomes]
     elif options.pools:
-        refine = partial(refine_kept, folder=options.pools, max_time=options.max_time)
-        outcomes = refine_all_kept(wanted, journal, refine, options.workers, line)
+        outcomes = refine_all_pools(wanted, journal, options.pools, options.workers, options.max_time)
     else:
         changes: dict[str, Any] = {} if options.epochs is None else {"max_epochs": options.epochs}
         outcomes = run_jobs(wanted, journal, options.workers, options.max_time, changes)

@@ -2,9 +2,13 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
+from atoll.terminal.output import note
 from atoll_core.config import BASE_OPERATORS, JobConfig
+from atoll_core.data.table import Table
 from atoll_core.errors import AtollError
 from benchmarks.corpus.cases import OURS, UNTOLD, Case, Key, make_case
 from benchmarks.corpus.outcomes import Outcome, judge_job
@@ -12,10 +16,12 @@ from benchmarks.harness import campaign
 from benchmarks.harness.campaign import Answer, Service, attempt, work_off
 from benchmarks.harness.jobs import configured
 from benchmarks.harness.journal import Journal
+from benchmarks.harness.parallel import in_parallel
 from benchmarks.harness.stopwatch import Stopwatch
 from benchmarks.harness.tables import Columns
 from benchmarks.noise import data as noise
 from benchmarks.peers import operon_models, pysindy_models
+from benchmarks.pools.stored import file_of, read_pools, refine_stored
 
 
 def run_jobs(
@@ -40,6 +46,31 @@ def run_jobs(
         return judge_job(key, case, answer, stopwatch), answer
 
     return work_off(keys, journal, do, line, workers)
+
+
+def request_of(key: Key, max_time: float | None) -> tuple[Table, JobConfig]:
+    """Return the table of a job and its configuration."""
+    case = make_case(key)
+    return case.table, configuration(key, case, max_time, {})
+
+
+def refine_all_pools(
+    keys: Sequence[Key], journal: Journal[Outcome], folder: Path, workers: int, max_time: float | None
+) -> list[Outcome]:
+    """Refine the stored pools of `keys` that the journal does not have; return the outcomes of all."""
+    missing = [key for key in keys if key not in journal.outcomes]
+    for outcome in in_parallel(partial(_refine_pool, folder=folder, max_time=max_time), missing, workers):
+        journal.add(outcome)
+        note(line(outcome))
+    return [journal.outcomes[key] for key in keys if key in journal.outcomes]
+
+
+def _refine_pool(key: Key, folder: Path, max_time: float | None) -> Outcome:
+    case = make_case(key)
+    config = configuration(key, case, None, {})
+    refined = refine_stored(key.title, case.table, config, read_pools(file_of(folder, key.title)), max_time)
+    stopwatch = Stopwatch(seconds={"refining": refined.wall_s}, processor={"refining": refined.refining_s})
+    return judge_job(key, case, refined.result, stopwatch, config=config)
 
 
 def judge_again(keys: Sequence[Key], journal: Journal[Outcome]) -> None:

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from atoll_coordinator.model.refinement import Pool
+from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core.config import PRESETS, Angle, DataConfig, JobConfig
 from atoll_core.data.dataset import FloatArray

@@ -33,7 +33,7 @@ from atoll_coordinator.model.result.result import Account, VariableOutcome, buil
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_core.errors import DataError, RemoteProtocolError, UsageError
-from atoll_core.machine.cores import usable_cores
+from atoll_core.machine import usable_cores
 from benchmarks.harness.campaign import journal_of
 from benchmarks.harness.command_line import option, program, whole
 from benchmarks.harness.parallel import in_parallel

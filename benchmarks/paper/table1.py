@@ -27,7 +27,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import to_infix
-from atoll_core.machine.cores import usable_cores
+from atoll_core.machine import usable_cores
 from atoll_core.search.pareto import FrontEntry
 from benchmarks.harness.command_line import OUT, option, program, seeds, whole, workers
 from benchmarks.harness.parallel import in_parallel

@@ -1,11 +1,10 @@
-"""What coordinator and island worker share.
+"""What coordinator and island worker share; it imports no other package of Atoll.
 
-``config``, ``data`` and ``expression`` say what a job is; ``search`` holds the rules that both sides must apply alike
-(fronts, random streams, the commit order); ``wire`` the messages and the bus; ``compilation`` the kernels' compiler;
-``machine`` what this process may use of its machine; ``main_program``, ``command_line``, ``hints``, ``logs``,
-``redaction`` and ``errors`` what both command lines share.
-
-It imports no other package of Atoll.
+``config``, ``data`` and ``expression`` define a job; ``search`` holds the rules that both sides must apply alike
+(fronts, random streams, the commit order); ``wire`` the messages and the bus, ``task_frames`` the messages between a
+worker and its task process; ``compilation`` the kernels' compiler; ``machine`` cores, memory and folders of this
+machine; ``main_program``, ``command_line``, ``signals``, ``logs``, ``quoting``, ``redaction`` and ``errors`` the parts
+that both command lines share.
 """
 
 VERSION = "0.1.0"

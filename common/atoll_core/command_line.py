@@ -1,13 +1,14 @@
-"""What the command lines of both programs share. Light, because ``--help`` must be instant."""
+"""What the command lines of both programs share. Few imports, because ``--help`` must be fast."""
 
 import argparse
+import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NoReturn
 
 from atoll_core.errors import AtollError, UsageError
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
 
 LOG_FORMATS: Final = ("text", "json")
 LOG_LEVELS: Final = ("debug", "info", "warning", "error")
@@ -136,3 +137,35 @@ def add_tls_options(parser: argparse.ArgumentParser) -> None:
     )
     for option, (variable, text) in TLS_OPTIONS.items():
         group.add_argument(option, metavar="FILE", help=f"{text} (default: ${variable})")
+
+
+SHELLS = ("bash", "zsh", "fish")
+_ALTERNATIVES = re.compile(r"[a-z0-9]+(?:\|[a-z0-9]+)+")
+
+
+def complete(parser: argparse.ArgumentParser, **settings: Any) -> None:
+    """Answer a shell that asks how its words go on, and end the process; else do nothing.
+
+    `settings` are those of `argcomplete.autocomplete`.
+    """
+    if "_ARGCOMPLETE" not in os.environ:
+        return
+    import argcomplete
+
+    for verb_parser in _parsers(parser):
+        for action in verb_parser._actions:
+            if isinstance(action.metavar, str) and _ALTERNATIVES.fullmatch(action.metavar):
+                action.completer = _chooser(action.metavar.split("|"))  # type: ignore[attr-defined]
+    argcomplete.autocomplete(parser, **settings)
+
+
+def _chooser(words: list[str]) -> Callable[..., list[str]]:
+    return lambda **_: words
+
+
+def _parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """Yield a parser and those of its verbs."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            yield from action.choices.values()

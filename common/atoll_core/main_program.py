@@ -21,8 +21,7 @@ def run_program(module: str) -> NoReturn:
     end_at_interrupts()
     reap_children()
     open_closed_streams()
-    from atoll_core.machine.linear_algebra import use_common_instructions
-    from atoll_core.machine.usage import collect_rarely
+    from atoll_core.machine import collect_rarely, use_common_instructions
 
     use_common_instructions(os.environ)
     collect_rarely()

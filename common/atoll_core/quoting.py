@@ -1,13 +1,36 @@
-"""Values that a person has given, as a sentence quotes them."""
+"""Values in messages: quoted, shortened, made safe for terminals, and suggestions for names that are not known."""
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Final
 
 from atoll_core.errors import UsageError
+
+_LIKENESS: Final = 0.6
+"""Least share of characters that two names have in common, in order, as `difflib` measures it by default."""
+
+
+def similar_file(path: Path) -> str:
+    """Return ``; did you mean 'a.csv'?`` for a file that is not there, "" where its folder has none like it."""
+    try:
+        return did_you_mean(
+            path.name, [neighbour.name for neighbour in path.parent.iterdir() if neighbour.name != path.name]
+        )
+    except OSError:
+        return ""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean 'states'?`` for the end of a sentence, "" where nothing known is like `name`."""
+    import difflib  # takes a few milliseconds, and is rarely needed
+
+    by_lower = {word.lower(): word for word in known}
+    close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=_LIKENESS)
+    return f"; did you mean '{by_lower[close[0]]}'?" if close else ""
+
 
 _LONGEST: Final = 40
 """Characters of a value that a sentence shows."""

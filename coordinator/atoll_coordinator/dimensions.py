@@ -11,7 +11,6 @@ from fractions import Fraction
 from typing import Final
 
 from atoll_coordinator.units import Unit, expanded, product_of
-from atoll_core.expression.builder import live_nodes
 from atoll_core.expression.operators import (
     ABS,
     ADD,
@@ -27,7 +26,7 @@ from atoll_core.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Program, constant_places, live_nodes
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 

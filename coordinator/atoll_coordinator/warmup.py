@@ -5,7 +5,7 @@ from typing import Final
 from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
 from atoll_coordinator.model.shooting.warmup import warm_up as warm_up_trajectories
 from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
-from atoll_core.compilation.warmup import Report, compile_or_load
+from atoll_core.compilation.cache import Report, compile_or_load
 
 KERNELS: Final = 21
 """How many kernels are compiled apart."""

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from atoll_core.command_line import Parser, add_log_options, add_tls_options, duration, seconds
-from atoll_core.completion import complete
-from atoll_core.machine.batch_jobs import batch_job
+from atoll_core.command_line import Parser, add_log_options, add_tls_options, complete, duration, seconds
+from atoll_core.machine import batch_job
 from atoll_core.main_program import exit_code_of
 from atoll_core.signals import raise_interrupts
 from atoll_island_worker.launch import work, work_together
@@ -105,7 +104,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _dispatch(options: argparse.Namespace) -> int:
-    from atoll_core.machine.cores import usable_cores
+    from atoll_core.machine import usable_cores
     from atoll_core.wire.security.credentials import credentials_of
 
     credentials = credentials_of(vars(options), os.environ, "connect")
@@ -138,7 +137,7 @@ def _destination(options: argparse.Namespace, credentials: "Credentials | None")
             raise UsageError("both --connect and --connect-file were given; give one of them")
         from pathlib import Path
 
-        from atoll_core.wire.connect_file import address_in
+        from atoll_core.wire.addresses import address_in
         from atoll_island_worker.connection.connection import START_S
 
         wait_s = START_S if options.wait is None else options.wait

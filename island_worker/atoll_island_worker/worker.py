@@ -11,11 +11,11 @@ from contextlib import AbstractContextManager
 from functools import singledispatchmethod
 from typing import Final
 
-from atoll_core.compilation.progress import count_of
+from atoll_core.compilation.cache import count_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.logs import fields
-from atoll_core.machine.usage import available_bytes, memory_bytes
-from atoll_core.tasks.frames import Said
+from atoll_core.machine import available_bytes, memory_bytes
+from atoll_core.task_frames import Said
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Query, Reply, Timer

@@ -8,7 +8,7 @@ from pathlib import Path
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Law, Pool
+from atoll_coordinator.model.pools import Law, Pool
 from atoll_coordinator.model.sparse.product_laws import find_all_laws, laws_among_many, settled_variables
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig

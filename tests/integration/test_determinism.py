@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll_core.machine.linear_algebra import use_common_instructions
+from atoll_core.machine import use_common_instructions
 from tests import kernels
 
 ROOT = Path(__file__).resolve().parents[2]

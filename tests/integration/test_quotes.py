@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.experiments.odds import DECIDED, UNDECIDED
+from atoll.experiments.suggestion import DECIDED, UNDECIDED
 from examples.quotes import (
     MARK,
     PAGES,

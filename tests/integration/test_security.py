@@ -28,7 +28,7 @@ from atoll_core.wire.messages.handshake import Greeting, Hello
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
 from atoll_core.wire.security.credentials import Credentials, load
-from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
+from atoll_core.wire.security.roles import RoleBindings, read_role_bindings
 from atoll_island_worker.worker import Worker
 from tests.certificates import Lab
 from tests.integration.local_tasks import LocalTasks

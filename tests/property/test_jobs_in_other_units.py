@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.experiments.design_search import suggest
+from atoll.experiments.designs import DesignRequest
 from atoll.experiments.identifiability import identify
-from atoll.experiments.space import Request
+from atoll.experiments.suggestion import suggest
 from atoll.model.model import Model
 from atoll.report.findings import Findings
-from atoll.report.fit import trajectories
 from atoll.report.markup import to_text
+from atoll.report.trajectories import trajectories
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Pool
+from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.tasks.preparing import prepare_job
@@ -211,7 +211,7 @@ def decay(size: float, clock: float) -> Result:
 
 @pytest.mark.parametrize(("size", "clock"), [(1e12, 1e-6), (2.0**-40, 2.0**20)])
 def test_suggestions_and_profiles_are_the_same(size: float, clock: float) -> None:
-    asked = [suggest(decay(*scale), Request({"x": (0.1 * scale[0], 20.0 * scale[0])}, count=2))
+    asked = [suggest(decay(*scale), DesignRequest({"x": (0.1 * scale[0], 20.0 * scale[0])}, count=2))
              for scale in ((1.0, 1.0), (size, clock))]  # fmt: skip
     expected, experiments = ([
         [experiment.initial["x"] / scale[0], experiment.times[-1] / scale[1], experiment.information,

@@ -13,19 +13,16 @@ import numpy as np
 import pytest
 
 from atoll.analysis.analysis import analyse
-from atoll.analysis.box import Box
 from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
-from atoll.analysis.continuation import continuation, special_points
-from atoll.analysis.continuation_parameter import ContinuationParameter
+from atoll.analysis.continuation import ContinuationParameter, continuation, special_points
 from atoll.analysis.cycle_continuation import cycle_continuation
 from atoll.analysis.fixed_points import fixed_points
-from atoll.analysis.flow import Flow
+from atoll.analysis.flow import Box, Flow
 from atoll.analysis.limit_cycles import limit_cycles
 from atoll.analysis.lyapunov import lyapunov_spectrum
-from atoll.model.joint_errors import JointErrors
 from atoll.model.model import Model
 from atoll.model.simulation import simulate
-from atoll.model.vector_field import VectorField
+from atoll.model.vector_field import JointErrors, VectorField
 from atoll_core.data.dataset import FloatArray
 from benchmarks.exports import programs
 from tests.unit.library.export.exported import run_python

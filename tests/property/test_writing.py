@@ -8,15 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_core.expression.bounds import EquationBounds, parse_bound
 from atoll_core.expression.program import Program, check_program_bytes
+from atoll_core.expression.restrictions import EquationBounds, parse_bound
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing import shortest as search
 from atoll_core.expression.writing.expansion import expand_program, factored_forms, raised_quotients, terms_of
-from atoll_core.expression.writing.failures import FAILURES
 from atoll_core.expression.writing.shortest import agree, collected, points_of, shortest, shortest_over
-from atoll_core.expression.writing.sums_of_products import UndefinedError
+from atoll_core.expression.writing.sums_of_products import FAILURES, UndefinedError
 from tests.property.programs import NAMES, programs
 from tests.property.test_expressions import QUICK
 

@@ -145,7 +145,7 @@ def answered_kind(key: str) -> Any:
             return Answer
         case topics.WorkerKey(part="pull"):
             return PullAnswer
-        case topics.JobKey() | topics.PlacementKey():
+        case topics.JobKey(part="job" | "placement"):
             return Control
     return None
 

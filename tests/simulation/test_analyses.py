@@ -6,7 +6,7 @@ import pytest
 
 from atoll_coordinator.service.tasks.analyses import WANTED_S
 from atoll_core.errors import AtollError, RefusedError
-from atoll_core.tasks.frames import Failure
+from atoll_core.task_frames import Failure
 from atoll_core.wire.messages.clients import Analyse
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World

@@ -14,7 +14,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import Request, Submit, Upload
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.harness.fault_schedule import JobPlan
 from tests.simulation.harness.participants import Cast

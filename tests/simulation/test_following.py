@@ -113,7 +113,7 @@ def test_changes_of_a_former_lease_of_others_and_of_strangers_say_nothing() -> N
     world.submit(config(1), "x,y")
     heard = Heard(world.client)
     heard.take(heard.subscription.wait(1.0))
-    key = topics.changes(world.store.cluster, world.client._name)
+    key = topics.client(world.store.cluster, world.client._name, "changes")
     stranger = bus_of(world, "stranger")
     for change in (Change(job="other", sequence=2**60, previous=0), Change(job="job", sequence=1, previous=0)):
         stranger.put(key, encode(change))

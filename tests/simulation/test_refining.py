@@ -1,7 +1,8 @@
 """Between the last cut and the result: what is made of the fronts, and what happens when that breaks."""
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.refinement import Constant, Pools, Refined, Refinement
+from atoll_coordinator.model.pools import Pools
+from atoll_coordinator.model.refinement import Constant, Refined, Refinement
 from atoll_coordinator.service.monitoring.job_views import ended_view
 from atoll_core.config import BudgetConfig, JobConfig
 from atoll_core.expression.text.parsing import from_infix

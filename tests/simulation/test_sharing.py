@@ -166,7 +166,7 @@ def test_a_changed_priority_reaches_the_workers() -> None:
 
 
 def test_a_worker_whose_certificate_is_revoked_is_sent_away_and_its_islands_go_on_elsewhere() -> None:
-    from atoll_core.wire.security.role_bindings import RoleBindings
+    from atoll_core.wire.security.roles import RoleBindings
 
     roles = {"w1": "worker", "client": "admin"}
     world = World(workers=2, seed=1, slowness=5.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll_core.machine.cores import usable_cores
+from atoll_core.machine import usable_cores
 
 ROOT = Path(__file__).resolve().parents[2]
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")

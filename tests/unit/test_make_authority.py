@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from atoll_core.wire.security.credentials import load
-from atoll_core.wire.security.role_bindings import read_role_bindings
+from atoll_core.wire.security.roles import read_role_bindings
 from tests.certificates import Lab, make_authority
 
 

@@ -1,24 +1,32 @@
-"""Which sources are compiled into the kernels of a package, and where the compiled kernels lie.
+"""Compiling the kernels of a package once per machine, where the compiled kernels are kept, and how progress is shown.
 
-There is one folder per package and digest of all source text that is compiled into its kernels. So checkouts, wheels
-and copies with equal sources share their machine code, machine code of other sources is never loaded, and a change of
-one program's kernels leaves the other's compiled. A file in it says that all kernels of the package have been compiled:
-one for each kind of processor and compiler.
+There is one folder per package and digest of all source text that is compiled into its kernels. Checkouts, wheels and
+copies with equal sources therefore share machine code, machine code of other sources is never loaded, and a change of
+one program's kernels keeps the other's compiled. A marker file says that all kernels of the package have been compiled,
+one for each kind of processor and compiler. If several processes find nothing compiled, one compiles while the others
+wait and then load.
 """
 
 import contextlib
 import functools
 import hashlib
+import importlib
 import os
 import platform
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from atoll_core.machine.folders import user_folder
+from atoll_core.errors import AtollError
+from atoll_core.machine import user_folder
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
 
 WORKER: Final = ("atoll_core", "atoll_island_worker")
 """The packages whose kernels decide the bits of a search."""
@@ -110,3 +118,129 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "unknown"
+
+
+_COUNT: Final = re.compile(r"(\d+) of (\d+) compiled")
+
+
+def sentence_of(done: int, kernels: int) -> str:
+    """Return the sentence for `done` of `kernels`."""
+    return f"compiling kernels, only once on this machine: {done} of {kernels} compiled"
+
+
+def count_of(sentence: str) -> tuple[int, int] | None:
+    """Return how many kernels of how many a sentence names as compiled; None when it names no count."""
+    match = _COUNT.search(sentence)
+    return (int(match[1]), int(match[2])) if match else None
+
+
+class WarmUpDisplay:
+    """Shows the sentences of warm-ups on stderr: bars on a terminal, else only the first and the last of a count."""
+
+    def __init__(self) -> None:
+        self._bars: Progress | None = None
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, sentence: str, of: str = "") -> None:
+        """Show a sentence; `of` names one of several warm-ups."""
+        done, kernels = count_of(sentence) or (0, 0)
+        if kernels and sys.stderr.isatty():
+            self._draw(done, kernels, of)
+        elif done in (0, kernels):
+            sys.stderr.write(f"{of}: {sentence}\n" if of else f"{sentence}\n")
+
+    def _draw(self, done: int, kernels: int, of: str) -> None:
+        if self._bars is None:
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._bars = Progress(console=Console(stderr=True))
+            self._bars.start()
+        if of not in self._tasks:
+            self._tasks[of] = self._bars.add_task(f"compiling kernels, only once {of}".strip(), total=kernels)
+        self._bars.update(self._tasks[of], completed=done, refresh=True)
+        if self._bars.finished:
+            self._bars.stop()
+            self._bars = None
+            self._tasks.clear()
+
+
+_ADVICE: Final = "install a version from 0.63 to 0.68"
+
+Report = Callable[[str], None]
+
+
+def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, report: Report) -> None:
+    """Compile or load all kernels of `package`, which `exercise` runs. Does nothing with ``NUMBA_DISABLE_JIT``.
+
+    `exercise` compiles or loads so many `kernels`, each with the types that it is used with. `report` is called with a
+    sentence before the first compilation and after each kernel, or when this process waits. Raises AtollError where the
+    cache of compiled kernels cannot be written, or this numba lacks a part that `jit` builds on.
+    """
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return
+    _import_compiler()
+    if not is_compiled(package):  # else a folder that can only be read does
+        with _locked(_make(cache_directory(package)) / "lock", report):
+            if not is_compiled(package):
+                with _counted(kernels, report):
+                    exercise()
+                marker(package).touch()
+                return
+    exercise()
+
+
+def _import_compiler() -> None:
+    try:
+        importlib.import_module("atoll_core.compilation.jit")
+    except (AttributeError, ImportError) as error:
+        raise AtollError(f"kernels cannot be compiled with numba {version('numba')} ({error}); {_ADVICE}") from error
+
+
+def _make(directory: Path) -> Path:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if not os.access(directory, os.W_OK | os.X_OK):
+            raise PermissionError(13, "permission denied")
+    except OSError as error:
+        raise AtollError(
+            f"the folder of compiled kernels {directory} cannot be written ({error.strerror}); "
+            "set ATOLL_KERNEL_CACHE to one that can"
+        ) from error
+    return directory
+
+
+@contextlib.contextmanager
+def _counted(kernels: int, report: Report) -> Iterator[None]:
+    """Report how many kernels are compiled, at the beginning, after each, and at the end."""
+    from atoll_core.compilation.jit import on_ready
+
+    done = 0
+
+    def count() -> None:
+        nonlocal done
+        done += 1
+        if done < kernels:  # the last is reported below, since some may have been ready before
+            report(sentence_of(done, kernels))
+
+    report(sentence_of(0, kernels))
+    on_ready.append(count)
+    try:
+        yield
+    finally:
+        on_ready.remove(count)
+    report(sentence_of(kernels, kernels))
+
+
+@contextlib.contextmanager
+def _locked(path: Path, report: Report) -> Iterator[None]:
+    """Hold the machine's one lock on compiling; the system gives it back should the holder die."""
+    import fcntl
+
+    with path.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            report("waiting while another process of this machine compiles the kernels")
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -1,13 +1,48 @@
-"""Columns as a data frame of polars, which Atoll comes with, or of pandas where it is installed."""
+"""Arrays from what Python users pass in, missing entries marked, and data frames of polars or pandas for output."""
 
+import importlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
+import numpy as np
+
+from atoll_core.data.dataset import AnyArray
 from atoll_core.errors import UsageError
 from atoll_core.quoting import shown
 
 if TYPE_CHECKING:
     import polars
+
+
+_MISSING: Final[dict[str, object]] = {**dict.fromkeys("mM", "NaT"), **dict.fromkeys("biufc", np.nan)}
+"""What stands for a missing entry, by the kind of an array; None elsewhere."""
+
+
+def plain_array(values: object) -> AnyArray:
+    """Return `values` as an array without a mask: what is masked is NaN, of dates and durations NaT, else None.
+
+    What lies below a mask is no measurement, such as -9999. Missing values of pandas (``NA``) are None as well. Raises
+    ValueError where rows have different lengths.
+    """
+    array = np.asarray(values)
+    if isinstance(values, np.ma.MaskedArray) and array.dtype.names is None:
+        kind, mask = array.dtype.kind, np.ma.getmaskarray(values)
+        if not mask.any():
+            return array
+        array = array.astype(np.float64 if kind in "biu" else array.dtype if kind in _MISSING else object)
+        array[mask] = _MISSING.get(kind)
+    elif array.dtype.kind == "O":
+        mask = np.array([_is_na(cell) for cell in array.ravel().tolist()], dtype=bool).reshape(array.shape)
+        if mask.any():
+            array = array.copy()
+            array[mask] = None
+    return array
+
+
+def _is_na(cell: object) -> bool:
+    """Tell whether a cell is pandas' NA, which is neither true nor false, so that it cannot be compared."""
+    return type(cell).__name__ == "NAType"
+
 
 FrameLibrary = Literal["polars", "pandas"]
 _LIBRARIES: Final[tuple[str, ...]] = get_args(FrameLibrary)
@@ -16,17 +51,15 @@ _LIBRARIES: Final[tuple[str, ...]] = get_args(FrameLibrary)
 def frame_of(columns: Mapping[str, object], library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
     """Return columns of one length by name, arrays (N,) or lists, as a frame of a library.
 
-    Raises UsageError where the library is no such one, or is not installed.
+    Raises UsageError where the library is neither of them, or is not installed.
     """
     if library not in _LIBRARIES:
-        raise UsageError(f"frames are those of {' or '.join(_LIBRARIES)}, but {shown(library)} was given")
-    if library == "polars":
-        import polars
-
-        return polars.DataFrame(dict(columns))
+        raise UsageError(f"a frame is of {' or '.join(_LIBRARIES)}, but {shown(library)} was given")
     try:
-        import pandas
+        frames: Any = importlib.import_module(library)
     except ImportError:
-        hint = "pandas is not installed; run: pip install pandas, or call to_frame() for a frame of polars"
-        raise UsageError(hint) from None
-    return pandas.DataFrame(dict(columns))
+        other = next(name for name in _LIBRARIES if name != library)
+        install = {"polars": "'atoll[parquet]'", "pandas": "pandas"}[library]
+        message = f'{library} is not installed; run: pip install {install}, or call to_frame("{other}")'
+        raise UsageError(message) from None
+    return frames.DataFrame(dict(columns))

@@ -5,31 +5,51 @@ Letters: C columns, N rows.
 
 import datetime
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Annotated, Final, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import AfterValidator, Field
 
+from atoll_core.config import Frozen
 from atoll_core.data.dataset import AnyArray, FloatArray, IntArray
 from atoll_core.errors import DataError, RemoteProtocolError
 from atoll_core.wire.codec import BROKEN, decode_arrays, encode_arrays
 
 S = TypeVar("S", bound=np.generic)
-C = TypeVar("C", list[Any], dict[str, Any])  # read from msgpack, each item is looked at
 MANY = 5
 """So many rows are named in a message before it says how many there are in all."""
 MIDNIGHT: Final = "midnight"
 
 
-class Origin(NamedTuple):
-    """Since when the times of a column of dates are counted, as ISO 8601 or `MIDNIGHT`, and the seconds of its unit."""
+def _moment(since: str) -> str:
+    if since != MIDNIGHT:
+        datetime.datetime.fromisoformat(since.removesuffix(" UTC"))
+    return since
 
-    since: str
-    seconds: float
+
+class Origin(NamedTuple):
+    """The moment from which the times of a column of dates count, ISO 8601 or `MIDNIGHT`, and their unit in seconds."""
+
+    since: Annotated[str, AfterValidator(_moment)]
+    seconds: Annotated[float, Field(gt=0.0, strict=True)]
+
+
+class _Header(Frozen):
+    """The parts of a table in bytes that are no arrays; see `Table`."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    starts: tuple[int, ...]
+    files: tuple[str, ...]
+    skipped: tuple[str, ...]
+    read_as: str = ""
+    labels: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    origins: dict[str, Origin] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,36 +136,22 @@ class Table:
 
     def to_bytes(self) -> bytes:
         """Return the bytes that are uploaded; `from_bytes` reads them."""
-        lists = ("names", "units", "starts", "files", "skipped")
-        header: dict[str, object] = {name: list(getattr(self, name)) for name in lists}
-        header["read_as"] = self.read_as
-        if self.labels:
-            header["labels"] = {name: list(texts) for name, texts in self.labels.items()}
-        if self.left_out:
-            header["left_out"] = list(self.left_out)
-        if self.origins:
-            header["origins"] = {name: list(origin) for name, origin in self.origins.items()}
+        header = {name: getattr(self, name) for name in _Header.model_fields}
+        header = {name: part for name, part in header.items() if part or name not in ("labels", "left_out", "origins")}
         arrays = {"columns": self.columns, "file_of_row": self.file_of_row, "line_of_row": self.line_of_row}
         return encode_arrays(header, arrays)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Table":
-        """Parse what `to_bytes` wrote; raises RemoteProtocolError when it is anything else."""
+        """Parse the result of `to_bytes`; raises RemoteProtocolError when `data` is anything else."""
         header, arrays = decode_arrays(data)
         try:
+            parts = _Header.model_validate(header)
             return cls(
-                _texts(header["names"]),
-                _texts(header["units"]),
-                _numbers(arrays["columns"], np.float64, 2),
-                tuple(_whole(start) for start in _items(header["starts"], list)),
-                _texts(header["files"]),
-                _numbers(arrays["file_of_row"], np.int64, 1),
-                _numbers(arrays["line_of_row"], np.int64, 1),
-                _texts(header["skipped"]),
-                _texts([header.get("read_as", "")])[0],
-                {name: _texts(texts) for name, texts in _items(header.get("labels", {}), dict).items()},
-                {name: _origin(*origin) for name, origin in _items(header.get("origins", {}), dict).items()},
-                _texts(header.get("left_out", [])),
+                columns=_numbers(arrays["columns"], np.float64, 2),
+                file_of_row=_numbers(arrays["file_of_row"], np.int64, 1),
+                line_of_row=_numbers(arrays["line_of_row"], np.int64, 1),
+                **{name: getattr(parts, name) for name in _Header.model_fields},
             )
         except (*BROKEN, DataError) as error:
             raise RemoteProtocolError(f"the bytes of a table do not fit: {error}") from error
@@ -158,32 +164,6 @@ class Table:
 
 def _plural(noun: str, items: Sequence[object]) -> str:
     return noun if len(items) == 1 else noun + "s"
-
-
-def _items(value: object, kind: type[C]) -> C:
-    if not isinstance(value, kind):
-        raise TypeError(f"a {kind.__name__} was expected")
-    return value
-
-
-def _whole(value: object) -> int:
-    if type(value) is not int:
-        raise TypeError("a whole number was expected")
-    return value
-
-
-def _texts(values: object) -> tuple[str, ...]:
-    if not isinstance(values, (list, tuple)) or not all(isinstance(value, str) for value in values):
-        raise TypeError("a list of texts was expected")
-    return tuple(values)
-
-
-def _origin(since: object, seconds: object) -> Origin:
-    if since != MIDNIGHT:
-        datetime.datetime.fromisoformat(str(since).removesuffix(" UTC"))
-    if not isinstance(seconds, int | float) or not 0.0 < seconds < math.inf:
-        raise ValueError("the unit of times is no positive number of seconds")
-    return Origin(_texts([since])[0], float(seconds))
 
 
 def _numbers(array: AnyArray, kind: type[S], dimensions: int) -> npt.NDArray[S]:

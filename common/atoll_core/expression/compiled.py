@@ -9,9 +9,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import ARITY, CONSTANT, Functions, definitions, partial_definitions
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, ProgramBuilder
 
 _LONGEST: Final = 200
 """Of the text of a part that is used once and gets no name: Python reads no more than 200 brackets within others."""

@@ -9,33 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression import operators as op
 from atoll_core.expression.evaluation import value_of
-from atoll_core.expression.operators import (
-    ABS,
-    ADD,
-    ARITY,
-    BASE_LOG,
-    CONSTANT,
-    COS,
-    DIVIDE,
-    EXP,
-    LOG,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SIGN,
-    SIN,
-    SQRT,
-    SUBTRACT,
-    TANH,
-    VARIABLE,
-    Functions,
-    Partial,
-    definitions,
-    partial_definitions,
-)
-from atoll_core.expression.program import Program, constant_places, dependent_nodes
+from atoll_core.expression.operators import Functions, Partial, definitions, partial_definitions
+from atoll_core.expression.program import Program, ProgramBuilder, constant_places, dependent_nodes
 
 
 def derivative(program: Program, variable: int) -> Program:
@@ -46,16 +23,16 @@ def derivative(program: Program, variable: int) -> Program:
     """
     draft = _Draft()
     output = draft.copy(program.nodes())[-1]
-    leaves = [place for place, node in enumerate(draft.nodes) if node[:2] == (VARIABLE, variable)]
+    leaves = [place for place, node in enumerate(draft.nodes) if node[:2] == (op.VARIABLE, variable)]
     depends = dependent_nodes(draft.nodes[: output + 1], leaves)
     adjoints = {output: _Part(draft, draft.constant(1.0))}
     for place in range(output, -1, -1):
         code, *arguments, _ = draft.nodes[place]
-        if place not in adjoints or not depends[place] or not ARITY[code]:
+        if place not in adjoints or not depends[place] or not op.ARITY[code]:
             continue
         left, right = (_Part(draft, argument) for argument in arguments)
         at = left, right, _Part(draft, place)
-        for argument, partial in ((left, _OPERATORS[code].left), (right, _OPERATORS[code].right))[: ARITY[code]]:
+        for argument, partial in ((left, _OPERATORS[code].left), (right, _OPERATORS[code].right))[: op.ARITY[code]]:
             if partial.sign and depends[argument.place]:
                 share, known = _share(adjoints[place], partial, *at), adjoints.get(argument.place)
                 adjoints[argument.place] = share if known is None else known + share
@@ -67,7 +44,7 @@ def with_variables(program: Program, first: int) -> Program:
     """Return `program` with variables in the place of its constants: their indices go on from `first` in node order."""
     operators, left, constants = program.operators.copy(), program.left.copy(), program.constants.copy()
     places = constant_places(program)
-    operators[places], left[places], constants[places] = VARIABLE, range(first, first + len(places)), 0.0
+    operators[places], left[places], constants[places] = op.VARIABLE, range(first, first + len(places)), 0.0
     return Program(operators, left, program.right, constants)
 
 
@@ -76,23 +53,23 @@ class _Draft(ProgramBuilder):
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
         (kind, inner, _, value), (other_kind, other_inner, _, other_value) = self.nodes[left], self.nodes[right]
-        if kind == CONSTANT and (ARITY[code] == 1 or other_kind == CONSTANT):
+        if kind == op.CONSTANT and (op.ARITY[code] == 1 or other_kind == op.CONSTANT):
             result = value_of(code, value, other_value)
             if result - result == 0.0:
                 return self.constant(result)
-        if code == NEGATE and kind == NEGATE:
+        if code == op.NEGATE and kind == op.NEGATE:
             return inner
-        if code in (MULTIPLY, DIVIDE, POW) and (other_kind, other_value) == (CONSTANT, 1.0):
+        if code in (op.MULTIPLY, op.DIVIDE, op.POW) and (other_kind, other_value) == (op.CONSTANT, 1.0):
             return left
-        if code == MULTIPLY and (kind, value) == (CONSTANT, 1.0):
+        if code == op.MULTIPLY and (kind, value) == (op.CONSTANT, 1.0):
             return right
-        if code in (MULTIPLY, DIVIDE) and NEGATE in (kind, other_kind):
+        if code in (op.MULTIPLY, op.DIVIDE) and op.NEGATE in (kind, other_kind):
             positive = self.operate(
-                code, inner if kind == NEGATE else left, other_inner if other_kind == NEGATE else right
+                code, inner if kind == op.NEGATE else left, other_inner if other_kind == op.NEGATE else right
             )
-            return positive if kind == other_kind else self.operate(NEGATE, positive)
-        if code in (ADD, SUBTRACT) and other_kind == NEGATE:
-            return self.operate(ADD + SUBTRACT - code, left, other_inner)
+            return positive if kind == other_kind else self.operate(op.NEGATE, positive)
+        if code in (op.ADD, op.SUBTRACT) and other_kind == op.NEGATE:
+            return self.operate(op.ADD + op.SUBTRACT - code, left, other_inner)
         return super().operate(code, left, right)
 
 
@@ -109,23 +86,25 @@ class _Part:
         return _Part(self.draft, self.draft.operate(code, self.place, *places))
 
     def __add__(self, other: "_Part") -> "_Part":
-        return self.under(ADD, other)
+        return self.under(op.ADD, other)
 
     def __sub__(self, other: "_Part | float") -> "_Part":
-        return self.under(SUBTRACT, other)
+        return self.under(op.SUBTRACT, other)
 
     def __rsub__(self, other: float) -> "_Part":
         return _Part(self.draft, self.draft.constant(other)) - self
 
     def __mul__(self, other: "_Part") -> "_Part":
-        return self.under(MULTIPLY, other)
+        return self.under(op.MULTIPLY, other)
 
 
 def _call(code: int) -> "Callable[..., _Part]":
     return lambda part, *others: part.under(code, *others)
 
 
-_FUNCTIONS: Final = Functions(*map(_call, (SIN, COS, EXP, LOG, SQRT, ABS, TANH, POW, SIGN, BASE_LOG)))
+_FUNCTIONS: Final = Functions(
+    *map(_call, (op.SIN, op.COS, op.EXP, op.LOG, op.SQRT, op.ABS, op.TANH, op.POW, op.SIGN, op.BASE_LOG))
+)
 _OPERATORS: Final = {**definitions(_FUNCTIONS), **partial_definitions(_FUNCTIONS)}
 
 
@@ -134,5 +113,5 @@ def _share(part: _Part, partial: Partial, a: _Part, b: _Part, v: _Part) -> _Part
     for factor in partial.factors:
         part = part * factor(a, b, v)
     if partial.divisor is not None:
-        part = part.under(DIVIDE, partial.divisor(a, b, v))
-    return part if partial.sign > 0 else part.under(NEGATE)
+        part = part.under(op.DIVIDE, partial.divisor(a, b, v))
+    return part if partial.sign > 0 else part.under(op.NEGATE)

@@ -8,20 +8,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from atoll_core.errors import UsageError
-from atoll_core.expression.builder import ProgramBuilder, live_nodes
-from atoll_core.expression.operators import (
-    ADD,
-    ARITY,
-    CONSTANT,
-    DIVIDE,
-    INVERSE,
-    MULTIPLY,
-    NEGATE,
-    OPERATORS,
-    SQUARE,
-    SUBTRACT,
-)
-from atoll_core.expression.program import Node, Program, moved
+from atoll_core.expression import operators as op
+from atoll_core.expression.program import Node, Program, ProgramBuilder, live_nodes, moved
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.parsing import from_infix
 
@@ -64,8 +52,8 @@ def placed(program: Program, operators: Collection[int], terminals: int, operato
             ``has 30 operators, …``.
     """
     nodes = _Rewriting(frozenset(operators)).rewritten(simplify_program(program, merges_constants=False))
-    leaves = [index for index, node in enumerate(nodes) if not ARITY[node[0]]]
-    inner = [index for index, node in enumerate(nodes) if ARITY[node[0]]]
+    leaves = [index for index, node in enumerate(nodes) if not op.ARITY[node[0]]]
+    inner = [index for index, node in enumerate(nodes) if op.ARITY[node[0]]]
     for count, possible, kind in (
         (len(leaves), terminals, "different variables and constants"),
         (len(inner), operator_nodes, "operators"),
@@ -88,7 +76,7 @@ class _Rewriting(ProgramBuilder):
     def rewritten(self, program: Program) -> list[Node]:
         """Return the nodes, the output last; raises UsageError."""
         output = self.copy(program.nodes(), merges_constants=False)[-1]
-        if not ARITY[self.nodes[output][0]]:
+        if not op.ARITY[self.nodes[output][0]]:
             output = self._unchanged(output)
         return live_nodes(self.nodes, output)
 
@@ -99,14 +87,14 @@ class _Rewriting(ProgramBuilder):
         node = self._substitute(code, left, right)
         if node is None:
             raise UsageError(
-                f"needs '{OPERATORS[code].name}', but may be made of {_names(self._operators)} only; "
+                f"needs '{op.OPERATORS[code].name}', but may be made of {_names(self._operators)} only; "
                 "write it otherwise, or allow more operators"
             )
         return node
 
     def _substitute(self, code: int, left: int, right: int) -> int | None:
         """Return a node with the value of an operator that is not at hand; None where none of the others can be it."""
-        match OPERATORS[code].name:
+        match op.OPERATORS[code].name:
             case "square":
                 return self._product(left, left)
             case "*":
@@ -114,32 +102,32 @@ class _Rewriting(ProgramBuilder):
             case "neg":
                 return self._negated(left)
             case "-":
-                return self._joined(ADD, left, right)
+                return self._joined(op.ADD, left, right)
             case "+":
-                return self._joined(SUBTRACT, left, right)
+                return self._joined(op.SUBTRACT, left, right)
             case "/":
                 return self._quotient(left, right)
-            case "inverse" if DIVIDE in self._operators:
-                return self.add(DIVIDE, self.constant(1.0), left)
+            case "inverse" if op.DIVIDE in self._operators:
+                return self.add(op.DIVIDE, self.constant(1.0), left)
         return None
 
     def _value(self, node: int) -> float | None:
-        return self.nodes[node][3] if self.nodes[node][0] == CONSTANT else None
+        return self.nodes[node][3] if self.nodes[node][0] == op.CONSTANT else None
 
     def _product(self, left: int, right: int) -> int | None:
-        if MULTIPLY in self._operators:
-            return self.add(MULTIPLY, left, right)
-        return self.add(SQUARE, left) if left == right and SQUARE in self._operators else None
+        if op.MULTIPLY in self._operators:
+            return self.add(op.MULTIPLY, left, right)
+        return self.add(op.SQUARE, left) if left == right and op.SQUARE in self._operators else None
 
     def _negated(self, node: int) -> int | None:
         value = self._value(node)
         if value is not None:  # a new constant, which is fitted apart from equal ones
-            return self.append(CONSTANT, value=-value)
-        if NEGATE in self._operators:
-            return self.add(NEGATE, node)
-        if MULTIPLY in self._operators:
-            return self.add(MULTIPLY, self.constant(-1.0), node)
-        return self.add(SUBTRACT, self.constant(0.0), node) if SUBTRACT in self._operators else None
+            return self.append(op.CONSTANT, value=-value)
+        if op.NEGATE in self._operators:
+            return self.add(op.NEGATE, node)
+        if op.MULTIPLY in self._operators:
+            return self.add(op.MULTIPLY, self.constant(-1.0), node)
+        return self.add(op.SUBTRACT, self.constant(0.0), node) if op.SUBTRACT in self._operators else None
 
     def _joined(self, code: int, left: int, right: int) -> int | None:
         """Return ``left - right`` as a sum, or ``left + right`` as a difference; `code` is the operator to use."""
@@ -149,19 +137,19 @@ class _Rewriting(ProgramBuilder):
     def _quotient(self, left: int, right: int) -> int | None:
         value = self._value(right)
         if value and abs(1.0 / value) < float("inf"):
-            return self._product(left, self.append(CONSTANT, value=1.0 / value))
-        if INVERSE not in self._operators:
+            return self._product(left, self.append(op.CONSTANT, value=1.0 / value))
+        if op.INVERSE not in self._operators:
             return None
-        inverse = self.add(INVERSE, right)
+        inverse = self.add(op.INVERSE, right)
         return inverse if self._value(left) == 1.0 else self._product(left, inverse)
 
     def _unchanged(self, leaf: int) -> int:
         """Return an operation with the value of a variable or constant: the output of a list is no terminal."""
-        for code, value in ((MULTIPLY, 1.0), (ADD, 0.0), (SUBTRACT, 0.0), (DIVIDE, 1.0)):
+        for code, value in ((op.MULTIPLY, 1.0), (op.ADD, 0.0), (op.SUBTRACT, 0.0), (op.DIVIDE, 1.0)):
             if code in self._operators:
                 return self.add(code, leaf, self.constant(value))
         raise UsageError(f"is a single variable or number, which {_names(self._operators)} cannot leave as it is")
 
 
 def _names(operators: Collection[int]) -> str:
-    return ",".join(OPERATORS[code].name for code in sorted(operators))
+    return ",".join(op.OPERATORS[code].name for code in sorted(operators))

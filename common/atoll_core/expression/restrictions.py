@@ -1,14 +1,250 @@
-"""What an equation must keep to, whatever it is made of: bounds on its constants, variables that it must have."""
+"""What an equation has to satisfy, as users say it: bounds on its constants, and variables that it must contain.
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+A bound is a text such as ``c > 0`` (every constant), ``0 < c < 10``, ``|c| < 5`` (every magnitude), ``x*y < 0`` (the
+coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). The constants are those of the expanded
+equation (`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2. A bound
+says nothing about terms that an equation does not contain. Ranges include their ends: a constant may lie on its bound.
+"""
+
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final, Literal
 
 import numpy as np
 
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.bounds import EquationBounds, equation_bounds
-from atoll_core.expression.program import Program, constant_places, variables_of
+from atoll_core.errors import UsageError
+from atoll_core.expression.program import Program, constant_places, structure, variables_of, with_constants
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.expansion import Role, Shape, expand_program, inner_numbers, shape_of, terms_of
+from atoll_core.expression.writing.sums_of_products import ONE, UndefinedError
+
+EVERY: Final = "c"
+"""Stands for every constant, unless a variable is called so."""
+ALSO_EVERY: Final = "constants"
+INNER: Final = "inner"
+"""Stands for the numbers inside terms."""
+ALL_EQUATIONS: Final = "*"
+"""Instead of the name of an equation: all of them."""
+EXAMPLES: Final = "c > 0, 0 < c < 10, |c| < 5, x: x*y < 0 or inner > 0"
+ROUNDING: Final = 1e-9
+"""Share of itself by which a bound may be missed: what writing an equation in another way leaves."""
+
+_FIRST: Final = 0.0101
+_STEP: Final = 0.0007
+"""Numbers that are nothing else: no whole ones, halves or phases of an eighth of a turn."""
+
+Scope = Literal["every", "inner", "term"]
+_COMPARISON: Final = re.compile(r"<=|>=|<|>")
+_SIZE: Final = re.compile(r"\|(.+)\|")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One bound: numbers of this `scope` lie between `lower` and `upper`; `shape` is that of the term it is about."""
+
+    text: str
+    scope: Scope
+    lower: float
+    upper: float
+    shape: Shape = None
+
+    def covers(self, shape: Shape, *, is_inner: bool) -> bool:
+        """Tell whether it is about the coefficient of a term of this shape, or about the numbers inside it."""
+        if self.scope == "term":
+            return not is_inner and shape == self.shape
+        return self.scope == "every" or is_inner
+
+
+def parse_bound(text: str, names: Sequence[str]) -> Bound:
+    """Return the bound that a text such as ``0 < c < 10`` says; `names` are those of the variables.
+
+    Raises:
+        UsageError: the text is none, its range is empty, or it names a sum or an unknown variable.
+    """
+    parts = [part.strip() for part in _COMPARISON.split(text)]
+    signs = _COMPARISON.findall(text)
+    if len(signs) not in (1, 2) or not all(parts) or len({sign[0] for sign in signs}) != 1:
+        raise UsageError(f"the bound {text!r} is not understood; write it as {EXAMPLES}")
+    if "nan" in parts:
+        _number("nan", text)
+    if signs[0][0] == ">":
+        parts.reverse()
+    if len(parts) == 3:
+        lower, subject, upper = _number(parts[0], text), parts[1], _number(parts[2], text)
+    elif _is_number(parts[0]):
+        lower, subject, upper = _number(parts[0], text), parts[1], math.inf
+    else:
+        lower, subject, upper = -math.inf, parts[0], _number(parts[1], text)
+    size = _SIZE.fullmatch(subject)
+    if size:
+        if lower > 0.0 or not upper >= 0.0:
+            raise UsageError(f"the bound {text!r} leaves a gap around zero; give the largest size alone, as |c| < 5")
+        subject, lower = size[1].strip(), -upper
+    if not lower <= upper:
+        raise UsageError(f"the bound {text!r} leaves no number; give the smaller one first")
+    return _bound(text, subject, lower, upper, names)
+
+
+def _bound(text: str, subject: str, lower: float, upper: float, names: Sequence[str]) -> Bound:
+    if subject in (EVERY, ALSO_EVERY, INNER) and subject not in names:
+        return Bound(text, "inner" if subject == INNER else "every", lower, upper)
+    try:
+        terms = terms_of(from_infix(subject, names))
+    except (UsageError, UndefinedError) as error:
+        raise UsageError(f"the bound {text!r} names no term: {error or 'it has no value'}") from error
+    if len(terms) != 1 or terms[0][0] == ONE:
+        raise UsageError(f"the bound {text!r} is about {subject!r}, which is no single term; give one such as x*y")
+    if terms[0][1] != 1.0:
+        raise UsageError(f"the bound {text!r} has a number in its term; write the range instead, as x*y < 2")
+    return Bound(text, "term", lower, upper, shape_of(terms[0][0]))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _number(text: str, whole: str) -> float:
+    if not _is_number(text):
+        raise UsageError(f"the bound {whole!r} has {text!r} where a number is expected; write it as {EXAMPLES}")
+    return float(text)
+
+
+@dataclass(frozen=True, eq=False)
+class Governed:
+    """A bound and the numbers of an equation that it is about; it `is_active` where one of them lies on its end."""
+
+    bound: Bound
+    values: tuple[float, ...]
+    is_active: bool
+
+
+@dataclass(frozen=True, eq=False)
+class EquationBounds:
+    """All bounds on the constants of one equation. Programs are laid out so that each bound is about one constant."""
+
+    bounds: tuple[Bound, ...]
+
+    def range_of(self, shape: Shape, *, is_inner: bool) -> tuple[float, float]:
+        """Return the least and the largest number that may stand there; the first is the larger one if none may."""
+        covering = [bound for bound in self.bounds if bound.covers(shape, is_inner=is_inner)]
+        lower = max((bound.lower for bound in covering), default=-math.inf)
+        return lower, min((bound.upper for bound in covering), default=math.inf)
+
+    def laid_out(self, program: Program) -> Program | None:
+        """Return `program` with brackets expanded and bounded factors of one as constants; None when it cannot be.
+
+        One that is laid out already stays as it is, whatever the values of its constants.
+        """
+        made = program if self._roles_of(program) is not None else self.written(program)
+        roles = None if made is None else self._roles_of(made)
+        if roles is None or any(lower > upper for lower, upper in map(self._range_of_role, roles)):
+            return None
+        return made
+
+    def written(self, program: Program) -> Program | None:
+        """Return `program` laid out anew, so that signs stand where a reader expects them; None when it cannot be."""
+        expansion = expand_program(program, self.is_written)
+        return None if expansion is None else expansion.program
+
+    def is_written(self, shape: Shape, value: float) -> bool:
+        """Tell whether a coefficient of one or minus one must be a constant."""
+        return not self._holds(shape, value, is_inner=False)
+
+    def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
+        """Return the roles of the constants of a program that is laid out, None of any other.
+
+        That is told by its structure alone: one that is expanded to itself when its constants are any small numbers.
+        """
+        numbers = {place: _FIRST + _STEP * number for number, place in enumerate(constant_places(program))}
+        return _roles(self.bounds, with_constants(program, numbers))
+
+    def _range_of_role(self, role: Role) -> tuple[float, float]:
+        return self.range_of(role.shape, is_inner=role.is_inner)
+
+    def ranges(self, program: Program) -> tuple[FloatArray, FloatArray] | None:
+        """Return the least and largest value (K,) of each constant of a program that was laid out, None for others."""
+        roles = self._roles_of(program)
+        if roles is None:
+            return None
+        pairs = [(role.sign, *self._range_of_role(role)) for role in roles]
+        signed = [(lower, upper) if sign > 0.0 else (-upper, -lower) for sign, lower, upper in pairs]
+        lowest, largest = np.array(signed, np.float64).reshape(len(signed), 2).T.copy()
+        return lowest, largest
+
+    def clipped(self, program: Program) -> Program:
+        """Return a program that was laid out with its constants within their bounds."""
+        ranges = self.ranges(program)
+        if ranges is None:
+            return program
+        constants, places = program.constants.copy(), constant_places(program)
+        constants[places] = np.clip(constants[places], *ranges)
+        return replace(program, constants=constants)
+
+    def are_kept(self, program: Program) -> bool:
+        """Tell whether all constants of any program, as they stand, are within the bounds."""
+        try:
+            return all(self._holds(shape, value, is_inner=is_inner) for shape, value, is_inner in _numbers_of(program))
+        except UndefinedError:
+            return False
+
+    def _holds(self, shape: Shape, value: float, *, is_inner: bool) -> bool:
+        lower, upper = self.range_of(shape, is_inner=is_inner)
+        return lower - ROUNDING * abs(lower) <= value <= upper + ROUNDING * abs(upper)
+
+    def governed(self, program: Program) -> tuple[Governed, ...]:
+        """Return the bounds with the numbers of `program` that each is about."""
+        try:
+            numbers = _numbers_of(program)
+        except UndefinedError:
+            return ()
+        governed = []
+        for bound in self.bounds:
+            values = tuple(value for shape, value, is_inner in numbers if bound.covers(shape, is_inner=is_inner))
+            ends = (bound.lower, bound.upper)
+            is_active = any(
+                math.isclose(value, end, rel_tol=ROUNDING, abs_tol=1e-300) for value in values for end in ends
+            )
+            governed.append(Governed(bound, values, is_active))
+        return tuple(governed)
+
+
+def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
+    """Return the numbers of all terms with the terms' shapes, and whether they are inside; raises UndefinedError."""
+    numbers: list[tuple[Shape, float, bool]] = []
+    for monomial, coefficient in terms_of(program):
+        shape = shape_of(monomial)
+        numbers.append((shape, coefficient, False))
+        numbers += [(shape, number, True) for number in inner_numbers(((monomial, coefficient),))]
+    return numbers
+
+
+@lru_cache(maxsize=8192)
+def _roles(bounds: tuple[Bound, ...], program: Program) -> tuple[Role, ...] | None:
+    """Return the roles of the constants of a program that is expanded to itself, None of any other."""
+    expansion = expand_program(program, EquationBounds(bounds).is_written)
+    return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None
+
+
+def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:
+    """Return the bounds on the equation of `variable`, None where there are none.
+
+    `texts` are checked, by equation, those on all equations among them. A bound on a term of variables that are not
+    among `names`, which the equation may use, says nothing.
+    """
+    bounds = []
+    for text in texts.get(variable, ()):
+        with suppress(UsageError):
+            bounds.append(parse_bound(text, names))
+    return EquationBounds(tuple(bounds)) if bounds else None
 
 
 @dataclass(frozen=True, eq=False)

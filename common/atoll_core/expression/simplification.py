@@ -10,9 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, SQUARE, Functions, definitions
-from atoll_core.expression.program import Node, Program, moved
+from atoll_core.expression.program import Node, Program, ProgramBuilder, moved
 
 
 def _strict(name: str) -> Callable[..., float]:

@@ -9,9 +9,8 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_core.expression.builder import ProgramBuilder
-from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SQUARE, SUBTRACT
-from atoll_core.expression.program import Node, Program, constant_places, with_constants
+from atoll_core.expression import operators as op
+from atoll_core.expression.program import Node, Program, ProgramBuilder, constant_places, with_constants
 from atoll_core.expression.writing.shortest import collected
 
 ONE: Final = 1.0
@@ -58,7 +57,7 @@ class _Draft:
 
     def __init__(self, old: list[Node]) -> None:
         self._old = old
-        constants = (place for place, node in enumerate(old) if node[0] == CONSTANT)
+        constants = (place for place, node in enumerate(old) if node[0] == op.CONSTANT)
         self._numbers = {place: number for number, place in enumerate(constants)}
         self._new = ProgramBuilder()
         self._copies: dict[int, int] = {}
@@ -68,37 +67,37 @@ class _Draft:
     def rewrite(self, index: int, *, has_factor: bool) -> int:
         """Return the new place of an old node, made explicit; `has_factor`: a constant scales it already."""
         code, left, right, _ = self._old[index]
-        if code == CONSTANT:
+        if code == op.CONSTANT:
             return self._copy(index)
-        if code in (ADD, SUBTRACT):
+        if code in (op.ADD, op.SUBTRACT):
             return self._sum(index, next(self._without_factor(index), None) if has_factor else None)
-        if code == NEGATE:
-            return self._new.append(NEGATE, self.rewrite(left, has_factor=has_factor))
-        if code == MULTIPLY:
+        if code == op.NEGATE:
+            return self._new.append(op.NEGATE, self.rewrite(left, has_factor=has_factor))
+        if code == op.MULTIPLY:
             return self._product(index, has_factor=has_factor)
-        if code == DIVIDE:
+        if code == op.DIVIDE:
             above = self.rewrite(left, has_factor=has_factor or self._scales(right))
-            return self._new.append(DIVIDE, above, self._scaled(right))
+            return self._new.append(op.DIVIDE, above, self._scaled(right))
         return self._copy(index) if has_factor else self._factored(self._copy(index))
 
     def finished(self, output: int) -> ExplicitCoefficients:
         """Return the program that ends with the node `output`."""
         program = self._new.program(output)
-        places = [index for index, node in enumerate(self._new.nodes[: output + 1]) if node[0] == CONSTANT]
+        places = [index for index, node in enumerate(self._new.nodes[: output + 1]) if node[0] == op.CONSTANT]
         terms = [self._new.program(self._terms[place]) for place in places if self._origins[place] is None]
         return ExplicitCoefficients(program, tuple(self._origins[place] for place in places), tuple(terms))
 
     def _sum(self, index: int, spared: int | None) -> int:
         """Open a sum; a term that is `spared` keeps its factor of one, since another constant scales the whole."""
         code, left, right, _ = self._old[index]
-        if code in (ADD, SUBTRACT):
+        if code in (op.ADD, op.SUBTRACT):
             return self._new.append(code, self._sum(left, spared), self._sum(right, spared))
         return self.rewrite(index, has_factor=index == spared)
 
     def _without_factor(self, index: int) -> Iterator[int]:
         """Yield the terms of a sum that have no constant factor."""
         code, left, right, _ = self._old[index]
-        if code in (ADD, SUBTRACT):
+        if code in (op.ADD, op.SUBTRACT):
             yield from self._without_factor(left)
             yield from self._without_factor(right)
         elif not self._holds_factor(index):
@@ -108,11 +107,11 @@ class _Draft:
         """Open a product: its constant takes the factor if it has one, else a sum in it, else the whole gets one."""
         _, left, right, _ = self._old[index]
         if has_factor or self._holds_factor(index):
-            return self._new.append(MULTIPLY, self._scaled(left), self._scaled(right))
+            return self._new.append(op.MULTIPLY, self._scaled(left), self._scaled(right))
         first, second = (left, right) if self._holds_sum(left) else (right, left)
         if not self._holds_sum(first):
             return self._factored(self._copy(index))
-        return self._new.append(MULTIPLY, self.rewrite(first, has_factor=False), self._scaled(second))
+        return self._new.append(op.MULTIPLY, self.rewrite(first, has_factor=False), self._scaled(second))
 
     def _scaled(self, index: int) -> int:
         """Return the new place of a node that is scaled already."""
@@ -121,44 +120,44 @@ class _Draft:
     def _holds_factor(self, index: int) -> bool:
         """Tell whether constants scale a product, quotient or negative."""
         code, left, right, _ = self._old[index]
-        if code == MULTIPLY:
+        if code == op.MULTIPLY:
             return self._holds_factor(left) or self._holds_factor(right)
-        if code == DIVIDE:
+        if code == op.DIVIDE:
             return self._holds_factor(left) or self._scales(right)
-        return self._holds_factor(left) if code == NEGATE else code == CONSTANT
+        return self._holds_factor(left) if code == op.NEGATE else code == op.CONSTANT
 
     def _scales(self, index: int) -> bool:
         """Tell whether constants scale a divisor: all its terms, which together stand for a factor above the line."""
         code, left, right, _ = self._old[index]
-        if code in (ADD, SUBTRACT):
+        if code in (op.ADD, op.SUBTRACT):
             return self._scales(left) and self._scales(right)
-        if code in (MULTIPLY, DIVIDE):
+        if code in (op.MULTIPLY, op.DIVIDE):
             return self._scales(left) or self._scales(right)
-        return self._scales(left) if code in (NEGATE, SQUARE) else code == CONSTANT
+        return self._scales(left) if code in (op.NEGATE, op.SQUARE) else code == op.CONSTANT
 
     def _holds_sum(self, index: int) -> bool:
         """Tell whether a product or quotient has a sum above its line."""
         code, left, right, _ = self._old[index]
-        if code == MULTIPLY:
+        if code == op.MULTIPLY:
             return self._holds_sum(left) or self._holds_sum(right)
-        if code in (DIVIDE, NEGATE):
+        if code in (op.DIVIDE, op.NEGATE):
             return self._holds_sum(left)
-        return code in (ADD, SUBTRACT)
+        return code in (op.ADD, op.SUBTRACT)
 
     def _copy(self, index: int) -> int:
         """Return the new place of an old node as it is."""
         if index not in self._copies:
             code, left, right, value = self._old[index]
-            if ARITY[code]:
+            if op.ARITY[code]:
                 left = self._copy(left)
-                right = self._copy(right) if ARITY[code] == 2 else 0
+                right = self._copy(right) if op.ARITY[code] == 2 else 0
             self._copies[index] = self._new.append(code, left, right, value)
-            if code == CONSTANT:
+            if code == op.CONSTANT:
                 self._origins[self._copies[index]] = self._numbers[index]
         return self._copies[index]
 
     def _factored(self, place: int) -> int:
-        factor = self._new.append(CONSTANT, value=ONE)
+        factor = self._new.append(op.CONSTANT, value=ONE)
         self._origins[factor] = None
         self._terms[factor] = place
-        return self._new.append(MULTIPLY, factor, place)
+        return self._new.append(op.MULTIPLY, factor, place)

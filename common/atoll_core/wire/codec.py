@@ -9,12 +9,11 @@ RemoteProtocolError with one sentence. Nothing that travels is code, and nothing
 import math
 import struct
 from collections.abc import Collection, Mapping
-from typing import Any, Final, TypeVar, cast
+from typing import Annotated, Any, Final, TypeVar, cast
 
 import msgpack
 import numpy as np
-import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from atoll_core.config import Frozen
 from atoll_core.data.dataset import AnyArray, Dataset, FloatArray, Target
@@ -22,6 +21,7 @@ from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire.bus.interface import MAX_PAYLOAD
 
 M = TypeVar("M", bound=Frozen)
+_Size = Annotated[float, Field(ge=0.0)]
 
 MAX_NESTING: Final = 32
 MAX_ITEMS: Final = 2_000_000
@@ -67,8 +67,6 @@ def decode(data: bytes, kind: type[M], max_bytes: int = MAX_PAYLOAD) -> M:
     tree = unpack(data, max_bytes)
     try:
         return kind.model_validate(tree)
-    except ValidationError as error:
-        raise RemoteProtocolError(f"a message does not fit {kind.__name__}: {_first(error)}") from error
     except BROKEN as error:
         raise RemoteProtocolError(f"a message does not fit {kind.__name__}: {_brief(error)}") from error
 
@@ -81,7 +79,11 @@ def encode_arrays(header: Mapping[str, object], arrays: Mapping[str, AnyArray]) 
     Raises:
         LocalProtocolError: an array is not of a type in `DTYPES`, or the header cannot travel.
     """
-    plain = {name: _little_endian(name, array) for name, array in arrays.items()}
+    plain: dict[str, AnyArray] = {}
+    for name, array in arrays.items():
+        if array.dtype.str[1:] not in DTYPES or array.ndim > MAX_DIMENSIONS:
+            raise LocalProtocolError(f"array {name!r} of type {array.dtype} and {array.ndim} dimensions cannot travel")
+        plain[name] = np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
     head = pack({"header": dict(header), "arrays": [[n, a.dtype.str[1:], list(a.shape)] for n, a in plain.items()]})
     parts = [_MAGIC, struct.pack("<Q", len(head)), head]
     place = len(_MAGIC) + 8 + len(head)
@@ -96,22 +98,48 @@ def decode_arrays(data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     """Return header and arrays of `encode_arrays`. The arrays are read-only views of `data`.
 
     Raises:
-        RemoteProtocolError: the block is oversized, malformed, or its shapes do not fit its bytes.
+        RemoteProtocolError: the block is oversized or malformed, or its shapes do not fit its bytes.
     """
     if len(data) > MAX_ARRAYS_BYTES:
         raise RemoteProtocolError(f"a block of arrays has {len(data)} bytes, more than the {MAX_ARRAYS_BYTES} allowed")
+    start = len(_MAGIC) + 8
     try:
-        return _decode_arrays(data)
+        require(data[: len(_MAGIC)] == _MAGIC and len(data) >= start, "it does not begin as one")
+        (head_bytes,) = struct.unpack_from("<Q", data, len(_MAGIC))
+        place = start + head_bytes
+        head = unpack(bytes(data[start:place]), min(len(data) - start, MAX_PAYLOAD))
+        if not isinstance(head, dict) or head.keys() != {"header", "arrays"} or not isinstance(head["header"], dict):
+            raise ValueError("its head is not a header and a list of arrays")
+        arrays: dict[str, AnyArray] = {}
+        for name, dtype, shape in head["arrays"]:
+            require(isinstance(name, str), "an array has no name")
+            require(name not in arrays, f"array {name!r} is there twice")
+            size = array_size(f"array {name!r}", dtype, shape)
+            place += -place % _ALIGNMENT
+            require(place + size <= len(data), f"array {name!r} is longer than the block")
+            arrays[name] = np.frombuffer(data, "<" + dtype, math.prod(shape), place).reshape(shape)
+            place += size
+        require(place == len(data), f"{len(data)} bytes were found and {place} expected")
     except BROKEN as error:
         raise RemoteProtocolError(f"a block of arrays is malformed: {_brief(error)}") from error
+    return head["header"], arrays
+
+
+class _DatasetHeader(Frozen):
+    """A dataset without its arrays; `targets` are variable, left side, uncertainty, standard deviation and noise."""
+
+    names: tuple[str, ...]
+    symbols: tuple[tuple[str, str], ...]
+    warnings: tuple[str, ...]
+    targets: tuple[tuple[str, str, _Size, _Size, _Size], ...]
 
 
 def dataset_to_bytes(dataset: Dataset) -> bytes:
     """Return the bytes under which a prepared dataset is stored and fetched."""
     header = {
-        "names": list(dataset.names),
-        "symbols": [list(pair) for pair in dataset.symbols.items()],
-        "warnings": list(dataset.warnings),
+        "names": dataset.names,
+        "symbols": tuple(dataset.symbols.items()),
+        "warnings": dataset.warnings,
         "targets": [
             [t.variable, t.lhs, float(t.uncertainty), float(t.standard_deviation), float(t.noise)]
             for t in dataset.targets
@@ -128,20 +156,23 @@ def dataset_from_bytes(data: bytes) -> Dataset:
     """Return the dataset in `data`: finite, shapes checked, arrays aligned and writable as compiled kernels expect.
 
     Raises:
-        RemoteProtocolError: the bytes are not those of a dataset.
+        RemoteProtocolError: `data` holds no dataset.
     """
-    header, arrays = decode_arrays(data)
+    tree, arrays = decode_arrays(data)
     try:
-        names = _texts(header["names"])
-        inputs = _finite("inputs", arrays["inputs"], (len(names), -1))
-        return Dataset(
-            names=names,
-            inputs=inputs,
-            targets=tuple(_target(arrays, inputs, *target) for target in enumerate(header["targets"])),
-            symbols=dict(map(_pair, header["symbols"])),
-            warnings=_texts(header["warnings"]),
-            groups=_groups(arrays["groups"], inputs) if "groups" in arrays else None,
+        header = _DatasetHeader.model_validate(tree)
+        inputs = _finite("inputs", arrays["inputs"], (len(header.names), -1))
+        rows = inputs.shape[1]
+        targets = tuple(
+            Target(variable, lhs, _finite(f"values of target {variable!r}", arrays[f"target {index}"], (rows,)), *sizes)
+            for index, (variable, lhs, *sizes) in enumerate(header.targets)
         )
+        groups = arrays.get("groups")
+        if groups is not None:
+            fits = groups.dtype == np.int64 and groups.shape == (rows,) and bool((groups >= 0).all())
+            require(fits, "the groups of rows are not numbers from 0, one for each row")
+            groups = np.array(groups, dtype=np.int64, order="C")
+        return Dataset(header.names, inputs, targets, dict(header.symbols), header.warnings, groups)
     except BROKEN as error:
         raise RemoteProtocolError(f"a dataset is malformed: {_brief(error)}") from error
 
@@ -245,85 +276,32 @@ _TOO_MANY: Final = f"it holds more than {MAX_ITEMS} items"
 _TOO_DEEP: Final = f"it is nested deeper than {MAX_NESTING} levels"
 
 
-def _first(error: ValidationError) -> str:
-    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    return f"field {'.'.join(map(str, first['loc'])) or '(whole)'}: {first['msg']}"[:300]
-
-
 def _brief(error: BaseException) -> str:
+    """Return an error in one line; of a model that does not fit, the first field that does not."""
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        return f"field {'.'.join(map(str, first['loc'])) or '(whole)'}: {first['msg']}"[:300]
     return f"{error}"[:300] or type(error).__name__
 
 
-def _little_endian(name: str, array: AnyArray) -> AnyArray:
-    if array.dtype.str[1:] not in DTYPES or array.ndim > MAX_DIMENSIONS:
-        raise LocalProtocolError(f"array {name!r} of type {array.dtype} and {array.ndim} dimensions cannot travel")
-    return np.asarray(array, dtype=array.dtype.newbyteorder("<"), order="C")
-
-
-def _decode_arrays(data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:
-    start = len(_MAGIC) + 8
-    if data[: len(_MAGIC)] != _MAGIC or len(data) < start:
-        raise ValueError("it does not begin as one")
-    (head_bytes,) = struct.unpack_from("<Q", data, len(_MAGIC))
-    head = unpack(bytes(data[start : start + head_bytes]), min(len(data) - start, MAX_PAYLOAD))
-    if not isinstance(head, dict) or head.keys() != {"header", "arrays"} or not isinstance(head["header"], dict):
-        raise ValueError("its head is not a header and a list of arrays")
-    place = start + head_bytes
-    arrays: dict[str, AnyArray] = {}
-    for name, dtype, shape in head["arrays"]:
-        count = _count(name, dtype, shape)
-        place += -place % _ALIGNMENT
-        _require(name not in arrays, f"array {name!r} is there twice")
-        _require(place + count * int(dtype[1]) <= len(data), f"array {name!r} is longer than the block")
-        arrays[name] = np.frombuffer(data, "<" + dtype, count, place).reshape(shape)
-        place += count * int(dtype[1])
-    _require(place == len(data), f"{len(data)} bytes were found and {place} expected")
-    return head["header"], arrays
-
-
-def _count(name: object, dtype: object, shape: object) -> int:
-    _require(isinstance(name, str), "an array has no name")
-    _require(isinstance(dtype, str) and dtype in DTYPES, f"array {name!r} is of a type that is not allowed")
-    _require(isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS, f"array {name!r} has no proper shape")
+def array_size(name: str, dtype: object, shape: object, allowed: Collection[str] = DTYPES) -> int:
+    """Return the bytes of an array of this announced type and shape; raises ValueError where one is not allowed."""
+    require(isinstance(dtype, str) and dtype in allowed, f"{name} is of a type that is not allowed")
+    require(isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS, f"{name} has no proper shape")
     sizes = cast(list[object], shape)
-    _require(all(type(size) is int and size >= 0 for size in sizes), f"array {name!r} has no proper shape")
-    return math.prod(cast(list[int], sizes))
+    require(all(type(size) is int and size >= 0 for size in sizes), f"{name} has no proper shape")
+    return math.prod(cast(list[int], sizes)) * int(cast(str, dtype)[1])
 
 
-def _require(condition: bool, sentence: str) -> None:
+def require(condition: bool, sentence: str) -> None:
+    """Raise ValueError with this sentence unless the condition holds."""
     if not condition:
         raise ValueError(sentence)
 
 
-def _texts(value: object) -> tuple[str, ...]:
-    _require(isinstance(value, list) and all(isinstance(text, str) for text in value), "a list of texts is missing")
-    return tuple(cast(list[str], value))
-
-
-def _pair(value: object) -> tuple[str, str]:
-    key, text = _texts(value)
-    return key, text
-
-
 def _finite(name: str, array: AnyArray, shape: tuple[int, ...]) -> FloatArray:
-    _require(array.dtype == np.float64 and array.ndim == len(shape), f"{name} are not numbers of the right shape")
+    require(array.dtype == np.float64 and array.ndim == len(shape), f"{name} are not numbers of the right shape")
     fits = all(wanted in (-1, length) for length, wanted in zip(array.shape, shape, strict=True))
-    _require(fits, f"{name} have shape {array.shape} instead of {shape}")
-    _require(bool(np.isfinite(array).all()), f"{name} hold NaN or infinity")
+    require(fits, f"{name} have shape {array.shape} instead of {shape}")
+    require(bool(np.isfinite(array).all()), f"{name} hold NaN or infinity")
     return np.array(array, dtype=np.float64, order="C")
-
-
-def _groups(array: AnyArray, inputs: FloatArray) -> npt.NDArray[np.int64]:
-    fits = array.dtype == np.int64 and array.shape == inputs.shape[1:] and (array >= 0).all()
-    _require(bool(fits), "the groups of rows are not numbers from 0, one for each row")
-    return np.array(array, dtype=np.int64, order="C")
-
-
-def _target(arrays: Mapping[str, AnyArray], inputs: FloatArray, index: int, fields: object) -> Target:
-    _require(isinstance(fields, list) and len(fields) == 5, "a target does not have five fields")
-    variable, lhs, *numbers = cast(list[Any], fields)
-    _texts([variable, lhs])
-    good = all(type(number) is float and math.isfinite(number) and number >= 0.0 for number in numbers)
-    _require(good, f"uncertainty, standard deviation or noise of target {variable!r} is not a number of at least 0")
-    values = _finite(f"values of target {variable!r}", arrays[f"target {index}"], (inputs.shape[1],))
-    return Target(variable, lhs, values, *numbers)

@@ -1,10 +1,10 @@
 """Keys on the bus: for every kind of key its builder, its parser in `parse`, and the expression that receives it.
 
-Everything a worker publishes, serves or announces lies under its own name, a client's requests under the client's own,
-so that one access rule per name fences them all. Column names never enter a key: they travel in payloads.
+Everything a worker publishes, serves or announces lies under its own name, and a client's requests under the client's
+name, so that one access rule per name fences them all. Column names never enter a key: they travel in payloads.
 
-    atoll/hello                                served by the coordinator: would we be welcome? changes nothing
-    atoll/hello/{name}                         served by the coordinator: a worker or client of this name comes
+    atoll/hello                                served by the coordinator: would a program be accepted? changes nothing
+    atoll/hello/{name}                         served by the coordinator: greeting of the worker or client of this name
     atoll/{cluster}/control                    put by the coordinator, to all workers
     atoll/{cluster}/control/{worker}           put by the coordinator, to one worker
     atoll/{cluster}/job/{job}                  served by the coordinator: announcement
@@ -14,12 +14,14 @@ so that one access rule per name fences them all. Column names never enter a key
     atoll/{cluster}/worker/{worker}/alive      presence of a worker
     atoll/{cluster}/worker/{worker}/status     put by the worker: heartbeat
     atoll/{cluster}/worker/{worker}/report     put by the worker: finished epochs
-    atoll/{cluster}/worker/{worker}/result     put by the worker: what came of tasks
+    atoll/{cluster}/worker/{worker}/result     put by the worker: results of tasks
     atoll/{cluster}/worker/{worker}/log        put by the worker: lines of its log
-    atoll/{cluster}/worker/{worker}/pull       served by the worker: what it sent and still keeps
+    atoll/{cluster}/worker/{worker}/pull       served by the worker: messages that it sent and still keeps
     atoll/{cluster}/worker/{worker}/to/{peer}  put by the worker: migrants for islands of `peer`
-    atoll/{cluster}/client/{client}/ask        served by the coordinator: requests of the command line
-    atoll/{cluster}/client/{client}/changes    put by the coordinator: what the client follows has changed
+    atoll/{cluster}/client/{client}/ask        served by the coordinator: requests of a client
+    atoll/{cluster}/client/{client}/changes    put by the coordinator: changes that the client follows
+
+The builders raise LocalProtocolError for a name that is no id (`is_id`).
 """
 
 import re
@@ -30,24 +32,27 @@ from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 
 ROOT: Final = "atoll"
 HELLO: Final = f"{ROOT}/hello"
+ALL_GREETINGS: Final = f"{HELLO}/*"
 
 ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 DIGEST: Final = re.compile(r"[0-9a-f]{64}")
 MAX_CHUNKS: Final = 1 << 16
 
+JobPart = Literal["job", "placement", "state"]
 WorkerPart = Literal["alive", "status", "report", "result", "pull", "log"]
+ClientPart = Literal["ask", "changes"]
 
 
 @dataclass(frozen=True, slots=True)
 class HelloKey:
-    """The first question, before the cluster is known: from `name`, or (None) whether there would be a place for it."""
+    """The first request, before the cluster is known: from `name`, or (None) whether a program would be accepted."""
 
     name: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ControlKey:
-    """Word of the coordinator to one worker, or to all (`worker` None)."""
+    """A message of the coordinator to one worker, or to all (`worker` None)."""
 
     cluster: str
     worker: str | None = None
@@ -55,26 +60,11 @@ class ControlKey:
 
 @dataclass(frozen=True, slots=True)
 class JobKey:
-    """A job's announcement."""
+    """A job's announcement (`part` "job"), its current placements, or the states of its islands at checkpoints."""
 
     cluster: str
     job: str
-
-
-@dataclass(frozen=True, slots=True)
-class PlacementKey:
-    """A job's current placements."""
-
-    cluster: str
-    job: str
-
-
-@dataclass(frozen=True, slots=True)
-class StateKey:
-    """States of a job's islands at its checkpoints."""
-
-    cluster: str
-    job: str
+    part: JobPart = "job"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,21 +96,14 @@ class MailKey:
 
 @dataclass(frozen=True, slots=True)
 class ClientKey:
-    """A request of a client."""
+    """A request of a client, or changes of what it follows."""
 
     cluster: str
     client: str
+    part: ClientPart = "ask"
 
 
-@dataclass(frozen=True, slots=True)
-class ChangesKey:
-    """Changes of what a client follows."""
-
-    cluster: str
-    client: str
-
-
-Key = HelloKey | ControlKey | JobKey | PlacementKey | StateKey | BlobKey | WorkerKey | MailKey | ClientKey | ChangesKey
+Key = HelloKey | ControlKey | JobKey | BlobKey | WorkerKey | MailKey | ClientKey
 
 
 def is_id(text: str) -> bool:
@@ -129,40 +112,26 @@ def is_id(text: str) -> bool:
 
 
 def hello(name: str) -> str:
-    """Return the key on which the worker or client `name` greets the coordinator."""
     return f"{HELLO}/{_id(name)}"
 
 
 def control(cluster: str, worker: str | None = None) -> str:
-    """Return the key on which the coordinator tells one worker something, or all of them."""
     base = f"{ROOT}/{_id(cluster)}/control"
     return base if worker is None else f"{base}/{_id(worker)}"
 
 
-def job(cluster: str, job_id: str) -> str:
-    """Return the key of a job's announcement."""
-    return f"{ROOT}/{_id(cluster)}/job/{_id(job_id)}"
-
-
-def placement(cluster: str, job_id: str) -> str:
-    """Return the key of a job's current placements."""
-    return f"{job(cluster, job_id)}/placement"
-
-
-def state(cluster: str, job_id: str) -> str:
-    """Return the key of the states of a job's islands."""
-    return f"{job(cluster, job_id)}/state"
+def job(cluster: str, job_id: str, part: JobPart = "job") -> str:
+    base = f"{ROOT}/{_id(cluster)}/job/{_id(job_id)}"
+    return base if part == "job" else f"{base}/{part}"
 
 
 def blob(cluster: str, digest: str, index: int) -> str:
-    """Return the key of chunk `index` (0-based) of the bytes with SHA-256 `digest`."""
     if DIGEST.fullmatch(digest) is None or not 0 <= index < MAX_CHUNKS:
         raise LocalProtocolError(f"no blob key can be made of digest {digest!r} and chunk {index}")
     return f"{ROOT}/{_id(cluster)}/blob/{digest}/{index}"
 
 
 def worker(cluster: str, name: str, part: WorkerPart) -> str:
-    """Return a key under a worker's name."""
     return f"{ROOT}/{_id(cluster)}/worker/{_id(name)}/{part}"
 
 
@@ -171,19 +140,8 @@ def mail(cluster: str, name: str, peer: str) -> str:
     return f"{ROOT}/{_id(cluster)}/worker/{_id(name)}/to/{_id(peer)}"
 
 
-def client(cluster: str, name: str) -> str:
-    """Return the key on which a client asks the coordinator."""
-    return f"{ROOT}/{_id(cluster)}/client/{_id(name)}/ask"
-
-
-def changes(cluster: str, name: str) -> str:
-    """Return the key on which a client hears changes of what it follows."""
-    return f"{ROOT}/{_id(cluster)}/client/{_id(name)}/changes"
-
-
-def all_greetings() -> str:
-    """Return the expression of the greetings of all names."""
-    return f"{HELLO}/*"
+def client(cluster: str, name: str, part: ClientPart = "ask") -> str:
+    return f"{ROOT}/{_id(cluster)}/client/{_id(name)}/{part}"
 
 
 def all_jobs(cluster: str) -> str:
@@ -192,17 +150,15 @@ def all_jobs(cluster: str) -> str:
 
 
 def all_blobs(cluster: str) -> str:
-    """Return the expression of all chunks."""
     return f"{ROOT}/{_id(cluster)}/blob/**"
 
 
 def all_workers(cluster: str, part: WorkerPart) -> str:
-    """Return the expression of one part of all workers."""
     return f"{ROOT}/{_id(cluster)}/worker/*/{part}"
 
 
 def all_clients(cluster: str) -> str:
-    """Return the expression of all clients' requests."""
+    """Return the expression of the requests of all clients."""
     return f"{ROOT}/{_id(cluster)}/client/*/ask"
 
 
@@ -212,31 +168,22 @@ def inbox(cluster: str, name: str) -> str:
 
 
 def parse(key: str) -> Key:
-    """Return what `key` means.
+    """Return the meaning of `key`.
 
     Raises:
         RemoteProtocolError: It is none of the keys at the top of this module.
     """
     root, *parts = key.split("/") if len(key) <= 512 else [""]
-    parsed = _parse(parts) if root == ROOT and all(map(is_id, parts)) else None
-    if parsed is None:
-        raise RemoteProtocolError(f"key {key[:200]!r} is none of ours")
-    return parsed
-
-
-def _parse(parts: list[str]) -> Key | None:
     parsed: Key | None = None
-    match parts:
-        case ["hello", *name]:
-            parsed = HelloKey(*name) if len(name) <= 1 else None
+    match parts if root == ROOT and all(map(is_id, parts)) else []:
+        case ["hello", *name] if len(name) <= 1:
+            parsed = HelloKey(*name)
         case [cluster, "control", *worker] if len(worker) <= 1:
             parsed = ControlKey(cluster, *worker)
         case [cluster, "job", name]:
             parsed = JobKey(cluster, name)
-        case [cluster, "job", name, "placement"]:
-            parsed = PlacementKey(cluster, name)
-        case [cluster, "job", name, "state"]:
-            parsed = StateKey(cluster, name)
+        case [cluster, "job", name, "placement" | "state" as part]:
+            parsed = JobKey(cluster, name, part)
         case [cluster, "blob", digest, index] if DIGEST.fullmatch(digest) and re.fullmatch("0|[1-9][0-9]{0,4}", index):
             parsed = BlobKey(cluster, digest, int(index)) if int(index) < MAX_CHUNKS else None
         case [cluster, "worker", name, part] if part in get_args(WorkerPart):
@@ -244,7 +191,9 @@ def _parse(parts: list[str]) -> Key | None:
         case [cluster, "worker", name, "to", peer]:
             parsed = MailKey(cluster, name, peer)
         case [cluster, "client", name, "ask" | "changes" as part]:
-            parsed = ClientKey(cluster, name) if part == "ask" else ChangesKey(cluster, name)
+            parsed = ClientKey(cluster, name, part)
+    if parsed is None:
+        raise RemoteProtocolError(f"key {key[:200]!r} is none of ours")
     return parsed
 
 

@@ -1,73 +1,75 @@
-"""Bytes of values that programs hand each other: frozen dataclasses, arrays, programs, configurations. No code.
+"""Bytes of values that programs exchange: frozen dataclasses, arrays, programs, configurations. Never executable code.
 
-The type that is expected decides how bytes are read, never the bytes: dataclasses by their fields (cattrs), unions by
-the number of the member, numbers, texts and lengths of tuples by exact type, and arrays with the type and shape that
-are written before their bytes. The same value gives the same bytes on every machine, and what is read of them is equal
-to the bit, NaN and infinity included, in arrays that may be written to. Whatever does not fit is a RemoteProtocolError.
+The expected type decides how bytes are read, the bytes never do. `_codec` returns a reader and a writer for each type,
+once per type: a dataclass is a map of its fields, a tuple, sequence or set a list, a mapping a list of pairs, a union
+the number of the member and its value, an array its type, shape, order and bytes, a pydantic model its own message.
+Numbers, texts and lengths of tuples must have exactly the expected type. Equal values give equal bytes on every
+machine; what is read is equal to the bit, NaN and infinity included, and arrays may be written to. Anything that does
+not fit raises a RemoteProtocolError.
 
-What may be in a value: dataclasses whose fields have types of this kind again, None, truth values, whole numbers of 64
-bits, floats, texts, bytes, fractions, tuples, sequences, mappings, sets, literals, optional and other unions, arrays of
-`codec.DTYPES` and truth values, `Program`, models such as JobConfig, and nested tuples of plain ones where a type says
-``Hashable``.
+Supported types: dataclasses whose fields have supported types, None, bool, int of 64 bits, float, str, bytes, Fraction,
+tuples, sequences, mappings, sets, literals, unions, arrays of `DTYPES` and of bool, `Program`, pydantic models such as
+JobConfig, and nested tuples of plain values where a type says ``Hashable``. A new kind of type is added in `_codec`.
 """
 
-import math
+import dataclasses
 import types
-from collections.abc import Callable, Hashable, Mapping, Set
+from collections.abc import Callable, Hashable, Iterable, Mapping, Set
 from collections.abc import Sequence as AnySequence
-from dataclasses import is_dataclass
 from fractions import Fraction
-from functools import cache
-from typing import Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin
+from functools import cache, partial
+from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
-from cattrs import Converter
-from cattrs.errors import BaseValidationError, ForbiddenExtraKeysError, StructureHandlerNotFoundError
 
 from atoll_core.config import Frozen
 from atoll_core.data.dataset import AnyArray
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.expression.program import Program
-from atoll_core.wire.codec import BROKEN, DTYPES, MAX_ARRAYS_BYTES, MAX_DIMENSIONS, decode, encode, pack, unpack
+from atoll_core.wire.codec import (
+    BROKEN,
+    DTYPES,
+    MAX_ARRAYS_BYTES,
+    MAX_DIMENSIONS,
+    array_size,
+    decode,
+    encode,
+    pack,
+    require,
+    unpack,
+)
 
 V = TypeVar("V")
 
 _DTYPES: Final = frozenset((*DTYPES, "b1"))
 _MOST_VARIABLES: Final = 2**15
-"""More than the index of a variable can tell apart: whose program it is decides how many there are."""
-_MISFITS: Final = (
-    *BROKEN,
-    ArithmeticError,
-    AttributeError,
-    BaseValidationError,
-    ForbiddenExtraKeysError,
-    RemoteProtocolError,
-)
-"""What taking a value of one type for one of another raises."""
+"""Limit of a variable's index in a program: the number of variables of its problem is checked where it is known."""
+_MISFITS: Final = (*BROKEN, ArithmeticError, AttributeError, LocalProtocolError, RemoteProtocolError)
+"""Errors of reading or writing a value of another type."""
 _NONE: Final = type(None)
 
 
 def encode_value(value: object, kind: object = None) -> bytes:
-    """Return the bytes of a value of the type `kind`: its own class, unless given.
+    """Return the bytes of a value of the type `kind` (default: its class).
 
     Raises:
-        LocalProtocolError: it holds something that cannot travel, or is none of that type.
+        LocalProtocolError: the value has parts that cannot be encoded, or is of another type.
     """
     expected = type(value) if kind is None else kind
     try:
-        return pack(_converter().unstructure(value, unstructure_as=expected))
-    except (*_MISFITS, LocalProtocolError, StructureHandlerNotFoundError) as error:
+        return pack(_codec(expected).write(value))
+    except _MISFITS as error:
         raise LocalProtocolError(f"a value of {_name(expected)} cannot be encoded: {error}"[:300]) from error
 
 
 def decode_value(data: bytes, kind: type[V], max_bytes: int = MAX_ARRAYS_BYTES) -> V:
-    """Return the value of the type `kind` in `data`; memory beyond that of the value is a small multiple of `data`.
+    """Return the value of the type `kind` in `data`; memory besides the value is a small multiple of `data`.
 
     Raises:
-        RemoteProtocolError: `data` is oversized, malformed, or holds no value of that type.
+        RemoteProtocolError: `data` is oversized or malformed, or holds no value of that type.
     """
     try:
-        return _converter().structure(unpack(data, max_bytes), kind)
+        return cast(V, _codec(cast(Hashable, kind)).read(unpack(data, max_bytes)))
     except _MISFITS as error:
         raise RemoteProtocolError(f"bytes do not hold a value of {_name(kind)}: {error}"[:300]) from error
 
@@ -76,151 +78,146 @@ def _name(kind: object) -> str:
     return getattr(kind, "__name__", None) or str(kind)
 
 
+class _Codec(NamedTuple):
+    """How values of one type become plain trees, and how they are read from these."""
+
+    read: Callable[[Any], Any]
+    write: Callable[[Any], Any]
+
+
 @cache
-def _converter() -> Converter:
-    """Return what takes values apart and puts them together; it learns each dataclass once."""
-    made = Converter(detailed_validation=False, forbid_extra_keys=True)
-    for plain in (bool, int, str, bytes, _NONE):
-        made.register_structure_hook(plain, _exactly(plain))
-    made.register_structure_hook(float, _float)
-    made.register_unstructure_hook(float, _plain_float)
-    made.register_structure_hook(Fraction, lambda pair, _: Fraction(*_integers(pair, 2)))
-    made.register_unstructure_hook(Fraction, lambda number: [number.numerator, number.denominator])
-    made.register_structure_hook(Program, lambda data, _: Program.from_bytes(_bytes(data), _MOST_VARIABLES))
-    made.register_unstructure_hook(Program, Program.to_bytes)
-    made.register_structure_hook_func(_is(Hashable), lambda tree, _: _frozen(tree))
-    made.register_unstructure_hook_func(_is(Hashable), lambda value: value)
-    made.register_structure_hook_func(_is_model, lambda data, kind: decode(_bytes(data), kind))
-    made.register_unstructure_hook_func(_is_model, encode)
-    made.register_structure_hook_func(_is_array, lambda tree, _: _array(tree))
-    made.register_unstructure_hook_func(_is_array, _array_tree)
-    made.register_structure_hook_func(_has_origin(Literal), _literal)
-    for is_kind, read, write in (
-        (_is_tuple, _tuple_reader, _tuple_writer),
-        (_is_sequence, _sequence_reader, _sequence_writer),
-        (_is_set, _set_reader, _set_writer),
-        (_is_mapping, _mapping_reader, _mapping_writer),
-        (_is_union, _union_reader, _union_writer),
-    ):
-        made.register_structure_hook_factory(is_kind, _made_with(made, read))
-        made.register_unstructure_hook_factory(is_kind, _made_with(made, write))
-    return made
+def _codec(kind: Any) -> _Codec:
+    origin, parts = get_origin(kind), get_args(kind)
+    if kind in _PLAIN or origin is np.ndarray:
+        return _PLAIN[origin or kind]
+    if isinstance(kind, type) and issubclass(kind, Frozen):
+        return _Codec(lambda tree: decode(_exactly(bytes, tree), kind), encode)
+    if dataclasses.is_dataclass(kind):
+        return _dataclass_codec(kind)
+    if origin is Literal:
+        return _Codec(lambda tree: _literal(tree, parts), lambda value: value)
+    if origin in (Union, types.UnionType):
+        return _union_codec(kind, parts)
+    if origin is tuple and parts[-1:] != (Ellipsis,):
+        return _tuple_codec(() if parts == ((),) else parts)
+    if origin in _COLLECTIONS:
+        return _collection_codec(_COLLECTIONS[origin], _codec(parts[0]))
+    if origin in (Mapping, dict):
+        return _mapping_codec(*map(_codec, parts))
+    raise TypeError(f"{kind} is of no type that can be encoded")
 
 
-_Read = Callable[[Any, Any], Any]
-_Write = Callable[[Any], Any]
+def _dataclass_codec(kind: Any) -> _Codec:
+    hints, fields = get_type_hints(kind), [field for field in dataclasses.fields(kind) if field.init]
+    needed = {field.name for field in fields if field.default is field.default_factory}  # both are MISSING
+    codecs = {field.name: _codec(hints[field.name]) for field in fields}
+    fields_expected = f"the fields of a {_name(kind)} are {', '.join(codecs)}"
+
+    def read(tree: Any) -> Any:
+        require(needed <= _exactly(dict, tree).keys() <= codecs.keys(), fields_expected)
+        return kind(**{name: codecs[name].read(part) for name, part in tree.items()})
+
+    return _Codec(read, lambda value: {name: codec.write(getattr(value, name)) for name, codec in codecs.items()})
 
 
-def _made_with(converter: Converter, make: Callable[[Converter, Any], Any]) -> Callable[[Any], Any]:
-    return lambda kind: make(converter, kind)
+def _union_codec(kind: Any, parts: tuple[Any, ...]) -> _Codec:
+    """Return the codec of a union: None is itself, a single other member too, and others come with their number."""
+    members = [part for part in parts if part is not _NONE]
+    codecs = [_codec(member) for member in members]
+    classes = [get_origin(member) or member for member in members]
+
+    def read(tree: Any) -> Any:
+        if tree is None and _NONE in parts:
+            return None
+        if len(members) == 1:
+            return codecs[0].read(tree)
+        number, value = _list(tree, 2)
+        require(type(number) is int and 0 <= number < len(members), f"{number!r:.20} is no member of {kind}")
+        return codecs[number].read(value)
+
+    def write(value: Any) -> Any:
+        if value is None:
+            return None
+        if len(members) == 1:
+            return codecs[0].write(value)
+        number = next((place for place, one in enumerate(classes) if isinstance(value, one)), -1)
+        require(number >= 0, f"{type(value).__name__} is no member of {kind}")
+        return [number, codecs[number].write(value)]
+
+    return _Codec(read, write)
 
 
-# -------------------------------------------------------------------------------------------------- which types
-
-
-def _is(kind: object) -> Callable[[Any], bool]:
-    return lambda other: other is kind
-
-
-def _has_origin(origin: object) -> Callable[[Any], bool]:
-    return lambda kind: get_origin(kind) is origin
-
-
-def _is_model(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, Frozen)
-
-
-def _is_array(kind: Any) -> bool:
-    return kind is np.ndarray or get_origin(kind) is np.ndarray
-
-
-def _is_tuple(kind: Any) -> bool:
-    return get_origin(kind) is tuple
-
-
-def _is_sequence(kind: Any) -> bool:
-    return get_origin(kind) in (AnySequence, list)
-
-
-def _is_set(kind: Any) -> bool:
-    return get_origin(kind) in (frozenset, Set)
-
-
-def _is_mapping(kind: Any) -> bool:
-    return get_origin(kind) in (Mapping, dict)
-
-
-def _is_union(kind: Any) -> bool:
-    return get_origin(kind) in (Union, types.UnionType)
-
-
-# --------------------------------------------------------------------------------------------------- plain values
-
-
-def _require(condition: bool, sentence: str) -> None:
-    if not condition:
-        raise ValueError(sentence)
-
-
-def _exactly(kind: type) -> _Read:
-    def read(value: Any, _: Any) -> Any:
-        _require(type(value) is kind, f"{type(value).__name__} was found where {kind.__name__} was expected")
-        return value
-
-    return read
-
-
-def _float(value: Any, _: Any) -> float:
-    """Return a number; a whole one stands for itself where floats are expected, as in Python."""
-    _require(type(value) in (float, int), f"{type(value).__name__} was found where a number was expected")
-    return cast(float, value)
-
-
-def _plain_float(value: Any) -> Any:
-    return float(value) if isinstance(value, float) else value
-
-
-def _bytes(value: Any) -> bytes:
-    _require(type(value) is bytes, f"{type(value).__name__} was found where bytes were expected")
-    return cast(bytes, value)
-
-
-def _list(value: Any, length: int | None = None) -> list[Any]:
-    _require(type(value) is list, f"{type(value).__name__} was found where a sequence was expected")
-    _require(length is None or len(value) == length, f"{len(value)} items were found where {length} were expected")
-    return cast(list[Any], value)
-
-
-def _integers(value: Any, count: int) -> list[int]:
-    numbers = _list(value, count)
-    _require(all(type(number) is int for number in numbers), "whole numbers were expected")
-    return numbers
-
-
-def _frozen(tree: Any) -> Hashable:
-    """Return nested sequences as tuples."""
-    if type(tree) is list:
-        return tuple(map(_frozen, tree))
-    _require(tree is None or type(tree) in (bool, int, float, str, bytes), "a map was found among plain values")
-    return cast(Hashable, tree)
-
-
-def _literal(value: Any, kind: Any) -> Any:
-    choices = get_args(kind)
-    _require(
-        any(value == choice and type(value) is type(choice) for choice in choices),
-        f"{value!r:.80} is none of {choices}",
+def _tuple_codec(parts: tuple[Any, ...]) -> _Codec:
+    codecs = [_codec(part) for part in parts]
+    return _Codec(
+        lambda tree: tuple(codec.read(item) for codec, item in zip(codecs, _list(tree, len(codecs)), strict=True)),
+        lambda value: [codec.write(item) for codec, item in zip(codecs, value, strict=True)],
     )
+
+
+def _collection_codec(make: Callable[[Iterable[Any]], Any], item: _Codec) -> _Codec:
+    arranged: Callable[[Any], Any] = sorted if make is _set else iter
+    return _Codec(
+        lambda tree: make([item.read(part) for part in _list(tree)]),
+        lambda value: [item.write(part) for part in arranged(value)],
+    )
+
+
+def _mapping_codec(key: _Codec, item: _Codec) -> _Codec:
+    def read(tree: Any) -> Any:
+        pairs = [_list(pair, 2) for pair in _list(tree)]
+        mapping = {key.read(name): item.read(value) for name, value in pairs}
+        require(len(mapping) == len(pairs), "a mapping has a key twice")
+        return mapping
+
+    return _Codec(read, lambda value: [[key.write(name), item.write(part)] for name, part in value.items()])
+
+
+def _set(items: list[Any]) -> frozenset[Any]:
+    require(len(set(items)) == len(items), "a set has an item twice")
+    return frozenset(items)
+
+
+def _exactly(kind: type, value: Any) -> Any:
+    if type(value) is not kind:  # a sentence for each number would take longer than reading it
+        raise ValueError(f"{type(value).__name__} was found where {kind.__name__} was expected")
     return value
 
 
-# -------------------------------------------------------------------------------------------------------- arrays
+def _float(value: Any) -> float:
+    """Return a number; an integer is accepted where a float is expected, as in Python."""
+    return cast(float, value if type(value) is int else _exactly(float, value))
+
+
+def _list(value: Any, length: int | None = None) -> list[Any]:
+    if length not in (None, len(_exactly(list, value))):
+        raise ValueError(f"{len(value)} items were found where {length} were expected")
+    return cast(list[Any], value)
+
+
+def _fraction(tree: Any) -> Fraction:
+    numerator, denominator = _list(tree, 2)
+    return Fraction(_exactly(int, numerator), _exactly(int, denominator))
+
+
+def _tuples(tree: Any) -> Hashable:
+    """Return nested sequences as tuples."""
+    if type(tree) is list:
+        return tuple(map(_tuples, tree))
+    require(tree is None or type(tree) in (bool, int, float, str, bytes), "a map was found among plain values")
+    return cast(Hashable, tree)
+
+
+def _literal(value: Any, choices: tuple[Any, ...]) -> Any:
+    is_one = any(value == choice and type(value) is type(choice) for choice in choices)
+    require(is_one, f"{value!r:.80} is none of {choices}")
+    return value
 
 
 def _array_tree(array: AnyArray) -> list[Any]:
     """Return type, shape, whether columns come first, and bytes; little endian. Sums depend on the order of axes."""
     dtype = array.dtype.str[1:]
-    if dtype not in _DTYPES or array.ndim > MAX_DIMENSIONS:  # a type's name takes as long as the rest
+    if dtype not in _DTYPES or array.ndim > MAX_DIMENSIONS:  # the name of a dtype is slow to make: only for the error
         raise ValueError(f"an array of {array.dtype}, {array.ndim} dimensions")
     by_columns = array.flags.f_contiguous and not array.flags.c_contiguous
     little = np.asarray(array, array.dtype.newbyteorder("<"))
@@ -229,126 +226,21 @@ def _array_tree(array: AnyArray) -> list[Any]:
 
 def _array(tree: Any) -> AnyArray:
     dtype, shape, by_columns, data = _list(tree, 4)
-    _require(type(dtype) is str and dtype in _DTYPES, "an array is of a type that is not allowed")
-    sizes = _integers(shape, len(_list(shape)))
-    _require(len(sizes) <= MAX_DIMENSIONS and all(size >= 0 for size in sizes), "an array has no proper shape")
-    _require(type(by_columns) is bool, "an array does not say in which order it is")
-    count = math.prod(sizes)
-    _require(len(_bytes(data)) == count * int(dtype[1]), f"an array of shape {sizes} has {len(data)} bytes")
-    _require(dtype != "b1" or max(data, default=0) <= 1, "an array of truth values holds others")
+    size = array_size("an array", dtype, shape, _DTYPES)
+    require(type(by_columns) is bool, "an array does not say in which order it is")
+    require(len(_exactly(bytes, data)) == size, f"an array of shape {shape} has {len(data)} bytes")
+    require(dtype != "b1" or max(data, default=0) <= 1, "an array of truth values holds others")
     numbers: AnyArray = np.frombuffer(data, "<" + dtype).astype(dtype)
-    return numbers.reshape(sizes, order="F" if by_columns else "C")
+    return numbers.reshape(shape, order="F" if by_columns else "C")
 
 
-# ---------------------------------------------------------------------------------------------- values with parts
-
-
-def _tuple_reader(converter: Converter, kind: Any) -> _Read:
-    parts = get_args(kind)
-    if len(parts) == 2 and parts[1] is Ellipsis:
-        part, read = parts[0], converter.get_structure_hook(parts[0])
-        return lambda tree, _: tuple([read(item, part) for item in _list(tree)])
-    parts = () if parts == ((),) else parts
-    reads = [converter.get_structure_hook(part) for part in parts]
-    return lambda tree, _: tuple(
-        [read(item, part) for read, item, part in zip(reads, _list(tree, len(reads)), parts, strict=True)]
-    )
-
-
-def _tuple_writer(converter: Converter, kind: Any) -> _Write:
-    parts = get_args(kind)
-    if len(parts) == 2 and parts[1] is Ellipsis:
-        write = converter.get_unstructure_hook(parts[0])
-        return lambda value: [write(item) for item in value]
-    writes = [converter.get_unstructure_hook(part) for part in (() if parts == ((),) else parts)]
-    return lambda value: [write(item) for write, item in zip(writes, value, strict=True)]
-
-
-def _sequence_reader(converter: Converter, kind: Any) -> _Read:
-    (part,) = get_args(kind)
-    read, made = converter.get_structure_hook(part), list if get_origin(kind) is list else tuple
-    return lambda tree, _: made([read(item, part) for item in _list(tree)])
-
-
-def _sequence_writer(converter: Converter, kind: Any) -> _Write:
-    write = converter.get_unstructure_hook(get_args(kind)[0])
-    return lambda value: [write(item) for item in value]
-
-
-def _set_reader(converter: Converter, kind: Any) -> _Read:
-    (part,) = get_args(kind)
-    read = converter.get_structure_hook(part)
-
-    def made(tree: Any, _: Any) -> Any:
-        items = [read(item, part) for item in _list(tree)]
-        _require(len(set(items)) == len(items), "a set has an item twice")
-        return frozenset(items)
-
-    return made
-
-
-def _set_writer(converter: Converter, kind: Any) -> _Write:
-    write = converter.get_unstructure_hook(get_args(kind)[0])
-    return lambda value: [write(item) for item in sorted(value)]
-
-
-def _mapping_reader(converter: Converter, kind: Any) -> _Read:
-    key, item = get_args(kind)
-    read_key, read_item = converter.get_structure_hook(key), converter.get_structure_hook(item)
-
-    def made(tree: Any, _: Any) -> Any:
-        pairs = [_list(pair, 2) for pair in _list(tree)]
-        mapping = {read_key(name, key): read_item(value, item) for name, value in pairs}
-        _require(len(mapping) == len(pairs), "a mapping has a key twice")
-        return mapping
-
-    return made
-
-
-def _mapping_writer(converter: Converter, kind: Any) -> _Write:
-    key, item = get_args(kind)
-    write_key, write_item = converter.get_unstructure_hook(key), converter.get_unstructure_hook(item)
-    return lambda value: [[write_key(name), write_item(value)] for name, value in value.items()]
-
-
-def _union_reader(converter: Converter, kind: Any) -> _Read:
-    members, others = _members(kind)
-    reads = [converter.get_structure_hook(member) for member in members]
-
-    def made(tree: Any, _: Any) -> Any:
-        if tree is None and _NONE in others:
-            return None
-        if len(members) == 1:
-            return reads[0](tree, members[0])
-        number, value = _list(tree, 2)
-        _require(type(number) is int and 0 <= number < len(members), f"{number!r:.20} is no member of {kind}")
-        return reads[number](value, members[number])
-
-    return made
-
-
-def _union_writer(converter: Converter, kind: Any) -> _Write:
-    members, _ = _members(kind)
-    writes = [converter.get_unstructure_hook(member) for member in members]
-    classes = [_class_of(member) for member in members]
-
-    def made(value: Any) -> Any:
-        if value is None:
-            return None
-        if len(members) == 1:
-            return writes[0](value)
-        number = next((place for place, one in enumerate(classes) if isinstance(value, one)), -1)
-        _require(number >= 0, f"{type(value).__name__} is no member of {kind}")
-        return [number, writes[number](value)]
-
-    return made
-
-
-def _members(kind: Any) -> tuple[list[Any], list[Any]]:
-    """Return the members of a union but for None, which stands for itself, and None if it is one."""
-    members = get_args(kind)
-    return [member for member in members if member is not _NONE], [member for member in members if member is _NONE]
-
-
-def _class_of(kind: Any) -> Any:
-    return get_origin(kind) or (kind if isinstance(kind, type) or is_dataclass(kind) else object)
+_PLAIN: Final[dict[Any, _Codec]] = {
+    **{kind: _Codec(partial(_exactly, kind), lambda value: value) for kind in (bool, int, str, bytes, _NONE)},
+    float: _Codec(_float, lambda value: float(value) if isinstance(value, float) else value),
+    Fraction: _Codec(_fraction, lambda number: [number.numerator, number.denominator]),
+    Program: _Codec(lambda tree: Program.from_bytes(_exactly(bytes, tree), _MOST_VARIABLES), Program.to_bytes),
+    Hashable: _Codec(_tuples, lambda value: value),
+    np.ndarray: _Codec(_array, _array_tree),
+}
+_COLLECTIONS: Final[dict[Any, Any]] = {tuple: tuple, AnySequence: tuple, list: list, frozenset: _set, Set: _set}
+"""Types of many items of one type, and what items become when they are read."""

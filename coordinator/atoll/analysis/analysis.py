@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from atoll.analysis.basins import Attractor, Basins, basins
-from atoll.analysis.box import Box
 from atoll.analysis.conserved import ConservedQuantity, conserved_quantities, is_volume_preserving
-from atoll.analysis.continuation import Branch, continuation
-from atoll.analysis.continuation_parameter import Coefficients, ContinuationParameter
+from atoll.analysis.continuation import Branch, Coefficients, ContinuationParameter, continuation
 from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
-from atoll.analysis.dynamics import Comparison, Measured, compared, measured_trajectories
+from atoll.analysis.dynamics import MeasuredTrajectory, TrajectoryComparison, compared, measured_trajectories
 from atoll.analysis.fixed_points import FixedPoints, fixed_points
-from atoll.analysis.flow import Flow
+from atoll.analysis.flow import Box, Flow
 from atoll.analysis.limit_cycles import LimitCycle, LimitCycles, limit_cycles
 from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
 from atoll.analysis.nullclines import nullclines
@@ -25,8 +23,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.errors import UsageError
-from atoll_core.hints import did_you_mean
-from atoll_core.quoting import first_lines, shown
+from atoll_core.quoting import did_you_mean, first_lines, shown
 
 if TYPE_CHECKING:
     import polars
@@ -60,7 +57,7 @@ class Analysis:
     basins: Basins
     conserved: tuple[ConservedQuantity, ...]
     is_volume_preserving: bool
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[TrajectoryComparison, ...]
     coefficients: Coefficients
     continuation_parameter: ContinuationParameter | None = None
     branches: tuple[Branch, ...] = ()
@@ -79,7 +76,7 @@ class Analysis:
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the isolated fixed points, a row each: the states, `kind`, `is_stable` and `attracts_in_box`.
 
-        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas.
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
         """
         points = self.fixed_points.points
         states = {name: [float(point.point[place]) for point in points] for place, name in enumerate(self.field.states)}
@@ -104,7 +101,7 @@ def analyse(
     box: Box,
     *,
     inputs: FloatArray | None = None,
-    measured: Sequence[Measured] = (),
+    measured: Sequence[MeasuredTrajectory] = (),
     vary: tuple[str, tuple[float, float]] | None = None,
 ) -> Analysis:
     """Return the dynamics of `field` in `box`; every part is bounded in steps and says what was searched.
@@ -191,7 +188,10 @@ def analyse_model(
 
 
 def box_of(
-    result: Result, field: VectorField, measured: Sequence[Measured], bounds: Mapping[str, tuple[float, float]]
+    result: Result,
+    field: VectorField,
+    measured: Sequence[MeasuredTrajectory],
+    bounds: Mapping[str, tuple[float, float]],
 ) -> Box:
     """Return the box to look at.
 

@@ -7,12 +7,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.analysis.box import Box
-from atoll.analysis.fixed_sets import FixedSet
-from atoll.analysis.flow import LONGER, SETTLING, UNBOUNDED, Flow, IntegrationBatch, is_nearly_at_rest
+from atoll.analysis.fixed_points import NON_HYPERBOLIC, FixedPoint, FixedSet, time_scale
+from atoll.analysis.flow import LONGER, SETTLING, UNBOUNDED, Box, Flow, IntegrationBatch, is_nearly_at_rest
 from atoll.analysis.limit_cycles import LimitCycle, distance
-from atoll.analysis.newton import time_scale
-from atoll.analysis.stability import NON_HYPERBOLIC, FixedPoint
 from atoll_core.data.dataset import FloatArray
 
 GRID: Final = 40

@@ -16,14 +16,12 @@ from typing import Final
 
 import numpy as np
 
-from atoll.analysis.box import Box
-from atoll.analysis.flow import Flow
+from atoll.analysis.flow import Box, Flow
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import live_nodes
 from atoll_core.expression.derivative import derivative
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import COS, SIN
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, live_nodes
 
 DEGREE: Final = 4
 """Of the largest powers: energies of oscillators with cubic forces have it."""
@@ -63,7 +61,7 @@ class ConservedQuantity:
 
 
 @dataclass(frozen=True, eq=False)
-class _Function:
+class _BasisFunction:
     text: str
     gradient: Callable[[FloatArray], FloatArray]
 
@@ -78,7 +76,7 @@ def conserved_quantities(flow: Flow, box: Box) -> tuple[ConservedQuantity, ...]:
     Of several within one dictionary each is given with as few terms as elimination leaves.
     """
     boxes = _looked_at(flow, box)
-    functions: list[_Function] = []
+    functions: list[_BasisFunction] = []
     for more in _dictionaries(flow, box):
         functions = [*functions, *more]
         if more and len(functions) <= min(MOST_FUNCTIONS, len(boxes[0][0]) // 2):
@@ -110,7 +108,7 @@ def is_volume_preserving(flow: Flow, box: Box) -> bool:
     return bool(np.abs(diagonals.sum(axis=1)).max() <= 1e-10 * np.abs(diagonals).sum(axis=1).max())
 
 
-def _dictionaries(flow: Flow, box: Box) -> list[list[_Function]]:
+def _dictionaries(flow: Flow, box: Box) -> list[list[_BasisFunction]]:
     """Return what is added to the dictionary, step by step.
 
     Sines and cosines are those of what the model has a sine or cosine of: those of a state alone have no meaning where
@@ -144,18 +142,18 @@ def _angles(flow: Flow, box: Box) -> list[FloatArray]:
     return angles
 
 
-def _waves(slopes: FloatArray, states: tuple[str, ...]) -> list[_Function]:
+def _waves(slopes: FloatArray, states: tuple[str, ...]) -> list[_BasisFunction]:
     """Return cosine and sine of the sum of states times `slopes` (D,)."""
     terms = [name if slope == 1.0 else f"{slope:.10g}*{name}" for slope, name in zip(slopes, states, strict=True)
              if slope]  # fmt: skip
     angle = " + ".join(terms).replace("+ -", "- ")
     return [
-        _Function(f"cos({angle})", lambda x: -np.sin(x @ slopes)[:, None] * slopes),
-        _Function(f"sin({angle})", lambda x: np.cos(x @ slopes)[:, None] * slopes),
+        _BasisFunction(f"cos({angle})", lambda x: -np.sin(x @ slopes)[:, None] * slopes),
+        _BasisFunction(f"sin({angle})", lambda x: np.cos(x @ slopes)[:, None] * slopes),
     ]
 
 
-def _monomial(factors: tuple[int, ...], states: tuple[str, ...]) -> _Function:
+def _monomial(factors: tuple[int, ...], states: tuple[str, ...]) -> _BasisFunction:
     powers = np.bincount(np.array(factors), minlength=len(states))
     text = "*".join(
         name if power == 1 else f"{name}**{power}" for name, power in zip(states, powers.tolist(), strict=True) if power
@@ -169,16 +167,16 @@ def _monomial(factors: tuple[int, ...], states: tuple[str, ...]) -> _Function:
             gradients[:, index] = powers[index] * np.prod(points**lower, axis=1)
         return gradients
 
-    return _Function(text, gradient)
+    return _BasisFunction(text, gradient)
 
 
-def _logarithm(index: int, text: str) -> _Function:
+def _logarithm(index: int, text: str) -> _BasisFunction:
     def gradient(points: FloatArray) -> FloatArray:
         gradients = np.zeros_like(points)
         gradients[:, index] = 1.0 / points[:, index]
         return gradients
 
-    return _Function(text, gradient)
+    return _BasisFunction(text, gradient)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +189,7 @@ class _Derivatives:
     rates: FloatArray
 
     @classmethod
-    def of(cls, functions: Sequence[_Function], points: FloatArray, rates: FloatArray) -> "_Derivatives":
+    def of(cls, functions: Sequence[_BasisFunction], points: FloatArray, rates: FloatArray) -> "_Derivatives":
         with np.errstate(all="ignore"):
             gradients = np.array([function.gradient(points) for function in functions])
             gradients = gradients.transpose(1, 2, 0)  # (N, D, F)
@@ -207,7 +205,7 @@ class _Derivatives:
         return float(((along / unit) ** 2).sum()) <= TOLERANCE**2 * float(((most / unit) ** 2).sum())
 
 
-def _laws(functions: Sequence[_Function], boxes: Sequence[_Points]) -> list[ConservedQuantity]:
+def _laws(functions: Sequence[_BasisFunction], boxes: Sequence[_Points]) -> list[ConservedQuantity]:
     """Return the combinations of functions that are conserved in all boxes, the first of which gives their sizes."""
     derivatives = [_Derivatives.of(functions, *box) for box in boxes]
     sizes = derivatives[0].sizes.max(axis=0, initial=0.0)

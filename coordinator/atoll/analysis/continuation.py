@@ -1,24 +1,349 @@
-"""Fixed points as one parameter varies: pseudo-arclength continuation, with folds, branch points and Hopf points.
+"""What varies along a continuation: constants, factors of one that nobody writes, or an input.
+
+A constant is named as it stands in the equations (c1, c2, …), or by the term that it is the coefficient of: in
+dy/dt = y*(2 - x - y) the coefficient of ``x*y`` is one that nobody writes. Letters: D states, P parameters, U inputs.
+
+Curves of solutions as one parameter varies: steps along the tangent, Newton steps across it (Keller 1977).
+
+A curve says what it is a curve of: it corrects a guess, and tells of each of its points the tangent and tests, numbers
+that change their signs where the character of the solutions does. Letters: n coordinates, all of about the same scale,
+the parameter last.
+
+Fixed points as one parameter varies: pseudo-arclength continuation, with folds, branch points and Hopf points.
 
 A branch is followed in (x, p), both over their ranges. A fold is where the tangent turns back in p, a branch point
 where the determinant of the bordered matrix changes its sign, a Hopf point where a complex pair of eigenvalues crosses
 the imaginary axis (Kuznetsov 2004, chapter 10). Letters: D states, n points.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from atoll.analysis.box import Box
-from atoll.analysis.continuation_parameter import ContinuationParameter
-from atoll.analysis.fixed_points import fixed_points
-from atoll.analysis.flow import Flow
-from atoll.analysis.newton import rate_scale
-from atoll.analysis.path_following import BRANCH_POINT, FOLD, CurvePoint, continue_curve, joined
+from atoll.analysis.fixed_points import fixed_points, rate_scale
+from atoll.analysis.flow import Box, Flow
+from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.operators import ARITY, CONSTANT
+from atoll_core.expression.program import Program, ProgramBuilder, constant_places
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.unit_coefficients import make_coefficients_explicit
+
+_POINTS: Final = 32
+"""Points at which a term and the derivative by a constant are compared; two that agree at all of them are the same."""
+
+_SAME: Final = 1e-9
+"""Share of the term by which rounding may make them differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuationParameter:
+    """A number that varies: the parameters (indices) go with it in the ratios `factors`, the inputs are it.
+
+    `value` is that of the model, and `name` what users call it.
+    """
+
+    name: str
+    value: float
+    parameters: tuple[int, ...] = ()
+    factors: tuple[float, ...] = ()
+    inputs: tuple[int, ...] = ()
+
+    def at(self, flow: Flow, value: float) -> Flow:
+        """Return the flow at another value."""
+        parameters, inputs = flow.parameters.copy(), flow.inputs.copy()
+        parameters[list(self.parameters)] = value * np.array(self.factors)
+        inputs[list(self.inputs)] = value
+        return replace(flow, parameters=parameters, inputs=inputs)
+
+    def slope(self, flow: Flow, x: FloatArray) -> FloatArray:
+        """Return the derivative of the rates at points (N, D) by the value, (N, D)."""
+        derivative = np.zeros(x.shape)
+        if self.parameters:
+            derivative = derivative + flow.by_parameters(x)[..., list(self.parameters)] @ np.array(self.factors)
+        if self.inputs:
+            derivative = derivative + flow.by_inputs(x)[..., list(self.inputs)].sum(axis=-1)
+        return derivative
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """The numbers of a field that can be varied: all constants and factors of one are parameters of `explicit`.
+
+    `origins` has for each of these its index among the parameters of `field`, None for a factor of one.
+    """
+
+    field: VectorField
+    explicit: VectorField
+    origins: tuple[int | None, ...]
+
+    @classmethod
+    def of(cls, field: VectorField) -> "Coefficients":
+        """Return those of a field."""
+        programs: list[Program] = []
+        origins: list[int | None] = []
+        begin = 0
+        for program in field.programs:
+            explicit = make_coefficients_explicit(program)
+            apart, own = _apart(explicit.program, explicit.origins)
+            programs.append(apart)
+            origins += [None if origin is None else begin + origin for origin in own]
+            begin += len(constant_places(program))
+        return cls(field, replace(field, programs=tuple(programs)), tuple(origins))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """The names of the factors of one that nobody writes: ``y:x*y`` is the coefficient of x*y in dy/dt."""
+        values = self._values(self.field.values_of_parameters)
+        return tuple(
+            f"{parameter.variable}:{self.explicit.term_of(index, values)}"
+            for index, (parameter, origin) in enumerate(zip(self.explicit.parameters, self.origins, strict=True))
+            if origin is None
+        )
+
+    def find(self, flow: Flow, name: str) -> tuple[Flow, ContinuationParameter]:
+        """Return a flow, and what of it varies, by name: constants (several with commas), a term, or an input.
+
+        Constants that are named together keep their ratios to the first. Raises UsageError where there is no such
+        constant, term or input.
+        """
+        if name in flow.field.inputs:
+            place = flow.field.inputs.index(name)
+            return flow, ContinuationParameter(name, float(flow.inputs[place]), inputs=(place,))
+        parts = [part.strip() for part in name.split(",")]
+        indices = [index for part in parts for index in self._indices(part)]
+        values = self._values(flow.parameters)
+        written = [float(values[index]) for index in indices]
+        if written[0] == 0.0 and any(written):
+            raise UsageError(f"{parts[0]} is 0, so that the others have no ratio to it; name another one first")
+        factors = tuple(value / written[0] if written[0] else 1.0 for value in written)
+        varied = replace(flow, field=self.explicit, parameters=values)
+        return varied, ContinuationParameter(name, written[0], tuple(indices), factors)
+
+    def _values(self, parameters: FloatArray) -> FloatArray:
+        """Return the values of the parameters of `explicit`."""
+        return np.array([1.0 if origin is None else float(parameters[origin]) for origin in self.origins])
+
+    def _indices(self, name: str) -> list[int]:
+        """Return which parameters of `explicit` are meant: all uses of one constant, or the coefficient of one term."""
+        constants = self.field.parameters
+        numbered = enumerate(constants)
+        origin = next((index for index, constant in numbered if name in (constant.name, str(index + 1))), None)
+        if origin is not None:
+            return [index for index, own_origin in enumerate(self.origins) if own_origin == origin]
+        indices = self._of_term(name)
+        if len(indices) == 1:
+            return indices
+        fault = f"'{name}' stands in several equations" if indices else f"there is no parameter '{name}'"
+        known = ", ".join(f"{constant.name} = {constant.value:g} of {constant.variable}" for constant in constants)
+        others = [*self.units, *self.field.inputs]
+        more = f", and can vary {', '.join(others)}" if others else ""
+        raise UsageError(f"{fault}; the model has {known or 'no constants'}{more}")
+
+    def _of_term(self, name: str) -> list[int]:
+        """Return the parameters whose derivative is a term, given as ``x*y`` or, with its equation, ``y:x*y``."""
+        names = (*self.field.states, *self.field.inputs)
+        variable, separator, text = name.rpartition(":")
+        try:
+            program = from_infix(text, names)
+        except UsageError:
+            return []
+        points = np.random.default_rng(0).uniform(0.5, 1.5, (_POINTS, len(names)))
+        values = values_of(program, np.ascontiguousarray(points.T))
+        states, inputs = points[:, : len(self.field.states)], points[:, len(self.field.states) :]
+        own = self._values(self.field.values_of_parameters)
+        slopes = self.explicit.parameter_derivatives(states, inputs, own)
+        indices = []
+        for index, constant in enumerate(self.explicit.parameters):
+            slope = slopes[:, self.explicit.states.index(constant.variable), index]
+            apart = min(np.abs(slope - values).max(), np.abs(slope + values).max())
+            if (not separator or variable == constant.variable) and apart <= _SAME * np.abs(values).max():
+                indices.append(index)
+        return indices
+
+
+def _apart(program: Program, origins: Sequence[int | None]) -> tuple[Program, tuple[int | None, ...]]:
+    """Return a program in which each use of a constant is one of its own, with the origins of these in node order."""
+    nodes, builder = program.nodes(), ProgramBuilder()
+    numbers = dict(zip(constant_places(program), origins, strict=True))
+    used: dict[int, int | None] = {}
+    places: list[int] = []
+
+    def use(old: int) -> int:
+        if nodes[old][0] != CONSTANT:
+            return places[old]
+        new = builder.append(CONSTANT, value=nodes[old][3])
+        used[new] = numbers[old]
+        return new
+
+    for code, left, right, value in nodes:
+        if code == CONSTANT:
+            places.append(-1)  # copied where it is used
+        elif ARITY[code]:
+            places.append(builder.append(code, use(left), use(right) if ARITY[code] == 2 else 0))
+        else:
+            places.append(builder.append(code, left, right, value))
+    return builder.program(use(len(nodes) - 1)), tuple(used.values())
+
+
+SHORTEST: Final = 1e-6
+"""Shortest step along a curve."""
+
+FOLD: Final = "fold"
+BRANCH_POINT: Final = "branch point"
+
+_STRAIGHT: Final = 0.95
+"""Cosine of the largest angle between tangents one step apart: larger angles may hide a second curve close by."""
+
+_EVALUATIONS: Final = 60
+"""Regula falsi takes about ten; bisection to `_LOCATED` would take 43."""
+
+_LOCATED: Final = 1e-13
+"""Share of the last step within which a special point is located: what rounding leaves."""
+
+_BESIDE: Final = 0.01
+"""Share of the bracket by which a singular point is avoided."""
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePoint:
+    """A point `z` (n,) of a curve with its unit `tangent` (n,), and its `tests` by kind of special point."""
+
+    z: FloatArray
+    tangent: FloatArray
+    tests: Mapping[str, float]
+
+
+PointT = TypeVar("PointT", bound=CurvePoint)
+
+
+class Curve(Protocol[PointT]):
+    """What a curve knows of its points; all return None where a rate has no finite value, or nothing is near."""
+
+    longest: float
+    """Longest step."""
+
+    most: int
+    """Points on each side of the first one."""
+
+    limits: tuple[float, float]
+    """Between which values of its last coordinate it is followed; its last point is at one of these."""
+
+    def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
+        """Return the point of the curve in the plane through `z` across `tangent`."""
+
+    def curve_point(self, z: FloatArray, before: FloatArray) -> PointT | None:
+        """Return what is known of the point `z` of the curve; its tangent goes on in the direction of `before`."""
+
+    def end(self, last: PointT, after: PointT) -> str | None:
+        """Return why the curve is not followed to `after`; None where it is."""
+
+    def adapt(self, point: PointT) -> PointT:
+        """Return a point in the coordinates in which the curve is followed from there."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class CurveSide(Generic[PointT]):
+    """One side of a curve: its `points` from the first one, the special ones by kind in this order, and its end."""
+
+    points: list[PointT]
+    special: list[tuple[str, PointT]]
+    end: str
+
+
+def joined(behind: CurveSide[PointT], ahead: CurveSide[PointT]) -> tuple[list[PointT], list[tuple[str, PointT]]]:
+    """Return the points of two sides from the same first one, and the special points, along the curve."""
+    return [*behind.points[:0:-1], *ahead.points], [*reversed(behind.special), *ahead.special]
+
+
+def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArray) -> CurveSide[PointT]:
+    """Return the points of `curve` from `start` (n,) in a direction (n,)."""
+    first = curve.curve_point(start, direction)
+    if first is None:
+        return CurveSide([], [], "no rates")
+    points, length = [first], 0.25 * curve.longest
+    special: list[tuple[str, PointT]] = []
+    while len(points) < curve.most:
+        last = points[-1]
+        z = curve.correct(last.z + length * last.tangent, last.tangent)
+        after = None if z is None else curve.curve_point(z, last.tangent)
+        if after is None or after.tangent @ last.tangent < _STRAIGHT or _far(after.z - last.z) > 2.0 * length:
+            length *= 0.5
+            if length < SHORTEST:
+                return CurveSide(points, special, "steps have become too short")
+            continue
+        end = curve.end(last, after)
+        if end is not None:
+            return CurveSide(points, special, end)
+        if not curve.limits[0] <= after.z[-1] <= curve.limits[1]:
+            limit = curve.limits[0] if after.z[-1] < curve.limits[0] else curve.limits[1]
+            share = (limit - last.z[-1]) / (after.z[-1] - last.z[-1])
+            final = _between(curve, last, after, share, np.append(np.zeros(len(last.z) - 1), 1.0))
+            if final is not None:
+                special += locate_special_points(curve, last, final)
+                points.append(final)
+            return CurveSide(points, special, "end of the range")
+        special += locate_special_points(curve, last, after)
+        points.append(curve.adapt(after))
+        if len(points) > 10 and len(after.z) == len(start) and _far(after.z - start) < 0.5 * length:
+            return CurveSide(points, special, "closed")
+        length = min(1.5 * length, curve.longest)
+    return CurveSide(points, special, f"{curve.most} points")
+
+
+def _far(step: FloatArray) -> float:
+    return float(np.sqrt(step @ step))
+
+
+def locate_special_points(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
+    """Return the special points between two points, where a test changes its sign, each with its kind.
+
+    At a branch point the tangent of the curve may turn as well: that is no fold.
+    """
+    kinds = [kind for kind in first.tests if first.tests[kind] * second.tests[kind] < 0.0]
+    if BRANCH_POINT in kinds and FOLD in kinds:
+        kinds.remove(FOLD)
+    return [(kind, locate_special_point(curve, first, second, kind)) for kind in kinds]
+
+
+def locate_special_point(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> PointT:
+    """Return the point between two where a test vanishes, by regula falsi (the Illinois variant)."""
+    best = min((first, second), key=lambda point: abs(point.tests[kind]))
+    low, high = 0.0, 1.0
+    low_value, high_value = first.tests[kind], second.tests[kind]
+    for _ in range(_EVALUATIONS):
+        share = (low * high_value - high * low_value) / (high_value - low_value)
+        point = _between(curve, first, second, share, first.tangent)
+        if point is None:  # at a branch point itself Newton steps have no matrix to go by: go beside it
+            share += _BESIDE * (high - share)
+            point = _between(curve, first, second, share, first.tangent)
+        if point is None or not np.isfinite(point.tests[kind]):
+            break
+        value = point.tests[kind]
+        best = point if abs(value) <= abs(best.tests[kind]) else best
+        if value * high_value < 0.0:
+            low, low_value = high, high_value
+        else:
+            low_value *= 0.5
+        is_done = abs(high - share) < _LOCATED or value == 0.0
+        high, high_value = share, value
+        if is_done:
+            break
+    return best
+
+
+def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float, across: FloatArray) -> PointT | None:
+    """Return the point of the curve in the plane across a direction that lies at a share of the way between two."""
+    z = curve.correct(first.z + share * (second.z - first.z), across)
+    return None if z is None else curve.curve_point(z, first.tangent)
+
 
 MOST_POINTS: Final = 400
 """Points of one branch in each direction."""

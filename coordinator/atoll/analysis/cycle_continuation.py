@@ -1,4 +1,17 @@
-"""Limit cycles as one parameter varies: branches from Hopf points and from cycles that are known.
+"""Closed orbits as boundary value problems: collocation at Gauss points, with the unknowns between mesh points removed.
+
+Time runs from 0 to 1 along the orbit. On each of N intervals of the mesh the orbit is a polynomial that satisfies the
+equations at M Gauss points; at the mesh its error falls with the power 2 M of the interval (Ascher, Mattheij and
+Russell 1995, section 5.4). The linear system of a Newton step is condensed to the states at the mesh, as AUTO does
+(Doedel, Keller and Kernévez 1991): the matrices of that, multiplied along the orbit, are the monodromy matrix.
+Letters: D states, N intervals, M Gauss points.
+
+The curve of limit cycles in (orbit, log period, parameter): Newton steps, tangents, and tests for special points.
+
+An orbit is solved for by collocation, its phase fixed by the integral condition (Doedel, Keller and Kernévez 1991).
+Letters: D states, N intervals, M Gauss points.
+
+Limit cycles as one parameter varies: branches from Hopf points and from cycles that are known.
 
 Cycles are followed by pseudo-arclength in (orbit, log period, parameter), the orbit by collocation, with the integral
 phase condition (Doedel, Keller and Kernévez 1991). A fold is where the tangent turns back in the parameter; at a period
@@ -6,23 +19,455 @@ doubling a Floquet multiplier passes -1, at a torus point a complex pair the uni
 passes 1 (Kuznetsov 2004, sections 5.3 and 10.3). Letters: D states, N intervals, M Gauss points, n cycles.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
-from atoll.analysis.box import Box
-from atoll.analysis.collocation import INTERVALS, Orbit, levelled, sampled
-from atoll.analysis.continuation import HOPF, Branch, SpecialPoint
-from atoll.analysis.continuation_parameter import ContinuationParameter
-from atoll.analysis.cycle_curve import HOPF_END, LONGEST, PERIOD_DOUBLING, TORUS, CycleCurve, CycleOnCurve, CycleProblem
-from atoll.analysis.flow import Flow, follow
-from atoll.analysis.limit_cycles import LimitCycle, distance, multipliers_of
-from atoll.analysis.path_following import Side, continue_curve, joined
-from atoll.analysis.stability import Complexes
+from atoll.analysis.continuation import (
+    BRANCH_POINT,
+    FOLD,
+    HOPF,
+    OUTSIDE,
+    Branch,
+    ContinuationParameter,
+    CurvePoint,
+    CurveSide,
+    SpecialPoint,
+    continue_curve,
+    joined,
+)
+from atoll.analysis.fixed_points import Complexes
+from atoll.analysis.flow import Box, Flow, follow
+from atoll.analysis.limit_cycles import SAMPLES, SMALLEST, LimitCycle, distance, multipliers_of
 from atoll_core.data.dataset import FloatArray
+
+INTERVALS: Final = 80
+"""Of a mesh at first. On canards of the FitzHugh-Nagumo nerve, where multipliers change by powers of ten within 1e-8 of
+the parameter, those of folds are 1 to 2e-3 (with 40 intervals they are not); period and fold are known to 1e-9."""
+
+GAUSS_POINTS: Final = 4
+
+
+_ROOTS, _WEIGHTS = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+NODES, WEIGHTS = 0.5 * (_ROOTS + 1.0), 0.5 * _WEIGHTS
+"""Nodes (M,) in (0, 1), and weights (M,)."""
+
+_POWERS: Final = np.arange(1, GAUSS_POINTS + 1)
+INTEGRALS: Final = NODES[:, None] ** _POWERS / _POWERS @ np.linalg.inv(np.vander(NODES, increasing=True))
+"""The integrals (M, M) of Lagrange's polynomials up to each node."""
+
+_KNOTS: Final = np.append(0.0, NODES)
+"""Where on an interval a polynomial of degree M is known."""
+
+_DIFFERENCES: Final = np.array([1.0 / np.prod(knot - np.delete(_KNOTS, at)) for at, knot in enumerate(_KNOTS)])
+"""Of values at the knots: the divided difference of order M, and the weights of barycentric interpolation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """States at the beginnings of the intervals of `mesh` (N + 1,), `mesh_states` (N, D), and at `nodes` (N, M, D)."""
+
+    mesh: FloatArray
+    mesh_states: FloatArray
+    nodes: FloatArray
+
+    @property
+    def lengths(self) -> FloatArray:
+        """The lengths (N,) of the intervals; their sum is 1."""
+        return np.diff(self.mesh)
+
+    @property
+    def knots(self) -> FloatArray:
+        """The states (N, M + 1, D) at the knots of each interval."""
+        return np.concatenate([self.mesh_states[:, None], self.nodes], axis=1)
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the states (n, D) at times from 0 to 1, by the polynomial of each interval."""
+        which = np.clip(np.searchsorted(self.mesh, times, side="right") - 1, 0, len(self.mesh) - 2)
+        apart = ((times - self.mesh[which]) / self.lengths[which])[:, None] - _KNOTS
+        apart = np.where(apart == 0.0, 1e-300, apart)
+        shares = _DIFFERENCES / apart
+        return np.asarray((shares[:, :, None] * self.knots[which]).sum(axis=1) / shares.sum(axis=1)[:, None])
+
+
+def sampled(states: Callable[[FloatArray], FloatArray], mesh: FloatArray) -> Orbit:
+    """Return the orbit of a function of times (n,) from 0 to 1 that returns states (n, D)."""
+    times = mesh[:-1, None] + np.diff(mesh)[:, None] * _KNOTS
+    values = states(times.ravel()).reshape(*times.shape, -1)
+    return Orbit(mesh, values[:, 0].copy(), values[:, 1:].copy())
+
+
+def spread_mesh(orbit: Orbit) -> FloatArray:
+    """Return a mesh on which the derivative of order M + 1, which drives the error, weighs alike on all intervals."""
+    lengths = orbit.lengths
+    slopes = np.einsum("k,nkd->nd", _DIFFERENCES, orbit.knots) / lengths[:, None] ** GAUSS_POINTS
+    jumps = np.abs(np.roll(slopes, -1, axis=0) - slopes) / (0.5 * (np.roll(lengths, -1) + lengths))[:, None]
+    size = np.maximum(jumps, np.roll(jumps, 1, axis=0)).max(axis=1) ** (1.0 / (GAUSS_POINTS + 1))
+    weight = (size + 0.1 * max(float((size * lengths).sum()), 1e-12)) * lengths  # none is ever left without a mesh
+    return levelled(orbit.mesh, weight, len(weight))
+
+
+def levelled(mesh: FloatArray, weight: FloatArray, intervals: int) -> FloatArray:
+    """Return a mesh of so many intervals with equal shares of `weight` (n,), given on the intervals of another mesh."""
+    total = np.append(0.0, np.cumsum(weight))
+    levelled_mesh = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, mesh)
+    levelled_mesh[0], levelled_mesh[-1] = 0.0, 1.0
+    return np.asarray(levelled_mesh)
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitChange:
+    """Changes of states at mesh (N, D) and nodes (N, M, D), of log period and parameter; as a row, their factors."""
+
+    mesh_states: FloatArray
+    nodes: FloatArray
+    log_period: float
+    parameter: float
+
+
+class Linearised:
+    """The equations of an orbit linearised: what a Newton step, a tangent and multipliers come from."""
+
+    def __init__(
+        self, orbit: Orbit, period: float, rates: FloatArray, by_states: FloatArray, by_parameter: FloatArray
+    ) -> None:
+        """Take the rates at the nodes (NM, D), with derivatives by states (NM, D, D) and by the parameter (NM, D)."""
+        count, number, size = orbit.nodes.shape
+        spans = (period * orbit.lengths)[:, None, None]
+        rates = rates.reshape(count, number, size)
+        by_states = by_states.reshape(count, number, size, size)
+        by_parameter = by_parameter.reshape(count, number, size)
+        moved = spans * np.einsum("jk,nkd->njd", INTEGRALS, rates)
+        left = orbit.nodes - orbit.mesh_states[:, None] - moved
+        matrix = -spans[..., None, None] * np.einsum("jk,nkde->njdke", INTEGRALS, by_states)
+        matrix = matrix.reshape(count, number * size, number * size) + np.eye(number * size)
+        columns = np.empty((count, number, size, size + 3))
+        columns[..., :size] = np.eye(size)
+        columns[..., size] = moved
+        columns[..., size + 1] = spans * np.einsum("jk,nkd->njd", INTEGRALS, by_parameter)
+        columns[..., size + 2] = -left
+        solved = np.linalg.solve(matrix, columns.reshape(count, number * size, size + 3))
+        self.inner = solved.reshape(count, number, size, size + 3)
+        ends = spans * np.einsum("j,njde,njec->ndc", WEIGHTS, by_states, self.inner)
+        ends[..., :size] += np.eye(size)
+        ends[..., size] += spans[:, 0] * (WEIGHTS @ rates)
+        ends[..., size + 1] += spans[:, 0] * (WEIGHTS @ by_parameter)
+        reached = orbit.mesh_states + spans[:, 0] * (WEIGHTS @ rates)
+        ends[..., size + 2] += reached - np.roll(orbit.mesh_states, -1, axis=0)
+        self.ends = ends
+        traces = np.einsum("njdd->nj", by_states)
+        self.log_multiplier_product = float(period * (orbit.lengths * (traces @ WEIGHTS)).sum())
+
+    @property
+    def monodromy(self) -> FloatArray:
+        """The derivative (D, D) of the states after a period by those at first."""
+        size = self.ends.shape[1]
+        product = np.eye(size)
+        for transfer in self.ends[..., :size]:
+            product = transfer @ product
+        return np.asarray(product)
+
+    def along(self, begin: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return where the linearised flow takes a change (D,): at the mesh (N, D) and nodes (N, M, D)."""
+        size, mesh_states = len(begin), [begin]
+        for transfer in self.ends[:-1, :, :size]:
+            mesh_states.append(transfer @ mesh_states[-1])
+        taken = np.array(mesh_states)
+        return taken, np.einsum("njde,ne->njd", self.inner[..., :size], taken)
+
+    def matrix(self, rows: tuple[OrbitChange, OrbitChange]) -> "Factors":
+        """Return the condensed system (ND + 2, ND + 2), factorised: the equations and two more rows."""
+        count, size = self.ends.shape[:2]
+        block = np.arange(count * size).reshape(count, size)
+        across = [np.broadcast_to(block[:, :, None], (count, size, size)), block]
+        along = [np.broadcast_to(block[:, None, :], (count, size, size)), np.roll(block, -1, axis=0)]
+        values = [self.ends[..., :size], np.full((count, size), -1.0)]
+        for column in (size, size + 1):
+            across.append(block)
+            along.append(np.full((count, size), count * size + column - size))
+            values.append(self.ends[..., column])
+        for number, row in enumerate(rows):
+            by_inner = np.einsum("njd,njdc->nc", row.nodes, self.inner[..., : size + 2])
+            last = [row.log_period + by_inner[:, size].sum(), row.parameter + by_inner[:, size + 1].sum()]
+            across.append(np.full(count * size + 2, count * size + number))
+            along.append(np.arange(count * size + 2))
+            values.append(np.append((row.mesh_states + by_inner[:, :size]).ravel(), last))
+        return Factors(*(np.concatenate([np.ravel(part) for part in parts]) for parts in (across, along, values)))
+
+    def solve(
+        self, factors: "Factors", rows: tuple[OrbitChange, OrbitChange], right: tuple[float, float], *, is_step: bool
+    ) -> OrbitChange:
+        """Return the change that gives the two more `rows`, of the matrix `factors`, the values on the `right`.
+
+        After it the equations hold where it `is_step` (of Newton); otherwise they keep what they leave (a tangent).
+        """
+        count, size = self.ends.shape[:2]
+        share = 1.0 if is_step else 0.0
+        constant = share * self.inner[..., size + 2]
+        right_side = [value - float((row.nodes * constant).sum()) for row, value in zip(rows, right, strict=True)]
+        solution = factors.solve(np.append(-share * self.ends[..., size + 2].ravel(), right_side))
+        mesh_states = solution[:-2].reshape(count, size)
+        log_period, parameter = float(solution[-2]), float(solution[-1])
+        nodes = np.einsum("njde,ne->njd", self.inner[..., :size], mesh_states) + constant
+        nodes += self.inner[..., size] * log_period + self.inner[..., size + 1] * parameter
+        return OrbitChange(mesh_states, nodes, log_period, parameter)
+
+
+class Factors:
+    """A sparse matrix (n, n) factorised; raises LinAlgError where it is singular."""
+
+    def __init__(self, across: FloatArray, along: FloatArray, values: FloatArray) -> None:
+        """Take the rows, columns and values of its entries."""
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        size = int(across.max()) + 1
+        try:
+            self._found = splu(csc_matrix((values, (across, along)), shape=(size, size)))
+        except RuntimeError as error:  # as scipy says that a pivot is 0
+            raise np.linalg.LinAlgError(str(error)) from None
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return the solution (n,) for a right-hand side (n,)."""
+        return np.asarray(self._found.solve(right))
+
+    @property
+    def scaled_determinant(self) -> float:
+        """The sign of the determinant times the geometric mean of the pivots: both vanish at once."""
+        pivots = self._found.U.diagonal()
+        sign = np.prod(np.sign(pivots)) * _parity(self._found.perm_r) * _parity(self._found.perm_c)
+        return float(sign * np.exp(np.log(np.maximum(np.abs(pivots), 1e-300)).mean()))
+
+
+def _parity(order: npt.NDArray[np.int32]) -> int:
+    """Return 1 for an even permutation, -1 for an odd one."""
+    left, parity = set(range(len(order))), 1
+    while left:
+        at = left.pop()
+        while (at := int(order[at])) in left:
+            left.remove(at)
+            parity = -parity
+    return parity
+
+
+MOST_CYCLES: Final = 150
+"""Cycles of one branch in each direction."""
+
+LONGEST: Final = 0.05
+"""Longest step along a branch, in ranges of parameter and box and in parts of the period."""
+
+LONGEST_PERIOD: Final = 100.0
+"""Times the first period of a branch, beyond which it is not followed: beside a homoclinic orbit periods grow without
+bounds."""
+
+PERIOD_DOUBLING: Final = "period doubling"
+TORUS: Final = "torus"
+HOPF_END: Final = "Hopf point"
+
+_NEWTON: Final = 8
+"""Newton steps double the digits that are right: a guess good to 1 % needs four."""
+
+_KNOWN: Final = 1e-3
+"""By which the multiplier of the flow may differ from 1; it does beside homoclinic orbits, whose other ones are beyond
+the digits of the monodromy matrix."""
+
+_RENEWED: Final = 4
+"""Steps after which the mesh is laid anew."""
+
+
+@dataclass(frozen=True, eq=False)
+class CycleProblem:
+    """Limit cycles of a `flow` as `parameter` goes over `bounds`; the widths of `box` scale the states."""
+
+    flow: Flow
+    box: Box
+    parameter: ContinuationParameter
+    bounds: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class CycleOnCurve(CurvePoint):
+    """A limit cycle as a point of a curve: its `orbit` over widths of the box, `period` and linearised equations."""
+
+    orbit: Orbit
+    period: float
+    linearised: Linearised
+
+
+class CycleCurve:
+    """Cycles in coordinates z: states of the orbit over widths, logarithm of the period, parameter over its range.
+
+    States are weighed so that their part of a step's length is the root of their mean square over the mesh.
+    """
+
+    longest = LONGEST
+    most = MOST_CYCLES
+
+    def __init__(self, problem: CycleProblem, orbit: Orbit, period: float, *, doublings: int = 0) -> None:
+        """`orbit` has the mesh and gives the phase at first, `period` is that with which the branch begins."""
+        self.flow, self.box, self.parameter, bounds = problem.flow, problem.box, problem.parameter, problem.bounds
+        self.doublings = doublings
+        self._longest_period = float(np.log(LONGEST_PERIOD * period))
+        self.range = bounds[1] - bounds[0]
+        self.limits = (bounds[0] / self.range, bounds[1] / self.range)
+        count, number, size = orbit.nodes.shape
+        self._weights = np.sqrt(
+            np.concatenate([np.full(count * size, 0.5 / count), np.tile(np.repeat(0.5 * WEIGHTS / count, size), count)])
+        )
+        self._shape, self._number = (count, number, size), count * size
+        self._mesh = orbit.mesh
+        self._steps = 0
+        self._set_phase(orbit)
+
+    def _set_phase(self, orbit: Orbit) -> None:
+        """Fix the phase of cycles by an orbit r on the same mesh: the mean of (x - r) times r' is 0."""
+        times = orbit.mesh[:-1, None] + orbit.lengths[:, None] * NODES
+        step = 1e-5 * orbit.lengths[:, None]
+        slopes = orbit.at((times + step).ravel()) - orbit.at((times - step).ravel())
+        slopes = slopes.reshape(orbit.nodes.shape) / (2.0 * step[..., None])
+        weighed = slopes * (orbit.lengths[:, None] * WEIGHTS)[..., None]
+        self._reference, self._phase = orbit.nodes, OrbitChange(np.zeros_like(orbit.mesh_states), weighed, 0.0, 0.0)
+
+    # ------------------------------------------------------------------------------------------- coordinates
+
+    def z_of(self, orbit: Orbit, period: float, value: float) -> FloatArray:
+        """Return the coordinates of a cycle."""
+        states = np.concatenate([orbit.mesh_states.ravel(), orbit.nodes.ravel()]) * self._weights
+        return np.append(states, [np.log(period), value / self.range])
+
+    def _split(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the states at the mesh (N, D) and nodes (N, M, D)."""
+        return states[: self._number].reshape(-1, self._shape[2]), states[self._number :].reshape(self._shape)
+
+    def _orbit(self, z: FloatArray) -> Orbit:
+        return Orbit(self._mesh, *self._split(z[:-2] / self._weights))
+
+    def _row(self, z: FloatArray) -> OrbitChange:
+        """Return the row of the linear system that is the product with `z`."""
+        return OrbitChange(*self._split(z[:-2] * self._weights), float(z[-2]), float(z[-1]))
+
+    def _z_change(self, change: OrbitChange) -> FloatArray:
+        states = np.concatenate([change.mesh_states.ravel(), change.nodes.ravel()]) * self._weights
+        return np.append(states, [change.log_period, change.parameter])
+
+    def value(self, z: FloatArray) -> float:
+        """Return the value of the parameter."""
+        return float(z[-1] * self.range)
+
+    def _linearised(self, z: FloatArray) -> Linearised | None:
+        flow, orbit, widths = self.parameter.at(self.flow, self.value(z)), self._orbit(z), self.box.widths
+        x = orbit.nodes.reshape(-1, self._shape[2]) * widths
+        by_states = flow.jacobian(x) * widths / widths[:, None]
+        rates = (flow.rates(x) / widths, by_states, self.parameter.slope(flow, x) / widths * self.range)
+        is_known = all(np.isfinite(array).all() for array in rates)
+        return Linearised(orbit, float(np.exp(z[-2])), *rates) if is_known else None
+
+    # ------------------------------------------------------------------------------------------- as a curve
+
+    def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
+        guess, row = z.copy(), self._row(tangent)
+        for _ in range(_NEWTON):
+            if abs(guess[-2] - z[-2]) > 1.0:
+                return None
+            linearised = self._linearised(guess)
+            if linearised is None:
+                return None
+            missed = float((self._phase.nodes * (self._orbit(guess).nodes - self._reference)).sum())
+            rows, left = (self._phase, row), (-missed, -float(tangent @ (guess - z)))
+            try:
+                change = linearised.solve(linearised.matrix(rows), rows, left, is_step=True)
+            except np.linalg.LinAlgError:
+                return None
+            step = self._z_change(change)
+            guess = guess + step
+            if not np.isfinite(guess).all():
+                return None
+            if np.abs(step).max() < 1e-10:
+                return guess
+        return guess if np.abs(step).max() < 1e-7 else None
+
+    def curve_point(self, z: FloatArray, before: FloatArray) -> CycleOnCurve | None:
+        linearised = self._linearised(z)
+        if linearised is None:
+            return None
+        rows = (self._phase, self._row(before))
+        try:
+            factors = linearised.matrix(rows)
+            tangent = self._z_change(linearised.solve(factors, rows, (0.0, 1.0), is_step=False))
+        except np.linalg.LinAlgError:
+            return None
+        tangent = tangent / np.sqrt(tangent @ tangent)
+        if not np.isfinite(tangent).all():
+            return None
+        # the tangent goes on in the direction of `before`: with its row the determinant has the same sign
+        tests = {FOLD: float(tangent[-1]), BRANCH_POINT: factors.scaled_determinant}
+        tests |= _multiplier_tests(linearised.monodromy)
+        return CycleOnCurve(z, tangent, tests, self._orbit(z), float(np.exp(z[-2])), linearised)
+
+    def end(self, last: CycleOnCurve, after: CycleOnCurve) -> str | None:
+        if not self.box.contains(after.orbit.nodes.reshape(-1, self._shape[2]) * self.box.widths, OUTSIDE).all():
+            return "outside the box"
+        first, second = (point.orbit.nodes - _mean(point.orbit) for point in (last, after))
+        if float((first * second).sum()) <= 0.0 or np.abs(second).max() < 0.5 * SMALLEST:
+            return HOPF_END  # the cycle shrinks to a point, beyond which come the same cycles half a turn later
+        if self.doublings:
+            first, second = (_unlike_halves(point.orbit) for point in (last, after))
+            if float((first * second).sum()) <= 0.0:
+                return PERIOD_DOUBLING  # the same again: beyond it come the same cycles half a period later
+        return "period without bounds" if after.z[-2] > self._longest_period else None
+
+    def adapt(self, point: CycleOnCurve) -> CycleOnCurve:
+        self._steps += 1
+        if self._steps % _RENEWED:
+            self._set_phase(point.orbit)
+            return point
+        kept = self._mesh, self._reference, self._phase
+        mesh = spread_mesh(point.orbit)
+        orbit = sampled(point.orbit.at, mesh)
+        along = sampled(Orbit(point.orbit.mesh, *self._split(point.tangent[:-2] / self._weights)).at, mesh)
+        tangent = self._z_change(OrbitChange(along.mesh_states, along.nodes, *point.tangent[-2:].tolist()))
+        self._mesh = mesh
+        self._set_phase(orbit)
+        z = self.correct(self.z_of(orbit, point.period, self.value(point.z)), tangent / np.sqrt(tangent @ tangent))
+        moved = None if z is None else self.curve_point(z, tangent)
+        if moved is None:
+            self._mesh, self._reference, self._phase = kept
+        return moved or point
+
+    def cycle(self, point: CycleOnCurve) -> LimitCycle:
+        """Return a curve point as a limit cycle."""
+        points = point.orbit.at(np.arange(SAMPLES) / SAMPLES) * self.box.widths
+        multipliers = multipliers_of(point.linearised.monodromy, point.linearised.log_multiplier_product)
+        return LimitCycle(points[0], point.period, multipliers, point.linearised.log_multiplier_product, points)
+
+
+def _mean(orbit: Orbit) -> FloatArray:
+    return np.asarray(np.einsum("n,k,nkd->d", orbit.lengths, WEIGHTS, orbit.nodes))
+
+
+def _unlike_halves(orbit: Orbit) -> FloatArray:
+    """Return by how much the states (N, D) differ from those half a period later."""
+    times = np.linspace(0.0, 0.5, len(orbit.mesh_states), endpoint=False)
+    return orbit.at(times) - orbit.at(times + 0.5)
+
+
+def _multiplier_tests(monodromy: FloatArray) -> dict[str, float]:
+    """Return what vanishes where multipliers pass -1, and where a pair of them has the product 1.
+
+    NaN where that of the flow, which is 1, is off by so much that the others are not known either.
+    """
+    if len(monodromy) == 2:  # that beside the flow's is positive in the plane
+        return {PERIOD_DOUBLING: np.nan, TORUS: np.nan}
+    own, *others = multipliers_of(monodromy, 0.0)
+    values = np.array(others) if abs(own - 1.0) < _KNOWN else np.full(len(others), np.nan + 0j)
+    doubling = np.prod(values + 1.0)
+    torus = np.prod([first * second - 1.0 for first, second in combinations(values, 2)]) if len(values) > 1 else 1.0
+    return {PERIOD_DOUBLING: float(np.real(doubling)), TORUS: float(np.real(torus))}
+
 
 MOST_BRANCHES: Final = 10
 """Branches that are shown; each costs up to two seconds."""
@@ -64,7 +509,7 @@ def cycle_continuation(
     They begin at the Hopf points of `branches` of fixed points, and at `known` cycles, each given with its value of the
     parameter. Cycles that leave the box by more than a width are not followed.
     """
-    search = _Search(flow, box, parameter, bounds)
+    search = _CycleSearch(flow, box, parameter, bounds)
     cycle_branches: list[CycleBranch] = []
     for branch in branches:
         for special in branch.special:
@@ -98,7 +543,7 @@ def _passes(branch: CycleBranch, value: float, cycle: LimitCycle, box: Box) -> b
     return False
 
 
-class _Search(CycleProblem):
+class _CycleSearch(CycleProblem):
     """Branches of cycles of a flow; `most` bounds how many a start may give, with those that begin at its doublings."""
 
     def from_hopf(self, special: SpecialPoint, most: int) -> list[CycleBranch]:
@@ -124,7 +569,7 @@ class _Search(CycleProblem):
         mesh = levelled(np.linspace(0.0, 1.0, len(moved) + 1), moved / moved.sum() + 1.0 / len(moved), INTERVALS)
         flow = self.parameter.at(self.flow, value)
         orbit = sampled(lambda times: follow(flow.rates, cycle.point, cycle.period * times, widths) / widths, mesh)
-        sides: list[Side[CycleOnCurve]] = []
+        sides: list[CurveSide[CycleOnCurve]] = []
         for sign in (-1.0, 1.0):
             curve = CycleCurve(self, orbit, cycle.period)
             z = curve.z_of(orbit, cycle.period, value)
@@ -154,10 +599,10 @@ class _Search(CycleProblem):
         start = curve.correct(z + 0.25 * LONGEST * direction, direction) if most > 0 else None
         if start is None:
             return []
-        return self._joined(curve, Side([], [], origin), continue_curve(curve, start, direction), most)
+        return self._joined(curve, CurveSide([], [], origin), continue_curve(curve, start, direction), most)
 
     def _joined(
-        self, curve: CycleCurve, behind: Side[CycleOnCurve], ahead: Side[CycleOnCurve], most: int
+        self, curve: CycleCurve, behind: CurveSide[CycleOnCurve], ahead: CurveSide[CycleOnCurve], most: int
     ) -> list[CycleBranch]:
         """Return the branch of two sides, and those that begin at its period doublings."""
         points, special = joined(behind, ahead)

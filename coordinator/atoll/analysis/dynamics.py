@@ -10,10 +10,8 @@ from typing import Final
 import numpy as np
 
 from atoll.analysis.basins import UNDECIDED, Attractor, destinations
-from atoll.analysis.box import Box
-from atoll.analysis.flow import UNBOUNDED, Flow, follow
-from atoll.model.beginnings import input_curves
-from atoll.model.driving import Driving
+from atoll.analysis.flow import UNBOUNDED, Box, Flow, follow
+from atoll.model.arguments import Driving, input_curves
 from atoll.model.simulation import Inputs
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.data.differentiation.inputs import InputCurve
@@ -38,7 +36,7 @@ _SAME: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredTrajectory:
     """A measured trajectory: `times` (n,) from 0 and `states` (n, D).
 
     `inputs` are those that were recorded, (U,) as a function of these times; None where they are not known.
@@ -64,7 +62,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class TrajectoryComparison:
     """The model beside one measured trajectory; `reaches` is the index of an attractor or a code of `basins`.
 
     `orbit_period` is that of the closed orbit on which the model goes round, where such orbits are not isolated; `end`
@@ -104,7 +102,7 @@ class Comparison:
         return bool((np.abs(apart) <= _SAME).all())
 
 
-def measured_trajectories(result: Result, field: VectorField) -> tuple[Measured, ...]:
+def measured_trajectories(result: Result, field: VectorField) -> tuple[MeasuredTrajectory, ...]:
     """Return the measured courses that a result holds: smoothed measurements, else the simulation fitted to them.
 
     Velocities of equations of second order are differences of the positions.
@@ -113,7 +111,7 @@ def measured_trajectories(result: Result, field: VectorField) -> tuple[Measured,
     return tuple(course for course in courses if course is not None)
 
 
-def _measured(result: Result, field: VectorField, part: Simulated) -> Measured | None:
+def _measured(result: Result, field: VectorField, part: Simulated) -> MeasuredTrajectory | None:
     """Return the course of one trajectory; None where a state is not known there, or too few rows are."""
     columns, half = [result.columns_by_symbol[name] for name in field.states], len(field.states) // 2
     known, values = part.times, part.values or {}
@@ -139,7 +137,7 @@ def _measured(result: Result, field: VectorField, part: Simulated) -> Measured |
     if rows.sum() <= 3:
         return None
     begin = float(times[rows][0])
-    return Measured(part.name, times[rows] - begin, states[rows], _recorded(result, field, part.name, begin))
+    return MeasuredTrajectory(part.name, times[rows] - begin, states[rows], _recorded(result, field, part.name, begin))
 
 
 def _recorded(result: Result, field: VectorField, name: str, begin: float) -> Inputs | None:
@@ -162,11 +160,11 @@ def compared(
     flow: Flow,
     box: Box,
     attractors: Sequence[Attractor],
-    trajectories: Sequence[Measured],
+    trajectories: Sequence[MeasuredTrajectory],
     duration: float,
     *,
     has_family: bool,
-) -> tuple[Comparison, ...]:
+) -> tuple[TrajectoryComparison, ...]:
     """Return the model beside each measured trajectory; `duration` is how long courses have to reach an attractor.
 
     `has_family`: there are closed orbits that are not isolated.
@@ -193,18 +191,20 @@ def compared(
         orbit = _orbit_period(flow, trajectory, box) if has_family and reaches == UNDECIDED else None
         measured = motion(trajectory.times, trajectory.states)
         simulated = replace(simulated, amplitudes=amplitudes)  # over the same times: they may be few, or uneven
-        comparisons.append(Comparison(trajectory.name, bool(inside.all()), measured, simulated, reaches, orbit, end))
+        comparisons.append(
+            TrajectoryComparison(trajectory.name, bool(inside.all()), measured, simulated, reaches, orbit, end)
+        )
     return tuple(comparisons)
 
 
-def _orbit_period(flow: Flow, trajectory: Measured, box: Box) -> float | None:
+def _orbit_period(flow: Flow, trajectory: MeasuredTrajectory, box: Box) -> float | None:
     """Return the period of the model from where a trajectory begins, which may be too short to show one itself."""
     times = np.linspace(0.0, _LONGER * trajectory.times[-1], ROWS)
     course = follow(flow.rates, trajectory.states[0], times, box.widths)
     return motion(times, course).period if np.isfinite(course).all() else None
 
 
-def _course(flow: Flow, trajectory: Measured, times: FloatArray, box: Box) -> FloatArray:
+def _course(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: Box) -> FloatArray:
     """Return the states (n, D) from where a measured trajectory begins, driven by its inputs where it has some."""
     recorded = trajectory.inputs
     if recorded is None:

@@ -1,16 +1,567 @@
-"""All fixed points in a box: isolated ones, and the curves and surfaces that they may form."""
+"""Newton steps to fixed points from many starts, and the scales of rates and times in a box.
 
-from dataclasses import dataclass
+Steps are those of Levenberg and Marquardt, which also approach points where the Jacobian is singular. The search is no
+proof: a fixed point whose catchment none of the starts met stays unseen, and the search that was done is stated.
+
+What kind of fixed point a point is, by the eigenvalues of its Jacobian, and whether it attracts.
+
+An eigenvalue counts as 0 only beside its own uncertainty: what rounding makes of the Jacobian and of the point, carried
+to first order by its left and right eigenvectors (Golub and Van Loan 2013, section 7.2). Where that does not decide,
+simulations from beside the point do. Letters: D states.
+
+Curves and surfaces of fixed points: told from isolated points by their neighbours, curves followed to their ends.
+
+Where the Jacobian at a fixed point is singular, Newton steps begin a little beside it in each direction in which rates
+hardly change. Beside a point that is isolated they return to it; on a curve or a surface they end about as far away as
+they began. Letters: D states, n points.
+
+All fixed points in a box: isolated ones, and the curves and surfaces that they may form.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
-from atoll.analysis.box import Box
-from atoll.analysis.fixed_sets import FixedSet, fixed_sets
-from atoll.analysis.flow import Flow
-from atoll.analysis.newton import SINGULAR, newton_ends, newton_starts, rate_scale, scaled_jacobian
-from atoll.analysis.stability import FixedPoint, classified
+from atoll.analysis.flow import UNBOUNDED, Box, Flow, IntegrationBatch, crossing, steps
 from atoll_core.data.dataset import FloatArray
+
+STARTS_PER_STATE: Final = 200
+MOST_STARTS: Final = 2000
+TOLERANCE: Final = 1e-9
+"""Of a last step, in widths of the box."""
+
+_ITERATIONS: Final = 80
+"""Steps from each start: at a simple point a handful, at a singular one each halves the distance (2**-30 is
+`TOLERANCE`); the others are the way there."""
+
+EXACT: Final = 1e-13
+"""Of typical rates: what rounding leaves of 0."""
+
+_LONGEST_ROOT_STEP: Final = 1e-6
+"""Longest Newton step to a root, in widths: of a root of order 5 it is 1e-8 after `_ITERATIONS`, of exp(-x) in a box of
+a thousand times the length by which it falls e-fold 1e-3."""
+
+SINGULAR: Final = 1e-4
+"""Smallest singular value of a Jacobian, as a share of the largest, below which it counts as singular."""
+
+
+def newton_starts(box: Box) -> FloatArray:
+    """Return where Newton steps begin, (N, D)."""
+    size = len(box.lower)
+    spread = box.points(min(MOST_STARTS, STARTS_PER_STATE * size))
+    return np.vstack([box.lower, box.upper, box.middle, spread])
+
+
+def newton_ends(flow: Flow, box: Box, starts: FloatArray) -> FloatArray:
+    """Return where Newton steps from `starts` (N, D) end in a fixed point, as (n, D), in the order of the starts."""
+    points, is_root = newton_steps(flow, box, starts)
+    return np.asarray(points[is_root])
+
+
+def newton_steps(flow: Flow, box: Box, starts: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """Return where Newton steps from `starts` (N, D) end, (N, D), and which of these are fixed points (N,)."""
+    scale = rate_scale(flow, box)
+    points, damping = starts.copy(), np.full(len(starts), 1e-3)
+    values, last = flow.rates(points) / scale, np.full(len(starts), np.inf)
+    for _ in range(_ITERATIONS):
+        step = _damped_step(scaled_jacobian(flow, points, box, scale), values, damping)
+        step *= np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
+        tried = points + step * box.widths
+        new = flow.rates(tried) / scale
+        with np.errstate(all="ignore"):
+            is_better = (new**2).sum(axis=1) < (values**2).sum(axis=1)
+        last = np.where(is_better, np.abs(step).max(axis=1), last)
+        points[is_better], values[is_better] = tried[is_better], new[is_better]
+        damping = np.clip(damping * np.where(is_better, 0.1, 8.0), 1e-14, 1e8)
+        if not values.any():
+            break
+    with np.errstate(all="ignore"):
+        size = np.abs(values).max(axis=1)
+        is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < EXACT) | (damping < 1e8))
+    rows = np.flatnonzero(is_root)
+    rows = rows[_are_roots(flow, points[rows], values[rows], box, scale)]
+    points[rows] = _polished(flow, points[rows], box, scale)
+    is_root[:] = False
+    is_root[rows] = True
+    return points, is_root
+
+
+def _are_roots(flow: Flow, points: FloatArray, values: FloatArray, box: Box, scale: FloatArray) -> np.ndarray:
+    """Tell which of `points` (N, D) with small rates, `values` (N, D) over their `scale`, have a root beside them.
+
+    Where rates only become smaller, as those of exp(-x), a Newton step is long; where they come near to 0 and go away
+    again, the Jacobian is singular and rounding is not all that is left of them.
+    """
+    matrix = scaled_jacobian(flow, points, box, scale)
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    step = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=1e-10), values)
+    is_regular = singular[:, -1] > SINGULAR * singular[:, 0]
+    return np.asarray(
+        (np.abs(step).max(axis=1) < _LONGEST_ROOT_STEP) & (is_regular | (np.abs(values).max(axis=1) < EXACT))
+    )
+
+
+def _polished(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
+    """Return `points` after two plain Newton steps where these make the rates smaller; whole numbers come out whole."""
+    for _ in range(2):
+        values = flow.rates(points) / scale
+        inverses = np.linalg.pinv(scaled_jacobian(flow, points, box, scale), rcond=1e-10)
+        tried = points - np.einsum("nij,nj->ni", inverses, values) * box.widths
+        with np.errstate(all="ignore"):
+            is_better = np.abs(flow.rates(tried) / scale).max(axis=1) < np.abs(values).max(axis=1)
+        points = np.where(is_better[:, None], tried, points)
+    return np.where(np.abs(points) < 1e-12 * box.widths, 0.0, points)
+
+
+def scaled_jacobian(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
+    """Return the Jacobian (N, D, D) of rates over their `scale` (D,) by states in widths; 0 where it has no value."""
+    matrix = flow.jacobian(points) / scale[:, None] * box.widths
+    return np.where(np.isfinite(matrix), matrix, 0.0)
+
+
+def _damped_step(matrix: FloatArray, values: FloatArray, damping: FloatArray) -> FloatArray:
+    """Return the steps of Levenberg and Marquardt (N, D); zero where something has no value."""
+    transposed = matrix.transpose(0, 2, 1)
+    right = transposed @ np.where(np.isfinite(values), values, 0.0)[:, :, None]
+    normal = transposed @ matrix
+    diagonal = np.einsum("nii->ni", normal)
+    added = damping[:, None] * (diagonal.max(axis=1, keepdims=True) + 1e-30) + 1e-300
+    normal = normal + added[:, :, None] * np.eye(matrix.shape[1])
+    try:
+        return np.asarray(-np.linalg.solve(normal, right)[:, :, 0])
+    except np.linalg.LinAlgError:
+        return np.asarray(-(np.linalg.pinv(normal) @ right)[:, :, 0])
+
+
+def rate_scale(flow: Flow, box: Box) -> FloatArray:
+    """Return the typical size (D,) of each rate in the box.
+
+    A state that does not move there is taken to be as slow as the slowest of the others; where none moves, the time
+    that it takes through the box is 1, which decides nothing.
+    """
+    rates = np.abs(flow.rates(box.points(256)))
+    finite_rates = [finite[np.isfinite(finite)] for finite in rates.T]
+    typical = np.array([np.median(finite) or finite.max() if len(finite) else 0.0 for finite in finite_rates])
+    moving = typical > 0.0
+    slowest = (typical[moving] / box.widths[moving]).min() if moving.any() else 1.0
+    return np.where(moving, typical, slowest * box.widths)
+
+
+def time_scale(flow: Flow, box: Box) -> float:
+    """Return the time that the slowest state takes through the box at its typical rate."""
+    return float((box.widths / rate_scale(flow, box)).max())
+
+
+def jacobian_in_widths(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
+    """Return the Jacobian at (D,) or (N, D) of states in widths of the box: similar, but of no unit but time's."""
+    return np.asarray(flow.jacobian(points) / box.widths[:, None] * box.widths)
+
+
+def singular_directions(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
+    """Return for each of `points` (N, D) the directions (k, D), in widths of the box, in which rates hardly change."""
+    matrices = scaled_jacobian(flow, points, box, rate_scale(flow, box))
+    directions: list[FloatArray] = []
+    for matrix in matrices:
+        _, sizes, vectors = np.linalg.svd(matrix)
+        directions.append(vectors[sizes <= SINGULAR * max(sizes[0], 1.0)])
+    return directions
+
+
+Complexes = npt.NDArray[np.complex128]
+
+NON_HYPERBOLIC: Final = "non-hyperbolic"
+
+_AMPLITUDES: Final = (0.02, 0.1, 0.3)
+"""Of orbits around a centre, in widths of the box."""
+
+_CLOSED: Final = 1e-6
+"""Share of its distance by which an orbit around a centre may miss itself: a hundred times the error of a turn."""
+
+_ROUNDING: Final = 10.0 * float(np.finfo(np.float64).eps)
+"""Share of itself by which an entry of a Jacobian errs: sums and products of a few terms."""
+
+_SHIFTS: Final = 10.0 ** np.arange(-12.0, -1.0)
+"""Widths by which a point is moved to see how far rounding leaves its place open."""
+
+_START_WIDTH: Final = 0.05
+"""Widths from a point within which courses begin that tell whether it attracts."""
+
+_STARTS: Final = 16
+_MOST_STEPS_BESIDE: Final = 3000
+"""Of such a course."""
+
+_DURATIONS: Final = (20.0, 200.0, 2e3, 2e4, 1e6, 1e9)
+"""Lengths of such courses, in times that a state takes through the box: along an eigenvalue of 0 points are approached
+by a power of time. Steps get longer on the way, but not where courses go round."""
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPoint:
+    """A point (D,) with dx/dt = 0, the `eigenvalues` (D,) of the Jacobian there by falling real part, and its `kind`.
+
+    It `is_stable` where it attracts from all sides: by its eigenvalues, or where one of these is 0 by simulations from
+    beside it. One that `attracts_in_box` does so from the part of the box beside it, which is all that counts of states
+    that are never below 0.
+    """
+
+    point: FloatArray
+    eigenvalues: Complexes
+    kind: str
+    is_stable: bool
+    attracts_in_box: bool
+
+
+@np.errstate(all="ignore")
+def classified(flow: Flow, point: FloatArray, box: Box, along: FloatArray | None = None) -> FixedPoint:
+    """Return a fixed point with its eigenvalues and kind.
+
+    Of one on a curve or surface of fixed points, whose directions `along` it are (k, D) in widths, k eigenvalues are 0;
+    its kind and whether it attracts are by the others.
+    """
+    matrix, along = jacobian_in_widths(flow, point, box), np.zeros((0, flow.size)) if along is None else along
+    if not np.isfinite(matrix).all():
+        return FixedPoint(point, np.full(flow.size, np.nan + 0j), "not differentiable", False, False)
+    eigenvalues, uncertainties = _eigenvalues(flow, point, box, matrix, along)
+    across = np.sort(np.argsort(np.abs(eigenvalues), kind="stable")[len(along) :])
+    kind = kind_of(eigenvalues[across], uncertainties[across])
+    if kind == "centre" and (len(along) or not _is_centre(flow, point, eigenvalues, box)):
+        kind = NON_HYPERBOLIC
+    is_stable = attracts_in_box = kind in ("stable node", "stable focus")
+    if kind == NON_HYPERBOLIC and len(across) and (eigenvalues.real[across] <= uncertainties[across]).all():
+        attracts_in_box, is_stable = _attracts(flow, point, box, along)
+    return FixedPoint(point, eigenvalues, kind, is_stable, attracts_in_box)
+
+
+def kind_of(eigenvalues: Complexes, uncertainties: FloatArray | float = 0.0) -> str:
+    """Return the kind of a fixed point by the eigenvalues (D,) of its Jacobian and the uncertainty of each.
+
+    "stable" or "unstable" with "node" or "focus"; "saddle"; "saddle-focus", a saddle with a complex pair; "centre", an
+    imaginary pair in two dimensions, as the linear part has it; "non-hyperbolic" otherwise.
+    """
+    real, has_pair = eigenvalues.real, bool((np.abs(eigenvalues.imag) > uncertainties).any())
+    if not len(real) or (np.abs(real) <= uncertainties).any():
+        is_pair = len(eigenvalues) == 2 and has_pair
+        return "centre" if is_pair else NON_HYPERBOLIC
+    if (real < 0.0).any() and (real > 0.0).any():
+        return "saddle-focus" if has_pair else "saddle"
+    return ("stable " if real[0] < 0.0 else "unstable ") + ("focus" if has_pair else "node")
+
+
+def _eigenvalues(
+    flow: Flow, point: FloatArray, box: Box, matrix: FloatArray, along: FloatArray
+) -> tuple[Complexes, FloatArray]:
+    """Return the eigenvalues (D,) of the Jacobian `matrix` by falling real part, and the uncertainty of each (D,).
+
+    To first order an error E of the matrix changes an eigenvalue by y^H E x / y^H x, by its eigenvectors x and y. Of
+    eigenvectors that coincide that has no end; an eigenvalue changes by about |A| (|E|/|A|)^(1/D) at most. What is not
+    told from 0 is 0, and so are as many eigenvalues as there are directions `along` a curve or surface.
+    """
+    from scipy.linalg import eig
+
+    values, left, right = eig(matrix, left=True, right=True)
+    values = values.astype(np.complex128)
+    conditions = np.maximum(np.abs((left.conj() * right).sum(axis=0)), 1e-300)
+    errors = [_rounding(flow, point, box, matrix), *_changes(flow, point, box, matrix, along)]
+    by_errors = [np.einsum("ij,ik,kj->j", np.abs(left), error, np.abs(right)) for error in errors]
+    size = float(np.linalg.norm(matrix))
+    by_errors.append(np.full(len(values), _ROUNDING * size))  # the backward error of the algorithm
+    total = _ROUNDING * size + float(np.linalg.norm(np.sum(errors, axis=0)))
+    most = size * (total / size) ** (1.0 / len(values)) if size > 0.0 else total
+    uncertainties = np.minimum(np.sum(by_errors, axis=0) / conditions, most)
+    values.real[np.abs(values.real) <= uncertainties] = 0.0
+    values.imag[np.abs(values.imag) <= uncertainties] = 0.0
+    values[np.argsort(np.abs(values), kind="stable")[: len(along)]] = 0.0
+    rounded = [float(f"{value:.12g}") for value in values.real.tolist()]  # of a pair both real parts are to be one
+    falling = np.lexsort((values.imag, -np.array(rounded)))
+    return values[falling] + 0.0, uncertainties[falling]
+
+
+def _rounding(flow: Flow, point: FloatArray, box: Box, matrix: FloatArray) -> FloatArray:
+    """Return by how much entries of the Jacobian (D, D) err by rounding: their own, and that of the point."""
+    shifts = _ROUNDING * np.diag(np.maximum(np.abs(point), box.widths))
+    changes = np.abs(jacobian_in_widths(flow, point + np.vstack([shifts, -shifts]), box) - matrix).max(axis=0)
+    return np.asarray(_ROUNDING * np.abs(matrix) + np.where(np.isfinite(changes), changes, 0.0))
+
+
+def _changes(flow: Flow, point: FloatArray, box: Box, matrix: FloatArray, along: FloatArray) -> Iterator[FloatArray]:
+    """Yield by how much the Jacobian (D, D) changes between the places that rounding does not tell from the point.
+
+    They are, in each direction, those where rates are below `EXACT` of typical ones, or no larger than at the point;
+    directions `along` a curve of fixed points do not count.
+    """
+    scale = rate_scale(flow, box)
+    directions = np.linalg.svd(scaled_jacobian(flow, point[None], box, scale)[0])[2]
+    limit = max(EXACT, 2.0 * float(np.abs(flow.rates(point) / scale).max()))
+    for direction in directions - directions @ along.T @ along:
+        moved = point + _SHIFTS[:, None, None] * np.array([[1.0], [-1.0]]) * direction * box.widths
+        sizes = np.abs(flow.rates(moved.reshape(-1, flow.size)) / scale).max(axis=1).reshape(-1, 2).max(axis=1)
+        open_places = int(np.logical_and.accumulate(sizes <= limit).sum())
+        if open_places:
+            change = np.abs(jacobian_in_widths(flow, moved[open_places - 1], box) - matrix).max(axis=0)
+            yield np.where(np.isfinite(change), change, 0.0)
+
+
+def _attracts(flow: Flow, point: FloatArray, box: Box, along: FloatArray) -> tuple[bool, bool]:
+    """Tell whether courses from beside `point` within the `box` come nearer to it and stay, and whether all do.
+
+    They begin all around it, and on both sides of it in the directions in which rates hardly change, where it may
+    attract from one side alone. By directions `along` a curve or surface through the point, only how far from that they
+    are counts.
+    """
+    beside = Box(point - _START_WIDTH * box.widths, point + _START_WIDTH * box.widths)
+    slow = _START_WIDTH * singular_directions(flow, point[None], box)[0] * box.widths
+    starts = np.vstack([beside.points(_STARTS), point + slow, point - slow])
+    within = np.clip(starts, box.lower, box.upper)
+    batch = IntegrationBatch.of(np.vstack([within, starts]), 1e-3 * time_scale(flow, box))
+    first = _distances(batch.states, point, box, along)
+    most, sizes = _MOST_STEPS_BESIDE // len(_DURATIONS), 1e-3 * box.widths
+    for duration in _DURATIONS:
+        until = duration * time_scale(flow, box)
+        batch.advance(flow.rates, until, sizes, rtol=1e-5, most_steps=most, jacobian=flow.jacobian)
+        batch.is_lost |= box.excursions(batch.states) > UNBOUNDED
+        if batch.is_lost[: len(within)].any():
+            return False, False
+    last = _distances(batch.states, point, box, along)
+    is_nearer = ~batch.is_lost & (last < 0.5 * first.max())
+    return bool(is_nearer[: len(within)].all()), bool(is_nearer.all())
+
+
+def _distances(states: FloatArray, point: FloatArray, box: Box, along: FloatArray) -> FloatArray:
+    """Return how far states (N, D) are from a point (N,), in widths, or from the surface `along` which it lies."""
+    away = (states - point) / box.widths
+    return np.asarray(np.abs(away - away @ along.T @ along).max(axis=1))
+
+
+def _is_centre(flow: Flow, point: FloatArray, eigenvalues: Complexes, box: Box) -> bool:
+    """Tell whether orbits beside `point` close: the nearest comes round, and each that does is where it began.
+
+    Several are looked at, since a damping that grows with the amplitude is not seen near the point.
+    """
+    turns = [_turn(flow, point, share * box.widths[0], eigenvalues, box) for share in _AMPLITUDES]
+    return turns[0] is not None and all(turn is None or abs(turn - 1.0) < _CLOSED for turn in turns)
+
+
+def _turn(flow: Flow, point: FloatArray, radius: float, eigenvalues: Complexes, box: Box) -> float | None:
+    """Return the distance from `point` on its first side after a turn, over the `radius` before; None: it has none."""
+    period = 2.0 * np.pi / float(np.abs(eigenvalues.imag).max())
+    start = point + np.array([radius, 0.0])
+
+    def height(x: FloatArray) -> float:
+        return float((x - point)[1])
+
+    for step in steps(flow.rates, start, 3.0 * period, box.widths):
+        before, after = step.start - point, step.end - point
+        if before[1] * after[1] <= 0.0 < after[0] and step.after > 0.5 * period:
+            return float((step.at(crossing(step, height)) - point)[0] / radius)
+    return None
+
+
+MOST_SETS: Final = 10
+"""Curves and surfaces that are shown."""
+
+_NEIGHBOUR: Final = 0.01
+"""Widths beside a point at which neighbours are sought, and half of that: a curve goes on for both."""
+
+_STEP: Final = 0.02
+"""Widths from one point of a curve to the next."""
+
+_MOST_STEPS: Final = 400
+"""Of a curve, in each direction."""
+
+_ON: Final = 2e-3
+"""Widths within which a point belongs to a curve that has been followed: its chords are off by less."""
+
+_EXAMPLES: Final = 9
+"""Points of a curve or a surface that are classified."""
+
+
+@dataclass(frozen=True, eq=False)
+class FixedSet:
+    """Fixed points that are not isolated: a curve of `dimension` 1, a surface of 2 or more.
+
+    `course` (n, D) are points of it in the box, those of a curve in their order, and `points` some of these with their
+    kinds across it. `whole` (m, D) are those of a curve also outside, to D widths of the box beyond.
+    """
+
+    dimension: int
+    course: FloatArray = field(repr=False)
+    whole: FloatArray = field(repr=False)
+    points: tuple[FixedPoint, ...] = field(repr=False)
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether a curve is a line."""
+        chord = self.course[-1] - self.course[0]
+        size = float(chord @ chord)
+        if self.dimension > 1 or not size > 0.0:
+            return False
+        away = self.course - self.course[0]
+        return bool(np.abs(away - np.outer(away @ chord / size, chord)).max() <= 1e-6 * np.abs(chord).max())
+
+    @property
+    def attracts_in_box(self) -> bool:
+        """Whether a part of it attracts."""
+        return any(point.attracts_in_box for point in self.points)
+
+    def attracts_at(self, flow: Flow, states: FloatArray, box: Box) -> np.ndarray:
+        """Tell of `states` (N, D) beside it whether it attracts there: by the eigenvalues across it.
+
+        Where the largest of these is about 0, the nearest of `points` decides.
+        """
+        known = np.array([point.point for point in self.points])
+        nearest = (((states[:, None] - known) / box.widths) ** 2).sum(axis=2).argmin(axis=1)
+        attracts = np.array([point.attracts_in_box for point in self.points])[nearest]
+        values = np.linalg.eigvals(np.nan_to_num(flow.jacobian(states)))
+        sizes = np.sort(np.abs(values), axis=1)
+        is_across = np.abs(values) > sizes[:, self.dimension - 1 : self.dimension]
+        slowest = np.where(is_across, values.real, -np.inf).max(axis=1, initial=-np.inf)
+        return np.asarray((slowest < 0.0) | (attracts & (slowest <= _ON * sizes[:, -1])))
+
+    def distances(self, flow: Flow, states: FloatArray, box: Box) -> FloatArray:
+        """Return how far `states` (N, D) are from it (N,), in widths: of a surface, the length of a Newton step."""
+        if self.dimension == 1:
+            return from_course(self.whole, states, box)
+        scale = rate_scale(flow, box)
+        inverses = np.linalg.pinv(scaled_jacobian(flow, states, box, scale), rcond=1e-4)
+        steps = np.einsum("nij,nj->ni", inverses, np.nan_to_num(flow.rates(states) / scale))
+        return np.asarray(np.sqrt((steps**2).sum(axis=1)))
+
+
+def from_course(course: FloatArray, states: FloatArray, box: Box) -> FloatArray:
+    """Return how far `states` (N, D) are from the chords of a `course` (n, D), (N,), in widths."""
+    corners = course / box.widths
+    sides, beside = np.diff(corners, axis=0), states[:, None] / box.widths - corners[:-1]
+    lengths = np.maximum((sides**2).sum(axis=1), 1e-300)
+    share = np.clip((beside * sides).sum(axis=2) / lengths, 0.0, 1.0)
+    return np.asarray(np.sqrt(((beside - share[:, :, None] * sides) ** 2).sum(axis=2)).min(axis=1))
+
+
+def tangents(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
+    """Return for each of the fixed `points` (n, D) the directions (k, D), in widths, in which others lie beside it."""
+    slow = singular_directions(flow, points, box)
+    starts, owners = [np.zeros((0, flow.size))], list[int]()
+    for index, (point, directions) in enumerate(zip(points, slow, strict=True)):
+        for direction in directions:
+            sides = _NEIGHBOUR * np.array([[1.0], [-1.0], [0.5], [-0.5]]) * direction
+            starts.append(point + sides * box.widths)
+            owners.append(index)
+    begun = np.vstack(starts)
+    if not len(begun):
+        return [np.zeros((0, flow.size))] * len(points)
+    ends, is_root = newton_steps(flow, box, begun)
+    away = (ends - np.repeat(points[owners], 4, axis=0)) / box.widths
+    sizes = np.where(is_root, np.abs(away).max(axis=1), 0.0).reshape(-1, 4)
+    far, near = sizes[:, :2], sizes[:, 2:]
+    goes_on = (near > 0.25 * _NEIGHBOUR) & (far > 1.5 * near) & (far < 4.0 * _NEIGHBOUR)
+    found: list[FloatArray] = []
+    for index in range(len(points)):
+        mine = np.flatnonzero(np.array(owners) == index)
+        moved = [away[4 * row + side] for row in mine for side in (0, 1) if goes_on[row, side]]
+        if not moved:
+            found.append(np.zeros((0, flow.size)))
+            continue
+        _, lengths, directions = np.linalg.svd(np.array(moved), full_matrices=False)
+        found.append(directions[lengths > 0.1 * lengths[0]])
+    return found
+
+
+def fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet], FloatArray]:
+    """Return the curves and surfaces that some of the fixed `points` (n, D) lie on, and the others, (m, D)."""
+    directions = tangents(flow, points, box)
+    counts = np.array([len(along) for along in directions], dtype=np.int64)
+    is_left, sets = counts > 0, list[FixedSet]()
+    while (is_left & (counts == 1)).any() and len(sets) < MOST_SETS:
+        seed = int(np.flatnonzero(is_left & (counts == 1))[0])
+        course, whole = _followed(flow, box, points[seed], directions[seed][0])
+        is_left[seed] = False
+        if len(course) > 2:
+            is_left &= from_course(course, points, box) > _ON
+            sets.append(_curve(flow, box, course, whole))
+        else:
+            counts[seed] = 0
+    rest = np.flatnonzero(is_left & (counts > 1))
+    if len(rest) > 2 and len(sets) < MOST_SETS:
+        sets.append(_surface(flow, box, points[rest], [directions[index] for index in rest]))
+        is_left[rest] = False
+    alone = (counts == 0) | (is_left & (counts > 1))
+    for fixed in sets:
+        if fixed.dimension == 1:
+            alone &= from_course(fixed.course, points, box) > _ON
+    return sets, points[alone]
+
+
+def _curve(flow: Flow, box: Box, course: FloatArray, whole: FloatArray) -> FixedSet:
+    rows = np.unique(np.linspace(0, len(course) - 1, _EXAMPLES).round().astype(int))
+    kinds = []
+    for row in rows.tolist():
+        chord = (course[min(row + 1, len(course) - 1)] - course[max(row - 1, 0)]) / box.widths
+        kinds.append(classified(flow, course[row], box, chord[None] / max(float(np.sqrt(chord @ chord)), 1e-300)))
+    return FixedSet(1, course, whole, tuple(kinds))
+
+
+def _surface(flow: Flow, box: Box, points: FloatArray, directions: Sequence[FloatArray]) -> FixedSet:
+    dimension = int(np.median([len(along) for along in directions]))
+    rows = [row for row in range(len(points)) if len(directions[row]) == dimension]
+    shown = [rows[place] for place in np.unique(np.linspace(0, len(rows) - 1, _EXAMPLES).round().astype(int))]
+    kinds = tuple(classified(flow, points[row], box, directions[row]) for row in shown)
+    return FixedSet(dimension, points[rows], points[rows], kinds)
+
+
+def _followed(flow: Flow, box: Box, seed: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the points (n, D) of the curve through `seed` across the box, and those from beyond it on either side."""
+    ahead, is_closed = _followed_to_its_end(flow, box, box, seed, direction)
+    if is_closed:
+        course = np.array([seed, *ahead, seed])
+        return course, course
+    behind, _ = _followed_to_its_end(flow, box, box, seed, -direction)
+    course = np.array([*reversed(behind), seed, *ahead])
+    if len(course) < 3:
+        return course, course
+    beside = flow.size * box.widths  # as far as sums that are kept may lead
+    wide = Box(box.lower - beside, box.upper + beside)
+    beyond = []
+    for last, before in ((course[0], course[1]), (course[-1], course[-2])):
+        away = (last - before) / box.widths
+        away /= max(float(np.sqrt(away @ away)), 1e-300)
+        beyond.append(_followed_to_its_end(flow, box, wide, last, away)[0])
+    return course, np.array([*reversed(beyond[0]), *course, *beyond[1]])
+
+
+def _followed_to_its_end(
+    flow: Flow, box: Box, limits: Box, seed: FloatArray, direction: FloatArray
+) -> tuple[list[FloatArray], bool]:
+    """Return the points within `limits` after `seed` in a direction (D,), and whether they lead back to it."""
+    course, here = list[FloatArray](), seed
+    for _ in range(_MOST_STEPS):
+        step = _STEP * _inside(here, direction, limits, box)
+        if step < 1e-6:
+            break
+        ends, is_root = newton_steps(flow, box, (here + step * direction * box.widths)[None])
+        moved = (ends[0] - here) / box.widths
+        size = float(np.sqrt(moved @ moved))
+        if not is_root[0] or not 0.5 * step < size < 2.0 * step or moved @ direction <= 0.5 * size:
+            break
+        here, direction = ends[0], moved / size
+        course.append(np.clip(here, limits.lower, limits.upper))
+        back = (here - seed) / box.widths
+        if len(course) > 2 and np.sqrt(back @ back) < 0.6 * _STEP:
+            return course[:-1], True
+    return course, False
+
+
+def _inside(here: FloatArray, direction: FloatArray, limits: Box, box: Box) -> float:
+    """Return which share of a step in a direction, (D,) in widths of the box, remains within `limits`, at most 1."""
+    with np.errstate(all="ignore"):
+        room = (
+            np.where(direction > 0.0, limits.upper - here, here - limits.lower)
+            / box.widths
+            / (_STEP * np.abs(direction))
+        )
+    return float(np.clip(room[np.abs(direction) > 1e-9].min(initial=1.0), 0.0, 1.0))
+
 
 MOST_POINTS: Final = 100
 """Points that are looked at: more of them are a curve or a surface, of which so many are enough."""

@@ -13,13 +13,23 @@ from typing import Final
 
 import numpy as np
 
-from atoll.analysis.box import Box
-from atoll.analysis.fixed_points import distinct_points
-from atoll.analysis.fixed_sets import FixedSet, tangents
+from atoll.analysis.fixed_points import (
+    NON_HYPERBOLIC,
+    Complexes,
+    FixedPoint,
+    FixedSet,
+    classified,
+    distinct_points,
+    jacobian_in_widths,
+    newton_ends,
+    tangents,
+    time_scale,
+)
 from atoll.analysis.flow import (
     LONGER,
     SETTLING,
     UNBOUNDED,
+    Box,
     Flow,
     IntegrationBatch,
     crossing,
@@ -27,8 +37,6 @@ from atoll.analysis.flow import (
     is_nearly_at_rest,
     steps,
 )
-from atoll.analysis.newton import jacobian_in_widths, newton_ends, time_scale
-from atoll.analysis.stability import NON_HYPERBOLIC, Complexes, FixedPoint, classified
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 24

@@ -8,9 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.analysis.box import Box
-from atoll.analysis.flow import SETTLING, UNBOUNDED, Flow, IntegrationBatch
-from atoll.analysis.newton import jacobian_in_widths, time_scale
+from atoll.analysis.fixed_points import jacobian_in_widths, time_scale
+from atoll.analysis.flow import SETTLING, UNBOUNDED, Box, Flow, IntegrationBatch
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 128

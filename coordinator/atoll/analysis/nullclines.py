@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll.analysis.box import Box
-from atoll.analysis.flow import Flow
+from atoll.analysis.flow import Box, Flow
 from atoll_core.data.dataset import FloatArray
 
 GRID: Final = 80

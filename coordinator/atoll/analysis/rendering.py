@@ -1,16 +1,271 @@
-"""An analysis as plain data, which ``analyse --json`` prints, and as text."""
+"""Values as JSON can hold them.
 
+What is said of an analysis: sentences, and listings of texts, which text and report draw each in its own way.
+
+An analysis as plain data, which ``analyse --json`` prints, and as text.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from atoll.analysis.analysis import Analysis
+from atoll.analysis.basins import NO_VALUE, RUNS_AWAY, UNDECIDED, Attractor
 from atoll.analysis.continuation import Branch
 from atoll.analysis.cycle_continuation import CycleBranch
-from atoll.analysis.fixed_sets import FixedSet
+from atoll.analysis.dynamics import TrajectoryComparison
+from atoll.analysis.fixed_points import NON_HYPERBOLIC, TOLERANCE, Complexes, FixedPoint, FixedSet
 from atoll.analysis.limit_cycles import LimitCycle
-from atoll.analysis.newton import TOLERANCE
-from atoll.analysis.plain_data import attributes, plain
-from atoll.analysis.sentences import CODES, attractor_text, codes_of, describe, reached_text
-from atoll.analysis.stability import FixedPoint
+from atoll.terminal.output import attributes, plain
+from atoll_core.data.dataset import FloatArray
+
+CODES: Final[Mapping[int, str]] = {UNDECIDED: "undecided", RUNS_AWAY: "runs away", NO_VALUE: "no value"}
+"""What a start without an attractor is said to do, in the order in which it is told."""
+
+_ENDINGS: Final = {
+    UNDECIDED: "reach none of these within the time that was simulated",
+    RUNS_AWAY: "run away",
+    NO_VALUE: "meet a point where a rate has no value",
+}
+
+
+@dataclass(frozen=True)
+class TextRow:
+    """One thing that is listed: its `cells`, "" where nothing is to be said, and all of it as a `line`."""
+
+    cells: tuple[str, ...]
+    line: str
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """What is listed under a `title`, a cell for each of `heads`; without a heading lines stand for themselves."""
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[TextRow, ...]
+    has_heading: bool = True
+
+
+def describe(analysis: Analysis) -> list[str | TextTable]:
+    """Return what is said of an analysis, in the order in which it is told; sentences begin as a line does, small."""
+    return [*_described(analysis), *_continued(analysis)]
+
+
+def _described(analysis: Analysis) -> Iterator[str | TextTable]:
+    box, field, spectrum = analysis.box, analysis.field, analysis.lyapunov
+    if analysis.caveat:
+        yield analysis.caveat
+    sides = zip(field.states, box.lower, box.upper, strict=True)
+    yield "box: " + ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, low, high in sides)
+    if field.inputs:
+        held = zip(field.inputs, analysis.inputs, strict=True)
+        yield "inputs held: " + ", ".join(f"{name} = {value:g}" for name, value in held)
+    yield _fixed_points(analysis)
+    yield _cycles(analysis)
+    if spectrum is not None:
+        pairs = zip(spectrum.exponents, spectrum.standard_errors, strict=True)
+        exponents = ", ".join(f"{value:.3g} ± {error:.1g}" for value, error in pairs)
+        yield f"Lyapunov exponents: {exponents}" + (", chaotic" if spectrum.is_chaotic else "")
+    yield _basins(analysis)
+    if analysis.is_volume_preserving:
+        yield "volumes of states are kept (the divergence is 0)"
+    yield from (f"conserved (a hint): {quantity.text}" for quantity in analysis.conserved)
+    if analysis.comparisons:
+        heads = ("trajectory", "bounds", "period", "amplitudes", "phases", "end")
+        rows = tuple(_comparison(comparison, analysis) for comparison in analysis.comparisons)
+        yield TextTable("the model, simulated freely, beside the data", heads, rows, has_heading=False)
+    if analysis.not_compared:
+        names = ", ".join(analysis.not_compared)
+        yield f"the model is not compared with the data of trajectory {names}: the result has not its inputs"
+
+
+def _continued(analysis: Analysis) -> Iterator[TextTable]:
+    parameter, heads = analysis.continuation_parameter, ("branch", "special points")
+    if parameter is not None:
+        fixed = tuple(_branch(branch) for branch in analysis.branches)
+        yield TextTable(f"fixed points as {parameter.name} (now {parameter.value:.6g}) varies:", heads, fixed)
+        cycles = tuple(_cycle_branch(branch) for branch in analysis.cycle_branches)
+        yield TextTable(f"limit cycles as {parameter.name} varies: {len(cycles)} branches", heads, cycles)
+
+
+def codes_of(analysis: Analysis) -> list[int]:
+    """Return the attractors (by index), and the codes that some start has."""
+    reached = analysis.basins.reached
+    return [*range(len(analysis.attractors)), *(code for code in CODES if (reached == code).any())]
+
+
+def reached_text(which: int, analysis: Analysis) -> str:
+    """Return what an attractor, by index, is called, or a code of `Basins`."""
+    return CODES[which] if which < 0 else attractor_text(analysis.attractors[which])
+
+
+def attractor_text(attractor: Attractor) -> str:
+    """Return what an attractor is called."""
+    if isinstance(attractor, LimitCycle):
+        return f"limit cycle of period {attractor.period:.6g}"
+    if isinstance(attractor, FixedSet):
+        return _set_text(attractor)
+    return f"{attractor.kind} {_point_text(attractor.point)}"
+
+
+def _set_text(fixed: FixedSet) -> str:
+    """Return what a curve or a surface of fixed points is called."""
+    if fixed.dimension > 1:
+        return f"surface of fixed points of {fixed.dimension} dimensions"
+    name = "line" if fixed.is_straight else "curve"
+    return f"{name} of fixed points from {_point_text(fixed.course[0])} to {_point_text(fixed.course[-1])}"
+
+
+def _point_text(point: FloatArray) -> str:
+    return f"({', '.join(f'{value:.6g}' for value in point)})"
+
+
+def _fixed_points(analysis: Analysis) -> TextTable:
+    search, resting = analysis.fixed_points, analysis.cycles.resting
+    beside = f" beside {_many(search.sets)} of them" if search.sets else ""
+    title = f"fixed points: {len(search.points)}{beside} (Newton steps from {search.starts} starts)"
+    heads = (f"({', '.join(analysis.field.states)})", "kind", "eigenvalues")
+    rows = [_fixed_point(point, analysis) for point in (*search.points, *resting)]
+    for fixed in search.sets:
+        rows.append(
+            TextRow((_set_text(fixed), _share_text(fixed), ""), f"{_set_text(fixed)}, {_share_text(fixed)}; on it")
+        )
+        rows += [_fixed_point(point, analysis, across="across it ") for point in fixed.points[::2]]
+    return TextTable(title, heads, tuple(rows))
+
+
+def _many(sets: Sequence[FixedSet]) -> str:
+    """Return how many curves and surfaces there are."""
+    curves = sum(fixed.dimension == 1 for fixed in sets)
+    texts = [
+        f"{count} {name}{'s' if count > 1 else ''}"
+        for count, name in ((curves, "curve"), (len(sets) - curves, "surface"))
+        if count
+    ]
+    return " and ".join(texts)
+
+
+def _share_text(fixed: FixedSet) -> str:
+    """Return how much of a curve or a surface attracts."""
+    attracts = {point.attracts_in_box for point in fixed.points}
+    return "attracts in parts" if len(attracts) > 1 else "attracts" if True in attracts else "does not attract"
+
+
+def _fixed_point(fixed: FixedPoint, analysis: Analysis, across: str = "") -> TextRow:
+    outside = "" if analysis.box.contains(fixed.point, 1e-6) else ", outside the box"
+    cells = (_point_text(fixed.point), f"{across}{_kind_text(fixed)}{outside}", _complex_text(fixed.eigenvalues))
+    return TextRow(cells, f"{cells[0]}  {cells[1]}, eigenvalues {cells[2]}")
+
+
+def _kind_text(fixed: FixedPoint) -> str:
+    """Return the kind of a fixed point; where an eigenvalue is 0, with what simulations say."""
+    if fixed.kind != NON_HYPERBOLIC or not fixed.attracts_in_box:
+        return fixed.kind
+    node = "attracts" if fixed.eigenvalues.imag.any() else "a stable node"
+    return f"{fixed.kind}, by simulations {node}{'' if fixed.is_stable else ' within the box'}"
+
+
+def _complex_text(numbers: Iterable[complex]) -> str:
+    """Return complex numbers as text, conjugate ones as a pair."""
+    texts = []
+    for number in numbers:
+        if number.imag < 0.0:
+            texts.append(f"{number.real:.4g} ± {-number.imag:.4g}i")
+        elif number.imag == 0.0 or not math.isfinite(number.imag):
+            texts.append(f"{number.real:.4g}")
+    return ", ".join(texts)
+
+
+def _cycles(analysis: Analysis) -> TextTable:
+    search, states = analysis.cycles, analysis.field.states
+    family = "; there are closed orbits that are not isolated" if search.has_family else ""
+    rows = []
+    for cycle in search.cycles:
+        extents = zip(cycle.points.min(axis=0), cycle.points.max(axis=0), strict=True)
+        ranges = [f"{low:.4g} to {high:.4g}" for low, high in extents]
+        period, stability = f"{cycle.period:.6g}", "stable" if cycle.is_stable else "unstable"
+        multipliers = _complex_text(cycle.multipliers)
+        named = ", ".join(f"{name} {ends}" for name, ends in zip(states, ranges, strict=True))
+        line = f"period {period}, {stability}, multipliers {multipliers}; {named}"
+        rows.append(TextRow((period, stability, multipliers, *ranges), line))
+    heads = ("period", "stability", "Floquet multipliers", *states)
+    return TextTable(f"limit cycles: {len(search.cycles)} ({search.starts} simulations){family}", heads, tuple(rows))
+
+
+def _basins(analysis: Analysis) -> TextTable:
+    rows = []
+    for which in codes_of(analysis):
+        part, error = analysis.basins.fraction(which)
+        known = {0.0: "none", 1.0: "all"}  # where the error says nothing
+        share = known.get(part, f"{100 * part:.1f} ± {100 * error:.1f} %")
+        ending = _ENDINGS[which] if which < 0 else f"reach the {reached_text(which, analysis)}"
+        if which == UNDECIDED and analysis.cycles.has_family:
+            ending = "go round closed orbits, or reach none of these within the time that was simulated"
+        rows.append(TextRow((share, ending), f"{share} {ending}"))
+    title = f"basins: of {len(analysis.basins.reached)} initial states in the box"
+    return TextTable(title, ("share", "of the initial states"), tuple(rows))
+
+
+def _comparison(comparison: TrajectoryComparison, analysis: Analysis) -> TextRow:
+    period, phases = "", ""
+    if comparison.has_same_period is not None:
+        periods = (comparison.simulated.period, comparison.measured.period)
+        simulated, measured = (f"{value:.4g}" if value else "none" for value in periods)
+        period = f"has period {simulated} (measured {measured})"
+    if comparison.has_same_order is not None:
+        phases = "phases agree" if comparison.has_same_order else "phases differ"
+    is_same = comparison.has_same_amplitudes
+    facts = (
+        "is bounded" if comparison.is_bounded else "is not bounded",
+        period,
+        "has the amplitudes of the data" if is_same else "has other amplitudes than the data",
+        phases,
+        _end_text(comparison, analysis),
+    )
+    line = f"from trajectory {comparison.name} the model {', '.join(filter(None, facts))}"
+    return TextRow((comparison.name, *facts), line)
+
+
+def _end_text(comparison: TrajectoryComparison, analysis: Analysis) -> str:
+    held = ", inputs held" if analysis.field.inputs else ""
+    if comparison.orbit_period is not None:
+        return f"goes round a closed orbit of period {comparison.orbit_period:.4g}{held}"
+    reached = analysis.attractors[comparison.reaches] if comparison.reaches >= 0 else None
+    at = f", at {_point_text(comparison.end)}" if isinstance(reached, FixedSet) and comparison.end is not None else ""
+    return f"reaches{held}: {reached_text(comparison.reaches, analysis)}{at}"
+
+
+def _branch(branch: Branch) -> TextRow:
+    unstable = sorted(set(branch.unstable.tolist()))
+    counts = f"{unstable[0]} to {unstable[-1]}" if len(unstable) > 1 else f"{unstable[0]}"
+    special = []
+    for point in branch.special:
+        turning = f", frequency {point.frequency:.6g}" if point.frequency is not None else ""
+        special.append(f"{point.kind} at {point.value:.8g} {_point_text(point.point)}{turning}")
+    return _branch_row(f"a branch {_extent_text(branch.values)}; unstable eigenvalues: {counts}", special)
+
+
+def _cycle_branch(branch: CycleBranch) -> TextRow:
+    first, last = branch.cycles[0].period, branch.cycles[-1].period
+    stable = sum(cycle.is_stable for cycle in branch.cycles)
+    stability = "stable" if stable == len(branch.cycles) else "unstable" if not stable else "stable in parts"
+    whole = f"a branch {_extent_text(branch.values)}; period {first:.6g} to {last:.6g}, {stability}"
+    ends = f"begins: {branch.ends[0]}; ends: {branch.ends[1]}"
+    special = [f"{point.kind} at {point.value:.8g}, period {point.cycle.period:.6g}" for point in branch.special]
+    return _branch_row(whole, [ends, *special])
+
+
+def _branch_row(branch: str, special: list[str]) -> TextRow:
+    return TextRow((branch, "; ".join(special)), "\n".join([branch, *(f"    {text}" for text in special)]))
+
+
+def _extent_text(values: FloatArray) -> str:
+    return f"from {values[0]:.4g} to {values[-1]:.4g}, least {np.min(values):.4g}, greatest {np.max(values):.4g}"
+
 
 SCHEMA: Final = 1
 
@@ -27,13 +282,13 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "box": {name: ends for name, *ends in zip(field.states, box.lower, box.upper, strict=True)},
             "parameters": [attributes(constant, "name", "variable", "value") for constant in field.parameters],
             "unit_coefficients": analysis.coefficients.units,
-            "fixed_points": [_fixed_point(point) for point in fixed.points],
+            "fixed_points": [_fixed_point_data(point) for point in fixed.points],
             "fixed_sets": [_fixed_set(fixed_set) for fixed_set in fixed.sets],
             "fixed_points_search": {
                 **attributes(fixed, "starts", "converged"),
                 "tolerance": TOLERANCE,
                 "are_isolated": fixed.are_isolated,
-                "reached_outside_box": [_fixed_point(point) for point in cycles.resting],
+                "reached_outside_box": [_fixed_point_data(point) for point in cycles.resting],
             },
             "nullclines": dict(zip(field.states, analysis.nullclines, strict=False)),
             "limit_cycles": [_cycle(cycle) for cycle in cycles.cycles],
@@ -44,7 +299,7 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "lyapunov": None
             if analysis.lyapunov is None
             else attributes(analysis.lyapunov, "exponents", "standard_errors", "is_chaotic", "starts", "duration"),
-            "basins": _basins(analysis),
+            "basins": _basins_data(analysis),
             "conserved": [quantity.text for quantity in analysis.conserved],
             "is_volume_preserving": analysis.is_volume_preserving,
             "dynamics": [
@@ -67,25 +322,33 @@ def as_data(analysis: Analysis) -> dict[str, object]:
     )
 
 
-def _fixed_point(fixed: FixedPoint) -> dict[str, object]:
-    return attributes(fixed, "point", "kind", "is_stable", "attracts_in_box", "eigenvalues")
+def _fixed_point_data(fixed: FixedPoint) -> dict[str, object]:
+    known = attributes(fixed, "point", "kind", "is_stable", "attracts_in_box")
+    return {**known, "eigenvalues": _pairs(fixed.eigenvalues)}
+
+
+def _pairs(values: Complexes) -> FloatArray:
+    """Return the real and imaginary parts (n, 2) of complex numbers (n,)."""
+    return np.stack([values.real, values.imag], axis=-1)
 
 
 def _fixed_set(fixed: FixedSet) -> dict[str, object]:
-    points = [_fixed_point(point) for point in fixed.points]
+    points = [_fixed_point_data(point) for point in fixed.points]
     return attributes(fixed, "dimension", "is_straight", "attracts_in_box", "course") | {"points": points}
 
 
 def _cycle(cycle: LimitCycle) -> dict[str, object]:
     return {
-        **attributes(cycle, "period", "is_stable", "multipliers", "log_multiplier_product"),
+        **attributes(cycle, "period", "is_stable"),
+        "multipliers": _pairs(cycle.multipliers),
+        "log_multiplier_product": cycle.log_multiplier_product,
         "minimum": cycle.points.min(axis=0),
         "maximum": cycle.points.max(axis=0),
         "points": cycle.points,
     }
 
 
-def _basins(analysis: Analysis) -> dict[str, object]:
+def _basins_data(analysis: Analysis) -> dict[str, object]:
     basins = analysis.basins
     fractions = []
     for which in codes_of(analysis):
@@ -108,12 +371,12 @@ def _continuation(analysis: Analysis) -> dict[str, object] | None:
     named = {constant.name: constant.variable for constant in analysis.field.parameters}
     return {
         "parameter": {"name": parameter.name, "variable": named.get(parameter.name), "value": parameter.value},
-        "branches": [_branch(branch) for branch in analysis.branches],
-        "cycle_branches": [_cycle_branch(branch) for branch in analysis.cycle_branches],
+        "branches": [_branch_data(branch) for branch in analysis.branches],
+        "cycle_branches": [_cycle_branch_data(branch) for branch in analysis.cycle_branches],
     }
 
 
-def _branch(branch: Branch) -> dict[str, object]:
+def _branch_data(branch: Branch) -> dict[str, object]:
     return {
         "values": branch.values,
         "points": branch.points,
@@ -122,17 +385,18 @@ def _branch(branch: Branch) -> dict[str, object]:
     }
 
 
-def _cycle_branch(branch: CycleBranch) -> dict[str, object]:
+def _cycle_branch_data(branch: CycleBranch) -> dict[str, object]:
     cycles = branch.cycles
     return {
         "values": branch.values,
         "periods": [cycle.period for cycle in cycles],
         "minima": [cycle.points.min(axis=0) for cycle in cycles],
         "maxima": [cycle.points.max(axis=0) for cycle in cycles],
-        "multipliers": [cycle.multipliers for cycle in cycles],
+        "multipliers": [_pairs(cycle.multipliers) for cycle in cycles],
         "is_stable": [cycle.is_stable for cycle in cycles],
         "special": [
-            attributes(special, "kind", "value") | attributes(special.cycle, "period", "multipliers")
+            attributes(special, "kind", "value")
+            | {"period": special.cycle.period, "multipliers": _pairs(special.cycle.multipliers)}
             for special in branch.special
         ],
         "ends": branch.ends,

@@ -17,11 +17,10 @@ from atoll.client.options import OPTIONS
 from atoll.client.over_http import Whereabouts, coordinator_at
 from atoll.model.model import Model
 from atoll.terminal.progress import is_screen, open_display
-from atoll_coordinator.data.reading.workbooks import check_sheet
+from atoll_coordinator.data.reading.typed_formats import check_sheet
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, DataError, RefusedError, UsageError
-from atoll_core.hints import did_you_mean
-from atoll_core.quoting import shown
+from atoll_core.quoting import did_you_mean, shown
 from atoll_core.wire.messages.views import JobView
 
 CONNECT_LIMIT_S: Final = 20.0

@@ -10,8 +10,7 @@ from pydantic import JsonValue
 
 from atoll.api.discover import discover
 from atoll.api.tables import numbers_of
-from atoll.model.arguments import numbers, read_columns
-from atoll.model.driving import GivenInputs
+from atoll.model.arguments import GivenInputs, numbers, read_columns
 from atoll.model.equations import DIGITS
 from atoll.model.model import Model
 from atoll_core.data.dataset import FloatArray

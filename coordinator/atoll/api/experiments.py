@@ -3,12 +3,10 @@
 from atoll.api.tables import table_of
 from atoll.api.wording import python_words
 from atoll.experiments.comparison import Comparison, compare
-from atoll.experiments.design_search import suggest
-from atoll.experiments.determination import Identifiability
-from atoll.experiments.identifiability import identify
-from atoll.experiments.measured import config_of
-from atoll.experiments.space import Request
-from atoll.experiments.suggestion import Suggestions
+from atoll.experiments.designs import DesignRequest
+from atoll.experiments.fits import config_of
+from atoll.experiments.identifiability import Identifiability, identify
+from atoll.experiments.suggestion import Suggestions, suggest
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
@@ -21,7 +19,7 @@ def identifiability(model: Model, data: object, level: float) -> Identifiability
         return identify(model.result, _table(model.result, data), level)
 
 
-def suggestions(model: Model, data: object, request: Request) -> Suggestions:
+def suggestions(model: Model, data: object, request: DesignRequest) -> Suggestions:
     """Return the experiments that would tell most; see `atoll.Model.suggest`."""
     with python_words():
         return suggest(model.result, request, _table(model.result, data))

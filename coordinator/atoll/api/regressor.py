@@ -9,7 +9,7 @@ import numpy as np
 
 from atoll.api.discover import discover
 from atoll_core.data.dataset import FloatArray
-from atoll_core.data.masked import plain_array
+from atoll_core.data.frames import plain_array
 from atoll_core.errors import UsageError
 from atoll_core.redaction import without_secrets
 

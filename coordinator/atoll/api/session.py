@@ -15,7 +15,7 @@ from typing import Final
 from atoll.client.local_workers import start_apart
 from atoll.client.options import MOST_WORKERS
 from atoll_core.errors import AtollError, UnreachableError, UsageError
-from atoll_core.machine.cores import usable_cores
+from atoll_core.machine import usable_cores
 
 _START_LIMIT_S: Final = 60.0
 _END_LIMIT_S: Final = 15.0

@@ -14,19 +14,16 @@ from typing import Final, Protocol, TypeGuard
 import numpy as np
 
 from atoll_coordinator.data.reading.arrays import fields_of, table_of_arrays, table_of_matrix
-from atoll_coordinator.data.reading.cells import cell_of
-from atoll_coordinator.data.reading.columns import TIME, columns_of
+from atoll_coordinator.data.reading.cells import cell_of, read_numbers
 from atoll_coordinator.data.reading.dates import is_date
-from atoll_coordinator.data.reading.files import read_table, table_of_parts
-from atoll_coordinator.data.reading.numerals import read_numbers
+from atoll_coordinator.data.reading.files import columns_of, read_table, table_of_parts
 from atoll_coordinator.data.reading.raw_table import RawTable
-from atoll_coordinator.data.reading.records import table_of_document
-from atoll_coordinator.data.reading.workbooks import table_of_rows
-from atoll_coordinator.data.roles.column_options import split_unit
-from atoll_coordinator.data.roles.time_column import TIME_NAMES
+from atoll_coordinator.data.reading.reshaping import TIME
+from atoll_coordinator.data.reading.typed_formats import table_of_document, table_of_rows
+from atoll_coordinator.data.roles.columns import TIME_NAMES, split_unit
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray, FloatArray
-from atoll_core.data.masked import plain_array
+from atoll_core.data.frames import plain_array
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from atoll.api.tables import table_of
 from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result
 from atoll.client.client import Client, connected
-from atoll.experiments.measured import config_of
+from atoll.experiments.fits import config_of
 from atoll.tasks.analyses import FUNCTIONS, Analysed, Question, answer, answered
 from atoll.terminal.output import note
 from atoll_coordinator.result.result import Result

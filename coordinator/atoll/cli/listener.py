@@ -14,7 +14,7 @@ from atoll_core.errors import UsageError
 from atoll_core.logs import configure
 from atoll_core.wire.addresses import Address, Destination, destination, resolved
 from atoll_core.wire.security.credentials import credentials_of
-from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
+from atoll_core.wire.security.roles import RoleBindings, read_role_bindings
 
 _EVERYWHERE: Final = ("0.0.0.0", "::")
 _SIOCGIFADDR: Final = 0x8915

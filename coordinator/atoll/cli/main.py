@@ -60,7 +60,7 @@ def _record(error: Exception) -> str:
     import traceback
 
     from atoll_core.errors import UsageError
-    from atoll_core.machine.folders import user_folder
+    from atoll_core.machine import user_folder
     from atoll_core.redaction import without_secrets
 
     text = without_secrets("".join(traceback.format_exception(error)))

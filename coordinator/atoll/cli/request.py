@@ -17,7 +17,7 @@ from atoll.client.over_http import TOKEN, Whereabouts, coordinator_at
 from atoll.terminal.output import as_json, note, say
 from atoll_core.config import JobConfig
 from atoll_core.errors import DataError, RefusedError, UsageError
-from atoll_core.hints import similar_file
+from atoll_core.quoting import similar_file
 from atoll_core.redaction import without_secrets
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import JobView
@@ -112,7 +112,7 @@ def request_of(options: argparse.Namespace) -> Request:
             hint = similar_file(file) or "; check the name"
             raise DataError(f"{file} {what}, but a data file was expected, such as CSV{hint}")
     if config.data.sheet is not None:
-        from atoll_coordinator.data.reading.workbooks import check_sheet
+        from atoll_coordinator.data.reading.typed_formats import check_sheet
 
         check_sheet(files, config.data.sheet)
     return request

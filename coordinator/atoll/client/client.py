@@ -242,7 +242,7 @@ class Client:
         """Have changes come to us for a while, see `atoll.client.subscription`; return what we do not have yet."""
         if self._changes is None:
             self._changes = deque(maxlen=MAX_CHANGES)
-            self._bus.subscribe(topics.changes(self._cluster or self.greet(), self._name))
+            self._bus.subscribe(topics.client(self._cluster or self.greet(), self._name, "changes"))
         body = messages.Follow(job=job, after=after, sequence=sequence)
         return self._ask(body, messages.Following, f"changes of job {job}" if job is not None else "what happens")
 

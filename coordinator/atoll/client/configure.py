@@ -16,7 +16,7 @@ from atoll.client.options import OPTIONS
 from atoll_core.config import PRESETS, DataConfig, JobConfig
 from atoll_core.errors import Field, UsageError
 from atoll_core.expression.operators import BY_NAME
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
 
 
 def configure(values: Mapping[str, object], job_file: object = None) -> JobConfig:

@@ -1,4 +1,6 @@
-"""Curves of a model for pictures: a page, a report and a notebook draw a simulated trajectory from here.
+"""What pictures of a result show, as numbers and labels: the same by matplotlib and on a page.
+
+Curves of a model for pictures: a page, a report and a notebook draw a simulated trajectory from here.
 
 A result lists a simulation at measured rows only. Between two rows the model is integrated again, and as many points
 are kept as the curve bends, so that no picture shows a polygon. Letters: D states, N rows, M points of a curve.
@@ -13,17 +15,37 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.beginnings import input_curves, values_of_curve
-from atoll.model.driving import inputs_along
-from atoll.model.groups import differing_groups
+from atoll.model.arguments import input_curves, inputs_along, values_of_curve
+from atoll.model.equations import differing_groups
 from atoll.model.simulation import Inputs, simulate
 from atoll_coordinator.result.base import Curve
+from atoll_coordinator.result.equations import Member
 from atoll_coordinator.result.listed_trajectories import Simulated
+from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
+
+
+def label(result: Result, column: str) -> str:
+    """Return the name of a column with its unit."""
+    unit = result.units.get(column)
+    return f"{column} [{unit}]" if unit else column
+
+
+def residuals(measured: Curve, simulated: Curve) -> list[float | None]:
+    """Return measured less simulated values, None where one of both is not known."""
+    pairs = zip(measured, simulated, strict=True)
+    return [left - right if left is not None and right is not None else None for left, right in pairs]
+
+
+def front(members: Sequence[Member], *, is_selected: bool = False) -> tuple[list[int], list[float | None]]:
+    """Return complexity and error of those members of a front that have one; of the selected ones where asked."""
+    shown = [member for member in members if member.normalized_error and (member.selected or not is_selected)]
+    return [member.complexity or 0 for member in shown], [member.normalized_error for member in shown]
+
 
 TOLERANCE: Final = 5e-4
 """Largest distance between a curve and its straight lines, as a share of the curve's range: below a pixel."""
@@ -61,7 +83,7 @@ class ModelCurves:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _ListedRows:
     """The listed rows of a trajectory: times (N,) that ascend, and values (D, N) of the listed states."""
 
     states: tuple[str, ...]
@@ -137,7 +159,7 @@ def _corners(scaled: FloatArray, times: FloatArray, tolerance: float) -> npt.NDA
     return np.array(sorted(kept))
 
 
-def _rows(part: Simulated) -> _Rows | None:
+def _rows(part: Simulated) -> _ListedRows | None:
     """Return the rows that have a time and all values; None where there are not two."""
     if not part.values:
         return None
@@ -146,7 +168,7 @@ def _rows(part: Simulated) -> _Rows | None:
     times, values = times[is_known], values[:, is_known]
     if len(times) < 2 or (np.diff(times) <= 0.0).any():
         return None
-    return _Rows(tuple(part.values), times, values)
+    return _ListedRows(tuple(part.values), times, values)
 
 
 def _of_group(model: "Model", trajectory: str) -> "Model":
@@ -158,7 +180,7 @@ def _of_group(model: "Model", trajectory: str) -> "Model":
     )
 
 
-def _inputs(model: "Model", part: Simulated, known: _Rows) -> Inputs | None:
+def _inputs(model: "Model", part: Simulated, known: _ListedRows) -> Inputs | None:
     """Return the inputs along a trajectory; raises UsageError where they were not recorded."""
     recorded = next((each for each in model.result.recorded if each.name == part.name), None)
     return inputs_along(model, None, known.times, {} if recorded is None else input_curves(model.result, recorded))
@@ -168,7 +190,7 @@ _Found = tuple[FloatArray, FloatArray, int]
 """Times (M,), values (D, M) of the listed states, NaN between pieces, and the number of pieces."""
 
 
-def _from_start(model: "Model", part: Simulated, known: _Rows, inputs: Inputs | None) -> _Found | None:
+def _from_start(model: "Model", part: Simulated, known: _ListedRows, inputs: Inputs | None) -> _Found | None:
     """Return the simulation from the fitted initial state; None where it is not the one that the result lists."""
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
@@ -208,7 +230,7 @@ def _is_fine(scaled: FloatArray, grid: FloatArray) -> bool:
     return bool((np.abs(scaled[:, 1:-1:2] - lines) <= 4.0 * TOLERANCE).all())  # of half the distance a quarter is left
 
 
-def _between_rows(model: "Model", known: _Rows, inputs: Inputs | None) -> _Found | None:
+def _between_rows(model: "Model", known: _ListedRows, inputs: Inputs | None) -> _Found | None:
     """Return the model integrated from each listed row to the next; a piece ends where that does not meet the next.
 
     None where the rows do not list all states, as for equations of second order.
@@ -266,7 +288,7 @@ def _runge_kutta(
     return np.array(course)
 
 
-def _with_bands(known: _Rows, part: Simulated, times: FloatArray, values: FloatArray, pieces: int) -> ModelCurves:
+def _with_bands(known: _ListedRows, part: Simulated, times: FloatArray, values: FloatArray, pieces: int) -> ModelCurves:
     """Return curves with the band of the listed rows, its half width interpolated between them."""
     by_state = {state: _curve(row) for state, row in zip(known.states, values, strict=True)}
     if not part.lower or not part.upper:

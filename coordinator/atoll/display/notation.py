@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Final
 
-from atoll.export.text import latex_lines
-from atoll.model.parameters import unit_text
+from atoll.export.formats import latex_lines
+from atoll.model.equations import unit_text
 from atoll.terminal.output import table
 from atoll_core.expression.text.export import left_side_to_mathml, to_mathml
 from atoll_core.expression.text.parsing import from_infix
@@ -14,8 +14,8 @@ from atoll_core.redaction import without_secrets
 if TYPE_CHECKING:
     import sympy
 
+    from atoll.model.equations import Parameter
     from atoll.model.model import Model
-    from atoll.model.parameters import Parameter
 
 _MATH: Final = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
 _HEADS: Final = ("constant", "value", "standard error", "95 % interval", "equation of")

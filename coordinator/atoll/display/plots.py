@@ -10,13 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll.analysis.analysis import MOST_STATES, box_of
-from atoll.analysis.box import Box
 from atoll.analysis.dynamics import measured_trajectories
 from atoll.analysis.fixed_points import fixed_points
-from atoll.analysis.flow import Flow
-from atoll.display.curves import curves_of
-from atoll.display.series import front, label, residuals
-from atoll.model.beginnings import values_of_curve
+from atoll.analysis.flow import Box, Flow
+from atoll.display.curves import curves_of, front, label, residuals
+from atoll.model.arguments import values_of_curve
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_core.errors import UsageError
 

@@ -1,7 +1,7 @@
 """Two models beside each other: whose equations describe the same data better, and how sure that is.
 
 Models of trajectories are fitted again, all constants free, to the same measurements, and weighed by Akaike's weights,
-as the candidates of a suggestion are. Equations y = f(X) are compared as they are, over the rows that a result lists.
+as the candidates of a suggestion are. EquationSet y = f(X) are compared as they are, over the rows that a result lists.
 Letters: N rows.
 """
 
@@ -12,14 +12,12 @@ from typing import Final
 
 import numpy as np
 
-from atoll.analysis.plain_data import attributes, plain
-from atoll.experiments.measured import measured_of
-from atoll.experiments.odds import which_of_two
-from atoll.experiments.rivals import half_akaike, weighed_pair
-from atoll.experiments.suggestion import equations_text
-from atoll.experiments.systems import Fitted, equations_of, fit_equations, fit_shown
+from atoll.experiments.alternatives import half_akaike, weighed_pair
+from atoll.experiments.fits import FittedEquations, equations_of, fit_equations, fit_shown, measured_of
+from atoll.experiments.suggestion import equations_text, which_of_two
+from atoll.model.equations import Parameter
 from atoll.model.model import Model
-from atoll.model.parameters import Parameter
+from atoll.terminal.output import attributes, plain
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
@@ -36,7 +34,7 @@ _LEVEL: Final = 0.95
 
 
 @dataclass(frozen=True)
-class Side:
+class ComparedModel:
     """One of two models on some data: its `equations` by left-hand side as they are compared, with so many `constants`.
 
     `residuals` are root mean squares over the standard deviation of each state.
@@ -56,7 +54,7 @@ class OnData:
     """
 
     source: str
-    sides: tuple[Side, Side]
+    sides: tuple[ComparedModel, ComparedModel]
     nats: float
     longer: float | None
 
@@ -236,14 +234,14 @@ def _require_columns(holder: Result, other: Result) -> None:
             )
 
 
-def _side(result: Result, fitted: Fitted) -> Side:
+def _side(result: Result, fitted: FittedEquations) -> ComparedModel:
     equations, measurements = fitted.equations, fitted.measured.measurements
     programs = fitted.fit.system.programs[-len(equations.programs) :]
     pairs = zip(result.equations, programs, strict=True)
     texts = {equation.lhs: to_infix(program, equations.names, digits=4) for equation, program in pairs}
     observed = [measurements.variables[place] for place in measurements.observed.tolist()]
     shares = np.sqrt(fitted.fit.squares) / measurements.scales[measurements.observed]
-    return Side(texts, len(fitted.values), dict(zip(observed, shares.tolist(), strict=True)))
+    return ComparedModel(texts, len(fitted.values), dict(zip(observed, shares.tolist(), strict=True)))
 
 
 def _regressions(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
@@ -266,7 +264,9 @@ def _regressions(holder: Result, other: Result, letter: str, table: Table | None
         spread = float(np.nanstd(target)) or 1.0
         equation = Model(result).equations[0]
         sides.append(
-            Side({equation.lhs: equation.expression}, constants, {equation.variable: math.sqrt(square) / spread})
+            ComparedModel(
+                {equation.lhs: equation.expression}, constants, {equation.variable: math.sqrt(square) / spread}
+            )
         )
         misfit = 0.5 * count * math.log(max(square, 1e-24 * spread**2)) if math.isfinite(square) else math.inf
         lengths.append(half_akaike(misfit, constants, count))

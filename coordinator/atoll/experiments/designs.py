@@ -18,23 +18,34 @@ it as before.
 
 What an experiment tells of the constants of one candidate is 1/2 ln det(1 + C F), with their covariance C and its
 information F (Lindley 1956; D-optimality). Letters: D states, U inputs, P constants, O measured states, n rows.
+
+The experiments that can be made: what is asked for, and where and how long can be measured.
+
+Letters: D states, U inputs, n points of D numbers and one for each input that can be chosen.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, Literal, get_args
 
 import numpy as np
 
-from atoll.experiments.systems import Fitted
+from atoll.analysis.flow import Box
+from atoll.experiments.fits import FitData, FittedEquations
 from atoll_coordinator.model.shooting.kernels.implicit import STIFF
 from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, integrate_segments
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.result.result import Result
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+
+Cost = Literal["trajectory", "duration", "samples"]
+"""What an experiment costs: as much as any other, its duration, or its samples."""
+COSTS: Final[tuple[str, ...]] = get_args(Cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +70,7 @@ class Design:
 
 
 @dataclass(frozen=True, eq=False)
-class Foretold:
+class DesignPrediction:
     """What a candidate foretells of an experiment, in standard errors of the measurements.
 
     `values` (n, O) are those of the measured states; `spread` (n, O, P + D) are their derivatives by the constants
@@ -73,14 +84,14 @@ class Foretold:
 
 
 @dataclass(frozen=True, eq=False)
-class Foreteller:
+class DesignPredictor:
     """Simulates a candidate at experiments.
 
     `widths` (D,) are those of the bounds of initial states, `limits` (D, 2) where a state has run away, `sigmas` (O,)
     the errors of a measurement.
     """
 
-    fitted: Fitted
+    fitted: FittedEquations
     widths: FloatArray
     limits: FloatArray
     sigmas: FloatArray
@@ -94,7 +105,7 @@ class Foreteller:
         known, directions = _axes(unit, 1.0)
         return np.asarray(sizes[:, None] * directions / np.sqrt(known))
 
-    def at(self, design: Design) -> Foretold:
+    def at(self, design: Design) -> DesignPrediction:
         """Return what the candidate foretells of an experiment."""
         measurements, fit = self.fitted.measured.measurements, self.fitted.fit
         states, count, rows = len(measurements.scales), len(fit.system.places), len(design.times)
@@ -109,7 +120,7 @@ class Foreteller:
         reached = int(np.isfinite(simulated).all(axis=0).sum())
         by_all = gradients[:, measurements.observed] / self.sigmas[:, None]
         spread = np.concatenate([by_all[..., :count] @ self.root, by_all[..., count:] * self.widths], axis=2)
-        return Foretold(simulated[measurements.observed].T / self.sigmas, spread, reached)
+        return DesignPrediction(simulated[measurements.observed].T / self.sigmas, spread, reached)
 
 
 def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
@@ -121,7 +132,7 @@ def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
     return np.maximum(values, least), np.asarray(vectors)
 
 
-def discrepancy(first: Foretold, second: Foretold) -> float:
+def discrepancy(first: DesignPrediction, second: DesignPrediction) -> float:
     """Return d' (S_i + S_j)^-1 d of two candidates, over the rows that both reach."""
     rows = min(first.reached, second.reached)
     difference = (first.values[:rows] - second.values[:rows]).ravel()
@@ -179,7 +190,7 @@ def expected_gain(distances: FloatArray, weights: Sequence[float], useful: Float
     )
 
 
-def distances_of(foretold: Sequence[Foretold], weights: Sequence[float]) -> FloatArray:
+def distances_of(foretold: Sequence[DesignPrediction], weights: Sequence[float]) -> FloatArray:
     """Return the Bhattacharyya distances of all pairs of candidates at an experiment, to first order.
 
     0 of an experiment that the candidate of most weight cannot be simulated along.
@@ -210,7 +221,9 @@ def certainties(distances: FloatArray, weights: Sequence[float]) -> tuple[float,
     return tuple(sure)
 
 
-def distance_after(ahead: Fitted, fitted: Fitted, design: Design, foretold: Foretold, sigmas: FloatArray) -> float:
+def distance_after(
+    ahead: FittedEquations, fitted: FittedEquations, design: Design, foretold: DesignPrediction, sigmas: FloatArray
+) -> float:
     """Return the Bhattacharyya distance of two candidates at an experiment, one of them `fitted` to its outcome.
 
     The one `ahead` is right and has `foretold` the outcome; `sigmas` (O,) are the errors of a measurement.
@@ -261,7 +274,7 @@ def _beside(left: FloatArray, right: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.concatenate([left, right], axis=1))
 
 
-def precision(foretold: Foretold, constants: int) -> tuple[Gain, FloatArray]:
+def precision(foretold: DesignPrediction, constants: int) -> tuple[Gain, FloatArray]:
     """Return what an experiment is expected to tell of the constants, and the share (P, P) of errors that it leaves.
 
     With the root L of the covariance before, that after is L (shares) L'.
@@ -276,3 +289,167 @@ def precision(foretold: Foretold, constants: int) -> tuple[Gain, FloatArray]:
     told_of, directions = _axes(np.eye(constants) + information, 1.0)
     gain = 0.5 * float(np.log(told_of).sum())
     return Gain(gain, 0.0, gain), directions / told_of @ directions.T
+
+
+MOST_SAMPLES: Final = 2_000
+MOST_SUGGESTIONS: Final = 20
+_POINTS: Final = 192
+"""Points that are tried all over the bounds, for experiments of all lengths together."""
+_FEWEST_POINTS: Final = 32
+_MOST_CORNERS: Final = 32
+_CORNER: Final = 0.02
+"""How far from its corners a box is tried, over its widths: at the very corner a state may have no rates."""
+_SHORTER: Final = (1.0, 0.5, 0.25, 0.125)
+"""Shares of the duration, or of the samples, that are tried where these cost something."""
+_FEWEST_SAMPLES: Final = 8
+_APART: Final = 0.25
+"""Share of the width by which suggestions differ in at least one number."""
+
+
+@dataclass(frozen=True)
+class DesignRequest:
+    """What is asked for.
+
+    `bounds` are of initial states and inputs by name (others are those of the data); `duration` and `samples` are those
+    of an experiment (None: as of the median trajectory that was measured); `cost` is what an experiment costs, `count`
+    how many are suggested; `rivals` are further systems, right-hand sides by state.
+    """
+
+    bounds: Mapping[str, tuple[float, float]]
+    duration: float | None = None
+    samples: int | None = None
+    cost: Cost = "trajectory"
+    count: int = 3
+    seed: int = 0
+    rivals: Sequence[Mapping[str, str]] = ()
+
+    def check(self) -> None:
+        """Raise UsageError where a number is out of range."""
+        if self.cost not in COSTS:
+            raise UsageError(f"the cost is {', '.join(COSTS[:-1])} or {COSTS[-1]}, but {self.cost!r} was given")
+        if self.duration is not None and not (math.isfinite(self.duration) and self.duration > 0.0):
+            raise UsageError(f"the duration of an experiment must be above 0, but {self.duration!r} was given")
+        if self.samples is not None and not 2 <= self.samples <= MOST_SAMPLES:
+            raise UsageError(f"an experiment has 2 to {MOST_SAMPLES} samples, but {self.samples!r} were given")
+        if not 1 <= self.count <= MOST_SUGGESTIONS:
+            raise UsageError(f"1 to {MOST_SUGGESTIONS} experiments are suggested, but {self.count!r} were asked for")
+
+
+@dataclass(frozen=True, eq=False)
+class DesignSpace:
+    """Experiments from initial states of `states`, with constant `inputs`, both within `box`.
+
+    `clock` are the inputs (by index) that are the time, which cannot be chosen; `begin` is the first time, `duration`
+    and `samples` those of the longest experiment. `measured` is the box of what was measured, smoothed.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    clock: tuple[int, ...]
+    box: Box
+    begin: float
+    duration: float
+    samples: int
+    cost: Cost
+    measured: Box
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The inputs (by index) that can be chosen."""
+        return tuple(index for index in range(len(self.inputs)) if index not in self.clock)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The states and the inputs that can be chosen, in the order of a point."""
+        return (*self.states, *(self.inputs[index] for index in self.free))
+
+    @property
+    def widths(self) -> FloatArray:
+        """The widths (D,) of the bounds of initial states."""
+        return np.asarray(self.box.widths[: len(self.states)])
+
+    def limits(self, measured: FloatArray) -> FloatArray:
+        """Return the range (D, 2) outside of which a state has blown up, by measured states (D, N) and bounds."""
+        low = np.minimum(self.box.lower[: len(self.states)], measured.min(axis=1))
+        high = np.maximum(self.box.upper[: len(self.states)], measured.max(axis=1))
+        reach = SETTINGS.shooting.blow_up_widths * np.maximum(high - low, 1e-300)
+        return np.ascontiguousarray(np.stack([low - reach, high + reach], axis=1))
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Shares of the longest experiment that are tried."""
+        return (1.0,) if self.cost == "trajectory" else _SHORTER
+
+    def points(self, seed: int) -> FloatArray:
+        """Return points (n, D + inputs) all over the bounds, and near their corners where these are few."""
+        size, inner = len(self.box.lower), self.box.points(max(_POINTS // len(self.shares), _FEWEST_POINTS), seed)
+        if 2**size > _MOST_CORNERS:
+            return inner
+        sides = np.meshgrid(*([(_CORNER, 1.0 - _CORNER)] * size), indexing="ij")
+        corners = np.array(sides).reshape(size, -1).T
+        return np.concatenate([inner, self.box.lower + corners * self.box.widths])
+
+    def design(self, point: FloatArray, share: float) -> Design:
+        """Return the experiment at a point, of a share of the longest one."""
+        duration = self.duration * (share if self.cost == "duration" else 1.0)
+        fewest = min(_FEWEST_SAMPLES, self.samples)
+        samples = max(round(self.samples * share), fewest) if self.cost == "samples" else self.samples
+        inputs = np.zeros(len(self.inputs))
+        inputs[list(self.free)] = point[len(self.states) :]
+        times = self.begin + np.linspace(0.0, duration, samples)
+        return Design(np.array(point[: len(self.states)]), inputs, times, self.clock)
+
+    def point(self, design: Design) -> FloatArray:
+        """Return the point of an experiment."""
+        return np.concatenate([design.initial, design.inputs[list(self.free)]])
+
+    def share(self, design: Design) -> float:
+        """Return which share of the longest experiment one is."""
+        return self.price(design) / {"trajectory": 1.0, "duration": self.duration, "samples": self.samples}[self.cost]
+
+    def price(self, design: Design) -> float:
+        """Return what an experiment costs."""
+        lasts, samples = float(design.times[-1] - design.times[0]), float(len(design.times))
+        return {"trajectory": 1.0, "duration": lasts, "samples": samples}[self.cost]
+
+    def around(self, point: FloatArray, step: float) -> Iterator[FloatArray]:
+        """Yield the points that differ in one number by a step over the widths, within the bounds."""
+        for index, width in enumerate(self.box.widths.tolist()):
+            for moved_by in (-step * width, step * width):
+                moved = point.copy()
+                moved[index] = np.clip(moved[index] + moved_by, self.box.lower[index], self.box.upper[index])
+                yield moved
+
+    def are_apart(self, first: Design, second: Design) -> bool:
+        """Tell whether two experiments differ in a number by a quarter of its bounds."""
+        apart = np.abs(self.point(first) - self.point(second)) / np.maximum(self.box.widths, 1e-300)
+        return bool(apart.max() >= _APART)
+
+
+def space_of(result: Result, measured: FitData, request: DesignRequest) -> DesignSpace:
+    """Return the experiments that a request allows; raises UsageError where its bounds do not fit the result."""
+    measurements, symbols = measured.measurements, result.symbols
+    count = len(measurements.scales)
+    states, inputs = measurements.variables[:count], measurements.variables[count:]
+    time = symbols.get(result.columns.time or "")
+    clock = tuple(index for index, name in enumerate(inputs) if name == time)
+    free = [index for index in range(len(inputs)) if index not in clock]
+    names = [*states, *(inputs[index] for index in free)]
+    given = {symbols.get(name, name): ends for name, ends in request.bounds.items()}
+    for name, (low, high) in given.items():
+        if name not in names:
+            raise UsageError(f"there is no '{name}' to bound; an experiment has {', '.join(names)}")
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are no interval; give LOWER:UPPER")
+    values = np.concatenate([measurements.smoothed, measurements.inputs[free]])
+    measured_box = Box(values.min(axis=1), values.max(axis=1))
+    ranges = zip(names, measured_box.lower.tolist(), measured_box.upper.tolist(), strict=True)
+    lower, upper = np.array([given.get(name, (low, high)) for name, low, high in ranges]).T.copy()
+    box = Box(lower, upper)
+    begin = float(np.median(measurements.inputs[clock[0]][measurements.bounds[:, 0]])) if clock else 0.0
+    whole = [measurements.times[measurements.owners_of_rows == owner] for owner in np.unique(measurements.owners)]
+    lasted = float(np.median([times[-1] - times[0] for times in whole]))
+    rows = float(np.median([len(times) for times in whole])) * measured.rows / measurements.rows
+    samples = request.samples or min(max(round(rows), 2), MOST_SAMPLES)
+    lasts = request.duration or lasted
+    return DesignSpace(states, inputs, clock, box, begin, lasts, samples, request.cost, measured_box)

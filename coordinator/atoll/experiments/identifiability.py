@@ -1,24 +1,466 @@
-"""The identifiability of the constants of a model: profiles of all of them, and what is known of them together."""
+"""What the data determine of each constant of a model, as it is said. Letters: P constants, n points of a profile.
+
+Profile likelihoods: how much worse the data are described as one constant moves and all others are fitted again.
+
+Along a profile the other constants and all initial states are fitted at each value. The errors of the measurements are
+those of the best fit, so that the deviance, the sum of squared residuals over their variances beyond that of the best
+fit, is exactly the squared distance in standard errors where the model is linear (Bates & Watts 1988, chapter 6). A
+value lies within the interval while its deviance is at most the squared quantile of Student's t, which is that of
+chi-squared with one degree of freedom where rows are many. Letters: P constants, n points.
+
+Directions in which constants can change together without describing the data worse, and what they leave determined.
+
+The directions are eigenvectors of the curvature of the misfit by the constants, initial states eliminated, each
+constant in units of its own size: in logarithmic coordinates where it keeps its sign (Gutenkunst et al. 2007). Letters:
+P constants, n points of a profile.
+
+The identifiability of the constants of a model: profiles of all of them, and what is known of them together.
+"""
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from atoll.experiments.determination import Determination, Identifiability, ProfiledConstant
-from atoll.experiments.measured import measured_of
-from atoll.experiments.profiles import Profile, profile
-from atoll.experiments.relations import directions
-from atoll.experiments.systems import Constant, Fitted, constants_of, equations_of, fit_shown
+from atoll.experiments.fits import FittedEquations, FreeConstant, constants_of, equations_of, fit_shown, measured_of
+from atoll.terminal.output import plain
 from atoll_coordinator.model.batches import BatchFunction, Spread
-from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
+from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
+from atoll_core.quoting import enumerated, first_lines
+
+if TYPE_CHECKING:
+    import polars
+
+SCHEMA: Final = 1
+
+Determination = Literal[
+    "determined", "open above", "open below", "practically non-identifiable", "structurally non-identifiable"
+]
+"""An interval that is closed, has no upper or no lower end, neither; or the deviance does not change at all
+(Raue et al. 2009)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction in the space of constants.
+
+    `error` is the standard error along it, over the sizes of the constants (infinite: not determined at all); `weights`
+    (P,) its components, of length 1; `is_sloppy` tells whether the data leave it open; `words` says what of the
+    constants is determined, "" where it is not sloppy.
+    """
+
+    error: float
+    weights: FloatArray
+    is_sloppy: bool
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class ProfiledConstant:
+    """A constant with its profile, in the sign that the text of its equation gives it.
+
+    `estimate` is the best value, `std_error` the standard error by the curvature there (infinite: none), `interval` by
+    the profile, `quadratic` the estimate plus and minus the quantile times the standard error.
+    """
+
+    name: str
+    variable: str
+    is_written: bool
+    estimate: float
+    std_error: float
+    interval: tuple[float, float]
+    quadratic: tuple[float, float]
+    verdict: Determination
+    is_cut: tuple[bool, bool]
+    values: FloatArray = field(repr=False)
+    deviances: FloatArray = field(repr=False)
+
+    @property
+    def _digits(self) -> int:
+        """How many digits tell the ends of the interval apart, and two more; four at least."""
+        largest = max((abs(end) for end in self.interval if math.isfinite(end)), default=0.0)
+        width = self.interval[1] - self.interval[0]
+        return max(4, math.ceil(math.log10(largest / width)) + 2) if 0.0 < width < largest else 4
+
+    @property
+    def sentence(self) -> str:
+        """What is known of it, in a sentence without its name."""
+        low, high = (f"{end:.{self._digits}g}" for end in self.interval)
+        ends = {
+            "determined": f": {low} to {high}",
+            "open above": f": at least {low}",
+            "open below": f": at most {high}",
+        }
+        return f"{self.estimate:.{self._digits}g}, {self.verdict}{ends.get(self.verdict, '')}"
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """What the data determine of the constants of a model.
+
+    `quantile` is that of Student's t at `level` with `freedom` degrees, and the deviance is compared with its square.
+    `directions` are of all constants together, the least determined first. `source` says which data, `piece` in pieces
+    of how many rows trajectories were simulated.
+    """
+
+    level: float
+    freedom: float
+    quantile: float
+    constants: tuple[ProfiledConstant, ...]
+    directions: tuple[Direction, ...]
+    source: str
+    piece: int
+
+    def __getitem__(self, name: str) -> ProfiledConstant:
+        """Return a constant by name; raises KeyError."""
+        return {constant.name: constant for constant in self.constants}[name]
+
+    @property
+    def sloppy(self) -> tuple[Direction, ...]:
+        """The directions that the data leave open."""
+        return tuple(direction for direction in self.directions if direction.is_sloppy)
+
+    def __str__(self) -> str:
+        lines = [f"identifiability ({100 * self.level:g} % profile likelihood; {self.source}):"]
+        lines += [f"  {constant.name} = {constant.sentence}" for constant in self.constants]
+        lines += [f"  {direction.words}" for direction in self.sloppy]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return first_lines(str(self), "print it")
+
+    def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
+        """Return the constants, a row each, with the ends `lower` and `upper` of their intervals (infinite: open).
+
+        As a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing.
+        """
+        constants = self.constants
+        named = ("name", "variable", "estimate", "std_error", "verdict")
+        columns: dict[str, list[object]] = {name: [getattr(each, name) for each in constants] for name in named}
+        ends: dict[str, list[object]] = {
+            name: [each.interval[place] for each in constants] for place, name in enumerate(("lower", "upper"))
+        }
+        return frame_of(columns | ends, library)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return all of it as plain data; null is infinite."""
+        names = [constant.name for constant in self.constants]
+        return plain(
+            {
+                "schema": SCHEMA,
+                "level": self.level,
+                "freedom": self.freedom,
+                "threshold": self.quantile**2,
+                "data": self.source,
+                "piece": self.piece,
+                "constants": [_constant_data(constant) for constant in self.constants],
+                "directions": [
+                    {
+                        "error": direction.error,
+                        "weights": dict(zip(names, direction.weights, strict=True)),
+                        "is_sloppy": direction.is_sloppy,
+                        "words": direction.words,
+                    }
+                    for direction in self.directions
+                ],
+            }
+        )
+
+
+def _constant_data(constant: ProfiledConstant) -> dict[str, object]:
+    data: dict[str, object] = {**vars(constant), "sentence": constant.sentence}
+    profile = {name: data.pop(name) for name in ("values", "deviances")}
+    return {**data, "profile": profile}
+
+
+MOST_STEPS: Final = 40
+"""Values on either side of the best one."""
+FARTHEST: Final = 1e3
+"""A constant is followed until it has moved by so many times its size."""
+_STEPS_INSIDE: Final = 5
+_GROWTH: Final = 3.0
+_HALVINGS: Final = 5
+_SECANTS: Final = 4
+_REFINEMENTS: Final = 14
+"""Fits by which an end of an interval is found: the first ones by a secant, then by halving what is left."""
+_CLOSE: Final = 1e-3
+"""An end of an interval lies where the root of the deviance is the quantile, up to this share."""
+FLAT: Final = 0.01
+"""Deviance below which nothing is seen of a change: a tenth of a standard error."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConstantProfile:
+    """The profile of one constant.
+
+    `values` (n,) ascend, the best one among them, with their `deviances` (n,); `path` (n, P) are all constants there.
+    `lower` and `upper` are the ends of the interval, infinite where the deviance stays below the threshold as far as it
+    was followed, from `values[0]` to `values[-1]`; 0 where the constant may be as small as one likes, but not 0.
+    `is_cut` (lower, upper) tells that an end is a bound on the constant, or that the model cannot be simulated beyond.
+    """
+
+    best: float
+    values: FloatArray
+    deviances: FloatArray
+    path: FloatArray
+    lower: float
+    upper: float
+    is_cut: tuple[bool, bool]
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether no value describes the data any worse: nothing in such data could tell the constant."""
+        inside = self.deviances[(self.values > self.lower) & (self.values < self.upper)]
+        return all(self.is_open) and bool(inside.max() < FLAT)
+
+    @property
+    def is_open(self) -> tuple[bool, bool]:
+        """Whether the interval has no lower, and no upper end; 0 is none, where the logarithm has none."""
+        return math.isinf(self.lower) or self.lower == 0.0, math.isinf(self.upper) or self.upper == 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _ProfilePoint:
+    """A value, the root of the deviance and the fit of all other constants there."""
+
+    value: float
+    root: float
+    fit: TrajectoryFit
+
+
+def profile(fitted: FittedEquations, index: int, quantile: float) -> ConstantProfile:
+    """Return the profile of a constant, followed until the root of the deviance is `quantile` on either side."""
+    best = float(fitted.values[index])
+    start = _ProfilePoint(best, 0.0, fitted.fit)
+    sides = [_ProfileSide(fitted, index, quantile, direction).follow(start) for direction in (-1.0, 1.0)]
+    points = [*reversed(sides[0][0]), start, *sides[1][0]]
+    return ConstantProfile(
+        best,
+        np.array([point.value for point in points]),
+        np.array([math.copysign(point.root**2, point.root) for point in points]),
+        np.array([point.fit.system.values for point in points]),
+        sides[0][1],
+        sides[1][1],
+        (sides[0][2], sides[1][2]),
+    )
+
+
+class _ProfileSide:
+    """One side of a profile: values away from the best one, each fitted from where the last two fits point."""
+
+    def __init__(self, fitted: FittedEquations, index: int, quantile: float, direction: float) -> None:
+        self._fitted, self._index, self._quantile, self._direction = fitted, index, quantile, direction
+        self._size = abs(float(fitted.values[index])) or self._spread or 1.0
+        system = fitted.fit.system
+        self._lower = np.full(system.count, -math.inf) if system.lower is None else system.lower
+        self._upper = np.full(system.count, math.inf) if system.upper is None else system.upper
+        self._bound = float(self._lower[index] if direction < 0.0 else self._upper[index])
+
+    @property
+    def _spread(self) -> float:
+        variance = float(self._fitted.bounded_covariance[self._index, self._index])
+        return math.sqrt(variance) if variance > 0.0 and math.isfinite(variance) else 0.0
+
+    def follow(self, start: _ProfilePoint) -> tuple[list[_ProfilePoint], float, bool]:
+        """Return the points, the end of the interval, and whether the model cannot be simulated beyond it."""
+        aim = self._quantile / _STEPS_INSIDE
+        step = min(aim * self._spread, self._size) if self._spread else aim * self._size
+        points = [start]
+        for _ in range(MOST_STEPS):
+            point, step = self._next(points, step)
+            if point is None:
+                return points[1:], points[-1].value, True
+            points.append(point)
+            if point.root >= self._quantile:
+                inside, end = self._crossing(points)
+                return [*points[1:-1], *inside, point], end, False
+            if abs(point.value - start.value) >= FARTHEST * self._size:
+                break
+            gain = (point.root - points[-2].root) / step
+            step = min(max(aim / gain, step / _GROWTH) if gain > 0.0 else math.inf, _GROWTH * step)
+        return points[1:], self._direction * math.inf, False
+
+    def _next(self, points: list[_ProfilePoint], step: float) -> tuple[_ProfilePoint | None, float]:
+        """Return the next point and the step to it, a shorter one where the model cannot be simulated or is bounded."""
+        step = min(step, abs(self._bound - points[-1].value))
+        for _ in range(_HALVINGS if step > 0.0 else 0):
+            point = self._point(points, points[-1].value + self._direction * step)
+            if point is not None:
+                return point, step
+            step *= 0.3
+        return None, step
+
+    def _point(self, points: list[_ProfilePoint], value: float) -> _ProfilePoint | None:
+        lower, upper, last = self._lower.copy(), self._upper.copy(), points[-1].fit
+        lower[self._index] = upper[self._index] = value
+        held = replace(self._fitted.fit.system, lower=lower, upper=upper)
+        for constants, starts in (self._foreseen(points, value), (last.system.values, last.starts)):
+            fit = self._fitted.again(held.with_values(constants), starts)
+            if fit is not None:
+                deviance = self._fitted.deviance(fit)
+                root = math.copysign(math.sqrt(abs(deviance)), deviance)
+                return _ProfilePoint(value, root, fit)
+        return None
+
+    def _foreseen(self, points: list[_ProfilePoint], value: float) -> tuple[FloatArray, FloatArray]:
+        """Return the constants and the initial states that a straight line through the last points gives."""
+        last = points[-1]
+        constants, starts = last.fit.system.values, last.fit.starts
+        if len(points) == 1:
+            spread = self._fitted.bounded_covariance[:, self._index]
+            slope = spread / spread[self._index] if spread[self._index] > 0.0 else np.zeros(len(spread))
+            limit = np.abs(constants)
+            return constants + np.clip((value - last.value) * slope, -limit, limit), starts
+        before = points[-2]
+        share = min((value - last.value) / (last.value - before.value), _GROWTH)
+        moved = constants + share * (constants - before.fit.system.values)
+        return moved, starts + share * (starts - before.fit.starts)
+
+    def _crossing(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float]:
+        """Return where the root of the deviance is the quantile, and the points fitted on the way."""
+        *before, inside, outside = points
+        points_between = list[_ProfilePoint]()
+        near, far = inside.root - self._quantile, outside.root - self._quantile
+        for number in range(_REFINEMENTS):
+            share = near / (near - far) if number < _SECANTS else 0.5
+            value = inside.value + share * (outside.value - inside.value)
+            if min(abs(near), abs(far)) <= _CLOSE * self._quantile:
+                break
+            middle = self._point([*before, inside], value)
+            if middle is None or middle.root > self._quantile:
+                if middle is None or number >= _SECANTS:
+                    near, far = -1.0, 1.0
+                else:
+                    near, far = 0.5 * near, middle.root - self._quantile  # the Illinois variant of regula falsi
+                outside = middle or _ProfilePoint(value, math.inf, inside.fit)
+            else:
+                points_between.append(middle)
+                near, far = middle.root - self._quantile, 0.5 * far
+                inside = middle
+        return points_between, 0.0 if abs(value) < self._size / FARTHEST else value
+
+
+SLOPPY: Final = 1.0
+"""Quantiles of the error along a direction, over the constants themselves, from which it is not determined: then they
+could as well be twice as large, or 0."""
+_PART: Final = 0.1
+"""Share of the largest component from which a constant takes part in a direction."""
+_LEFT: Final = 0.1
+"""Share of the change of its terms that a relation may show along a profile and still be called determined."""
+_LARGEST_POWER: Final = 3
+_LEAST_CURVATURE: Final = 1e-11
+"""Share of the largest eigenvalue below which curvature is rounding."""
+
+
+def directions(fitted: FittedEquations, profiles: Sequence[ConstantProfile], names: Sequence[str], signs: FloatArray,
+               quantile: float) -> tuple[Direction, ...]:  # fmt: skip
+    """Return the directions, the least determined one first.
+
+    Of each constant there is a profile, its name, and in `signs` (P,) -1 where that stands for minus the constant;
+    `quantile` counts the standard errors on either side of an interval.
+    """
+    sizes = np.maximum(np.abs(fitted.values), 1e-300)
+    curvature = np.nan_to_num(fitted.fit.reduced) * np.outer(sizes, sizes)
+    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    eigendirections = []
+    for value, vector in zip(values.tolist(), vectors.T, strict=True):
+        error = 1.0 / math.sqrt(value) if value > _LEAST_CURVATURE * values[-1] else math.inf
+        is_sloppy = quantile * error >= SLOPPY
+        words = _words(vector, profiles, names, signs, quantile) if is_sloppy else ""
+        eigendirections.append(Direction(error, vector * np.sign(vector[np.argmax(np.abs(vector))]), is_sloppy, words))
+    return tuple(eigendirections)
+
+
+def _words(vector: FloatArray, profiles: Sequence[ConstantProfile], names: Sequence[str], signs: FloatArray,
+           quantile: float) -> str:  # fmt: skip
+    part: list[int] = np.flatnonzero(np.abs(vector) >= _PART * np.abs(vector).max()).tolist()
+    is_open = any(any(profiles[index].is_open) for index in part)
+    if len(part) == 1:
+        return f"{names[part[0]]} is not determined" if is_open else ""
+    listed = enumerated([names[index] for index in part])
+    lead = max(part, key=lambda index: abs(float(vector[index])))
+    inside = profiles[lead].path[profiles[lead].deviances <= quantile**2][:, part] * signs[part]
+    relation = relation_of(inside, (names[part[0]], names[part[1]])) if len(part) == 2 else None
+    if relation is not None:
+        compared = f"only {relation} is determined, not" if is_open else f"{relation} is determined better than"
+        return f"{compared} {listed} by themselves"
+    shares = ", ".join(f"{names[index]} by {vector[index] / vector[lead]:+.2g} %" for index in part if index != lead)
+    return f"{listed} can change together: as {names[lead]} changes by +1 %, {shares}"
+
+
+def relation_of(path: FloatArray, names: tuple[str, str]) -> str | None:
+    """Return what of two constants stays the same along a path (n, 2), such as ``a*b`` or ``a + b``; None: nothing.
+
+    Products of powers up to cubes are tried, and sums. A sum with another factor than one is said only where no product
+    stays the same: along a short path every relation is nearly one of these.
+    """
+    product, total = _product(path, names), _sum(path, names)
+    if total.left <= min(_LEFT, product.left) and (total.is_plain or product.left > _LEFT):
+        return total.text
+    return product.text if product.left <= _LEFT else None
+
+
+@dataclass(frozen=True)
+class _ConstantRelation:
+    """How much a relation changes along a path, over the changes of its terms; `is_plain`: without a factor."""
+
+    left: float = math.inf
+    text: str = ""
+    is_plain: bool = False
+
+
+def _product(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
+    signs = np.sign(path)
+    kept = (signs == np.sign(signs.sum(axis=0))).all(axis=1)  # beyond 0 the same may hold with other signs
+    path = path[kept & (path != 0.0).all(axis=1)]
+    if len(path) < max(3, len(signs) // 2):
+        return _ConstantRelation()
+    logs = np.log(np.abs(path))
+    spread = np.ptp(logs, axis=0)
+    if not np.all(spread > 0.0):
+        return _ConstantRelation()
+    ratio = _slope(logs)
+    power = Fraction(abs(ratio)).limit_denominator(_LARGEST_POWER)
+    if not 0 < power.numerator <= _LARGEST_POWER:
+        return _ConstantRelation()
+    # along the path the logarithm of the second changes by `ratio` times that of the first
+    first, second = power.numerator, power.denominator * (1 if ratio < 0.0 else -1)
+    left = float(np.ptp(first * logs[:, 0] + second * logs[:, 1])) / float(first * spread[0] + abs(second) * spread[1])
+    operator = "*" if second > 0 else "/"
+    return _ConstantRelation(left, f"{_power(names[0], first)}{operator}{_power(names[1], abs(second))}", True)
+
+
+def _sum(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
+    spread = np.ptp(path, axis=0) if len(path) > 1 else np.zeros(2)
+    if not np.all(spread > 0.0):
+        return _ConstantRelation()
+    ratio = _slope(path)
+    factor = float(f"{abs(ratio):.2g}")
+    sign = -1.0 if ratio > 0.0 else 1.0
+    left = float(np.ptp(factor * path[:, 0] + sign * path[:, 1])) / float(factor * spread[0] + spread[1])
+    first = names[0] if factor == 1.0 else f"{factor:g}*{names[0]}"
+    return _ConstantRelation(left, f"{first} {'+' if sign > 0 else '-'} {names[1]}", factor == 1.0)
+
+
+def _slope(path: FloatArray) -> float:
+    """Return the slope of the second column over the first, of the principal axis of both in their own units."""
+    centred = path - path.mean(axis=0)
+    scale = centred.std(axis=0)
+    return float(scale[1] / scale[0]) * (1.0 if float(centred[:, 0] @ centred[:, 1]) >= 0.0 else -1.0)
+
+
+def _power(name: str, power: int) -> str:
+    return name if power == 1 else f"{name}**{power}"
+
 
 MOST_CONSTANTS: Final = 60
 """More constants than this take minutes."""
@@ -77,7 +519,7 @@ def identify(
     )
 
 
-def _reading(constant: Constant, fitted: Fitted) -> tuple[int, bool, int, str]:
+def _reading(constant: FreeConstant, fitted: FittedEquations) -> tuple[int, bool, int, str]:
     """Return what orders constants as they are read: by equation, in the order of the text, factors of one last."""
     number = int(constant.name[1:]) if constant.name[:1] == "c" and constant.name[1:].isdigit() else 0
     return fitted.equations.variables.index(constant.variable), not constant.is_written, number, constant.name
@@ -108,13 +550,13 @@ class _Profiler:
     `restarts` are the values (P,) of constants from which it was fitted again, one after the other.
     """
 
-    fitted: Fitted
+    fitted: FittedEquations
     quantile: float
     result: Result
     table: Table | None
     restarts: tuple[FloatArray, ...] = ()
 
-    def profile(self, index: int) -> Profile:
+    def profile(self, index: int) -> ConstantProfile:
         """Return the profile of a constant."""
         return profile(self.fitted, index, self.quantile)
 
@@ -135,10 +577,10 @@ class _Profiler:
         return self
 
 
-_PROFILE: Final = BatchFunction("profile", _Parts, int, Profile, _Profiler.profile, _Parts.profiler)
+_PROFILE: Final = BatchFunction("profile", _Parts, int, ConstantProfile, _Profiler.profile, _Parts.profiler)
 
 
-def _profiled(profiler: _Profiler, count: int, spread: Spread) -> tuple[Fitted, list[Profile]]:
+def _profiled(profiler: _Profiler, count: int, spread: Spread) -> tuple[FittedEquations, list[ConstantProfile]]:
     """Return the profiles of all constants, and the fit that they are of: a better one where a profile has met it."""
     for _ in range(_RESTARTS + 1):
         made = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)
@@ -153,7 +595,9 @@ def _profiled(profiler: _Profiler, count: int, spread: Spread) -> tuple[Fitted, 
     return profiler.fitted, profiles
 
 
-def _profiled_constant(constant: Constant, likelihood: Profile, error: float, quantile: float) -> ProfiledConstant:
+def _profiled_constant(
+    constant: FreeConstant, likelihood: ConstantProfile, error: float, quantile: float
+) -> ProfiledConstant:
     half = quantile * error if math.isfinite(error) else math.inf
     ends, cut = (likelihood.lower, likelihood.upper), likelihood.is_cut
     values, deviances = constant.sign * likelihood.values, likelihood.deviances

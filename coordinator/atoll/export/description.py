@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.beginnings import Given, recorded_inputs, start_of, times_of
-from atoll.model.driving import inputs_along, require_inputs
-from atoll.model.parameters import Parameter
+from atoll.model.arguments import Given, inputs_along, recorded_inputs, require_inputs, start_of, times_of
+from atoll.model.equations import Parameter
 from atoll.model.simulation import followed_sizes
 from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_core import VERSION
@@ -40,7 +39,7 @@ class Formula:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class ExportedState:
     """A state: its `name` in expressions, its `column` in the data ("" where it has none), its `unit`.
 
     `rate` is its derivative, `start` its initial value. Errors are to be small beside `size`, above 0; of a process 0.
@@ -55,7 +54,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Input:
+class ExportedInput:
     """A variable without an equation.
 
     It is the time itself, is held at a `value`, or goes along a `table`: pieces of cubics, (M, 5), each the time from
@@ -84,8 +83,8 @@ class Description:
     """
 
     symbols: tuple[str, ...]
-    states: tuple[State, ...]
-    inputs: tuple[Input, ...]
+    states: tuple[ExportedState, ...]
+    inputs: tuple[ExportedInput, ...]
     constants: tuple[Parameter, ...]
     value: Formula | None
     covariance: Mapping[tuple[int, int], Formula]
@@ -99,17 +98,17 @@ class Description:
     zeros: tuple[str, ...]
 
     @property
-    def variables(self) -> "tuple[State | Input, ...]":
+    def variables(self) -> "tuple[ExportedState | ExportedInput, ...]":
         """States and inputs, the time left out."""
         return (*self.states, *(variable for variable in self.inputs if variable.kind != "time"))
 
     @property
-    def tables(self) -> tuple[Input, ...]:
+    def tables(self) -> tuple[ExportedInput, ...]:
         """The inputs that go along a table."""
         return tuple(variable for variable in self.inputs if variable.kind == "table")
 
     @property
-    def held(self) -> tuple[Input, ...]:
+    def held(self) -> tuple[ExportedInput, ...]:
         """The inputs that are held at a value."""
         return tuple(variable for variable in self.inputs if variable.kind == "value")
 
@@ -142,7 +141,7 @@ def describe(
     inputs = tuple(
         _input(model, name, given, times, recorded.get(name), has_tables=not without_tables) for name in model.inputs
     )
-    states: tuple[State, ...] = ()
+    states: tuple[ExportedState, ...] = ()
     if not model.is_regression:
         start = start_of(model, x0)
         sizes = np.zeros(len(start))
@@ -186,7 +185,9 @@ def _formulas(model: "Model") -> dict[str, Formula]:
     return formulas
 
 
-def _states(model: "Model", formulas: Mapping[str, Formula], start: FloatArray, sizes: FloatArray) -> tuple[State, ...]:
+def _states(
+    model: "Model", formulas: Mapping[str, Formula], start: FloatArray, sizes: FloatArray
+) -> tuple[ExportedState, ...]:
     """Return the states; for order 2 the rates of positions are the velocities."""
     symbols, names = model.result.symbols, model.result.names
     rates = {symbols[variable]: formula for variable, formula in formulas.items() if variable in symbols}
@@ -196,7 +197,7 @@ def _states(model: "Model", formulas: Mapping[str, Formula], start: FloatArray, 
             rates[velocity] = rates[position]
             rates[position] = Formula(Program.of([(VARIABLE, names.index(velocity), 0, 0.0)]), {})
     return tuple(
-        State(name, _column(model, name), _unit(model, name), rates[name], first, size)
+        ExportedState(name, _column(model, name), _unit(model, name), rates[name], first, size)
         for name, first, size in zip(model.states, start.tolist(), sizes.tolist(), strict=True)
     )
 
@@ -217,33 +218,33 @@ def _input(
     recorded: InputCurve | None,
     *,
     has_tables: bool,
-) -> Input:
+) -> ExportedInput:
     column, unit = _column(model, name), _unit(model, name)
     value = next((given[key] for key in (name, column) if key in given), None)
     if value is None and column == model.time and not model.is_regression:
-        return Input(name, column, unit, "time")
+        return ExportedInput(name, column, unit, "time")
     if value is None:
         if recorded is None:
-            return Input(name, column, unit, "value", status="unknown")
+            return ExportedInput(name, column, unit, "value", status="unknown")
         value = recorded
     if isinstance(value, InputCurve):
         if (value.values == value.values[0]).all():
-            return Input(name, column, unit, "value", float(value.values[0]))
+            return ExportedInput(name, column, unit, "value", float(value.values[0]))
         if not has_tables and recorded is value:
-            return Input(name, column, unit, "value", status="dropped")
-        return Input(name, column, unit, "table", 0.0, value.pieces, value.until)
+            return ExportedInput(name, column, unit, "value", status="dropped")
+        return ExportedInput(name, column, unit, "table", 0.0, value.pieces, value.until)
     if callable(value):
         raise UsageError(f"the input {name!r} is a function, which no export can hold; give its values at the times t")
     values = np.asarray(value, dtype=np.float64)
     if values.ndim == 0:
-        return Input(name, column, unit, "value", float(values))
+        return ExportedInput(name, column, unit, "value", float(values))
     if values.shape != times.shape or len(times) < 2:
         raise UsageError(f"the input {name!r} has {values.size} values for {times.size} times; give one for each")
     curve = InputCurve.through(times, values, model.input_kind(name))
-    return Input(name, column, unit, "table", 0.0, curve.pieces, curve.until)
+    return ExportedInput(name, column, unit, "table", 0.0, curve.pieces, curve.until)
 
 
-def _zeros(inputs: tuple[Input, ...], without_tables: str) -> tuple[str, ...]:
+def _zeros(inputs: tuple[ExportedInput, ...], without_tables: str) -> tuple[str, ...]:
     """Return sentences on the inputs that are held at 0 for want of a value."""
     reasons = {
         "dropped": f"not as recorded, since {without_tables} has no tables",

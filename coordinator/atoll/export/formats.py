@@ -1,32 +1,118 @@
-"""The table of formats of one file: languages, and what is written of a result, which need not be a model."""
+"""A result as text for people and sympy: LaTeX, Python that makes sympy objects, CSV of the fronts.
 
+Equations that were not found are left out.
+
+The table of formats of one file: languages, and what is written of a result, which need not be a model.
+"""
+
+import csv
+import io
+import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final
 
-from atoll.export import c, julia, matlab, modelica, python, sbml, text, xppaut
 from atoll.export.description import Description, HeldInputs, Times, describe
 from atoll.export.language import Language
-from atoll.model.beginnings import Given
+from atoll.export.languages import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
+from atoll.export.sbml import SBML
+from atoll.model.arguments import Given
+from atoll.model.equations import ConstantWords, constant_words, equation_of, remark_on_groups
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
+from atoll_core.expression.text.export import left_side_to_latex, to_latex, unit_to_latex
+from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import enumerated
 
 if TYPE_CHECKING:
     from atoll.model.model import Model
 
+_COLUMNS: Final[tuple[str, ...]] = (
+    "variable", "lhs", "pick", "selected", "shown", "origin", "complexity", "error", "normalized_error", "r2",
+    "holdout_error", "expression",
+)  # fmt: skip
+
+_POWER: Final = re.compile(r"e([+-]?\d+)\b")
+_OF_NUMBERS: Final = "-0123456789"
+
+
+def as_csv(result: Result) -> str:
+    """Return the equations as CSV with a header: for each the one that is shown, then all members of its front."""
+    stream = io.StringIO()
+    writer: csv.DictWriter[str] = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for equation in result.equations:
+        sides = {"variable": equation.variable, "lhs": equation.lhs}
+        origin = "known" if equation.why == "known" else "front"
+        if equation.expression is not None:
+            writer.writerow({**dict(equation), "shown": True})
+        for number, member in enumerate(equation.front):
+            writer.writerow({**dict(member), **sides, "pick": number, "shown": False, "origin": origin})
+    return stream.getvalue().rstrip("\n")
+
+
+def as_sympy(result: Result) -> str:
+    """Return Python source that makes the symbols and a dictionary ``equations`` from left-hand side to expression."""
+    names = result.names
+    remark = remark_on_groups(result)
+    lines = [f"# {remark}"] if remark else []
+    lines += ["import sympy", "", f"names = {[*names]!r}", "symbols = {name: sympy.Symbol(name) for name in names}"]
+    lines += ["equations = {"]
+    for equation in result.equations:
+        if equation.expression is not None:
+            parsed = f"sympy.parse_expr({equation.expression!r}, local_dict=symbols)"
+            lines.append(f"    {equation.lhs!r}: {parsed},")
+    return "\n".join([*lines, "}"])
+
+
+def as_latex(result: Result) -> str:
+    """Return an ``align*`` environment with one line for each equation."""
+    lines = [f"  {line}" for line in latex_lines(result)]
+    remark = remark_on_groups(result)
+    begin = [*([f"% {remark}"] if remark else []), r"\begin{align*}"]
+    return "\n".join([*begin, *([" \\\\\n".join(lines)] if lines else []), r"\end{align*}"])
+
+
+def latex_lines(result: Result) -> list[str]:
+    """Return each equation as a line of an aligned environment, with its unit and, in the next line, its constants."""
+    names, lines = result.names, []
+    for equation in result.equations:
+        if equation.expression is None:
+            continue
+        left = left_side_to_latex(equation.lhs, is_name=equation.lhs == equation.variable)
+        unit = equation_of(result, equation).unit
+        unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
+        lines.append(f"{left} &= {to_latex(from_infix(equation.expression, names), names)}{unit}")
+        constants = ",\\; ".join(map(_constant_latex, constant_words(equation.constants)))
+        lines += [rf"&\quad \text{{constants: }} {constants}"] if constants else []
+    return lines
+
+
+def _constant_latex(words: ConstantWords) -> str:
+    """Return ``19.92\\; (19.9 \\pm 1.7)\\,\\mathrm{m}``."""
+    notes = ", ".join(_numbers_latex(note) if note[0] in _OF_NUMBERS else rf"\text{{{note}}}" for note in words.notes)
+    unit = rf"\,{unit_to_latex(words.unit)}" if words.unit not in (None, "1") else ""
+    return _numbers_latex(words.number) + (rf"\; ({notes})" if notes else "") + unit
+
+
+def _numbers_latex(text: str) -> str:
+    """Return numbers with ``±`` or ``to`` between them as mathematics."""
+    text = _POWER.sub(lambda power: rf" \cdot 10^{{{int(power[1])}}}", text)
+    return text.replace("±", r"\pm").replace(" to ", r"\text{ to }")
+
+
 LANGUAGES: Final[Mapping[str, Language]] = {
-    "python": python.LANGUAGE,
-    "c": c.LANGUAGE,
-    "julia": julia.LANGUAGE,
-    "matlab": matlab.LANGUAGE,
-    "modelica": modelica.LANGUAGE,
-    "xppaut": xppaut.LANGUAGE,
-    "sbml": sbml.LANGUAGE,
+    "python": PYTHON,
+    "c": C,
+    "julia": JULIA,
+    "matlab": MATLAB,
+    "modelica": MODELICA,
+    "xppaut": XPPAUT,
+    "sbml": SBML,
 }
 OF_RESULTS: Final[Mapping[str, Callable[[Result], str]]] = {
-    "latex": text.as_latex,
-    "sympy": text.as_sympy,
-    "csv": text.as_csv,
+    "latex": as_latex,
+    "sympy": as_sympy,
+    "csv": as_csv,
     "json": Result.to_json,
 }
 PETAB: Final = "petab"

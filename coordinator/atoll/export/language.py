@@ -1,18 +1,170 @@
-"""Languages as tables of words and templates, and a description in the words of one."""
+"""Templates of files. Pure.
+
+`$name` is a value, of a list how many items it has. `<<items|text|separator>>` is the text for each item, the separator
+", " unless given. Lines of their own say what becomes of others: ``$for items:line`` repeats a line for each item, with
+a comma between two as ``$for items,:line`` (or a semicolon); ``$if name:line`` keeps it where a value is neither 0 nor
+empty, ``$unless name:line`` where it is. With nothing behind the colon they hold for all lines down to their ``$end``.
+Within an item its values hide those around it.
+
+Names that a language takes, from names that people have given to columns. Pure.
+
+Languages as tables of words and templates, and a description in the words of one.
+"""
 
 import re
 import textwrap
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from atoll.export.description import Description, Formula, Input, State
-from atoll.export.naming import Naming, harmless, spelled
-from atoll.export.template import Values, fill
-from atoll.model.parameters import Parameter
+from atoll.export.description import Description, ExportedInput, ExportedState, Formula
+from atoll.model.equations import Parameter
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import SQRT
 from atoll_core.expression.text.infix import Notation, to_code
+
+Value = str | float | Sequence[Mapping[str, "Value"]]
+Values = Mapping[str, Value]
+
+_LINE: Final = re.compile(r"\$(for|if|unless) (\w+)([,;]?):(.*)")
+_PART: Final = re.compile(r"<<(\w+)\|(.*?)(?:\|(.*?))?>>|\$(\w+)")
+
+
+def fill(template: str, values: Values) -> list[str]:
+    """Return the lines of a template with values; raises KeyError where one is not there."""
+    return list(_filled(template.splitlines(), values))
+
+
+def _filled(template: Iterable[str], values: Values) -> Iterator[str]:
+    lines = iter(template)
+    for line in lines:
+        instruction = _LINE.fullmatch(line)
+        if instruction is None:
+            yield _text(line, values)
+            continue
+        word, name, separator, rest = instruction.groups()
+        body = [rest] if rest else [*_block(lines)]
+        if word == "for":
+            yield from _repeated(body, _scopes(name, values), separator)
+        elif bool(values[name]) is (word == "if"):
+            yield from _filled(body, values)
+
+
+def _block(lines: Iterator[str]) -> Iterator[str]:
+    """Yield the lines before the ``$end`` of a block that has begun, and take that one too."""
+    depth = 1
+    for line in lines:
+        instruction = _LINE.fullmatch(line)
+        depth += -1 if line == "$end" else instruction is not None and not instruction[4]
+        if not depth:
+            return
+        yield line
+
+
+def _repeated(body: Sequence[str], scopes: Sequence[Values], separator: str) -> Iterator[str]:
+    for number, scope in enumerate(scopes, start=1):
+        *lines, last = _filled(body, scope)
+        yield from lines
+        yield last + (separator if number < len(scopes) else "")
+
+
+def _scopes(name: str, values: Values) -> list[Values]:
+    """Return the values that each item of a list sees."""
+    items = values[name]
+    assert not isinstance(items, str | float | int), f"{name} is no list"
+    return [{**values, **item} for item in items]
+
+
+def _text(line: str, values: Values) -> str:
+    def written(part: re.Match[str]) -> str:
+        items, text, separator, name = part.groups()
+        if name:
+            value = values[name]
+            return str(value if isinstance(value, str | float | int) else len(value))
+        return (", " if separator is None else separator).join(_text(text, scope) for scope in _scopes(items, values))
+
+    return _PART.sub(written, line)
+
+
+_LETTER: Final = re.compile(r"(?:GREEK|CYRILLIC) (SMALL|CAPITAL) LETTER (?:FINAL )?(\w+)")
+
+
+@dataclass(frozen=True)
+class Naming:
+    """What a language takes as a name: ASCII letters, digits and _, a letter first, at most `longest` of them.
+
+    `reserved` are words that mean something else, and no name begins with one of `prefixes`; where the language
+    `is_caseless`, case tells no names apart.
+    """
+
+    reserved: frozenset[str]
+    prefixes: tuple[str, ...] = ()
+    longest: int = 60
+    is_caseless: bool = False
+
+    def assign(self, wanted: Mapping[str, str]) -> dict[str, str]:
+        """Return what each key is called: what is wanted where it can be, else something like it; all are different.
+
+        Of those that want the same, the first gets it.
+        """
+        names: dict[str, str] = {}
+        taken: set[str] = set()
+        for key in sorted(wanted, key=lambda wish: not self._is_good(wanted[wish])):
+            name = wanted[key]
+            names[key] = self._unique(name if self._is_good(name) else self._rewritten(name), taken)
+            taken.add(self._key(names[key]))
+        return {key: names[key] for key in wanted}
+
+    def _key(self, name: str) -> str:
+        return name.lower() if self.is_caseless else name
+
+    def _is_good(self, name: str) -> bool:
+        is_plain = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None and len(name) <= self.longest
+        return is_plain and not self._is_reserved(name) and not name.startswith(self.prefixes)
+
+    def _is_reserved(self, name: str) -> bool:
+        return self._key(name) in {self._key(word) for word in self.reserved}
+
+    def _rewritten(self, name: str) -> str:
+        text = re.sub(r"_+", "_", spelled(name)).strip("_")
+        if not text[:1].isalpha() or text.startswith(self.prefixes):
+            text = "x" + text
+        text = text[: self.longest]
+        return text[: self.longest - 1] + "_" if self._is_reserved(text) else text
+
+    def _unique(self, name: str, taken: set[str]) -> str:
+        number, chosen = 2, name
+        while self._key(chosen) in taken or self._is_reserved(chosen):
+            ending = f"_{number}"
+            chosen = name[: self.longest - len(ending)] + ending
+            number += 1
+        return chosen
+
+
+def spelled(name: str) -> str:
+    """Return `name` in ASCII letters, digits and _: without accents, letters of Greek and Cyrillic by their names."""
+    return "".join(map(_spelled, unicodedata.normalize("NFKC", name)))
+
+
+def _spelled(character: str) -> str:
+    plain = unicodedata.normalize("NFKD", character)[0]
+    if plain.isascii():
+        return plain if plain.isalnum() else "_"
+    if letter := _LETTER.match(unicodedata.name(plain, "")):
+        return letter[2].lower() if letter[1] == "SMALL" else letter[2].capitalize()
+    return "_"
+
+
+def harmless(text: str) -> str:
+    """Return `text` as it may stand in a comment of any language: one line, no backslash, no invisible character."""
+    kept = (
+        character if unicodedata.category(character)[0] not in "CZ" else " "
+        for character in text.replace("\\", "/").replace("*/", "* /")
+    )
+    return " ".join("".join(kept).split())
+
 
 _WIDTH: Final = 100
 """Columns of a heading."""
@@ -87,7 +239,7 @@ class Wording:
         self._names = language.naming.assign(wanted)
         self._names |= {variable.name: language.time for variable in model.inputs if variable.kind == "time"}
 
-    def __getitem__(self, named: State | Input | Parameter) -> str:
+    def __getitem__(self, named: ExportedState | ExportedInput | Parameter) -> str:
         """Return what a variable or a constant is called."""
         return self.constant(named.name) if isinstance(named, Parameter) else self._names[named.name]
 
@@ -107,7 +259,7 @@ class Wording:
         error = "" if constant.stderr is None else f"standard error {constant.stderr:.2g}"
         return self._quoted(", ".join(part for part in (unit, error) if part))
 
-    def about(self, variable: State | Input) -> str:
+    def about(self, variable: ExportedState | ExportedInput) -> str:
         """Return what a variable is: its column and unit."""
         unit = f" [{harmless(variable.unit)}]" if variable.unit else ""
         return self._quoted(f"column {harmless(variable.column)}{unit}")
@@ -199,7 +351,7 @@ class Wording:
             for place, (state, row) in enumerate(zip(self.model.states, rows, strict=True))
         ]
 
-    def _table(self, variable: Input) -> Values:
+    def _table(self, variable: ExportedInput) -> Values:
         assert variable.table is not None
         names: list[str] = ["since", "c0", "c1", "c2", "c3"]
         cubics = [dict(zip(names, row, strict=True)) for row in variable.table.tolist()]

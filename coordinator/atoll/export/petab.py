@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from atoll.export import sbml
-from atoll.export.description import Description, State, describe
+from atoll.export.description import Description, ExportedState, describe
 from atoll.export.formats import require_holds
 from atoll.export.language import Wording
-from atoll.model.arguments import Columns, inputs_of, read_columns, rows_of
-from atoll.model.beginnings import measured_beginning, values_of_curve
-from atoll.model.parameters import Parameter
+from atoll.export.sbml import SBML, start_name
+from atoll.model.arguments import Columns, inputs_of, measured_beginning, read_columns, rows_of, values_of_curve
+from atoll.model.equations import Parameter
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Recorded
 from atoll_core.data.dataset import FloatArray
@@ -51,8 +50,8 @@ def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | N
     columns = model.result.columns_by_symbol
     placeholders = {name: 0.0 for name in model.inputs if columns[name] != model.time}
     description = describe(model, start, times, placeholders)
-    require_holds(description, sbml.LANGUAGE)
-    document = sbml.LANGUAGE.write(description, has_start_parameters=True)
+    require_holds(description, SBML)
+    document = SBML.write(description, has_start_parameters=True)
     trajectories = trajectories or _recorded(model)
     if not trajectories:
         raise UsageError(
@@ -79,7 +78,7 @@ def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | N
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class PetabTrajectory:
     """What was measured along one: `times` (N,), `values` (N,) by state, NaN where missing; `start` (D,) fitted.
 
     `inputs` are the values (N,) of inputs, by name.
@@ -92,7 +91,7 @@ class Trajectory:
     inputs: Mapping[str, FloatArray]
 
 
-def _recorded(model: "Model") -> list[Trajectory]:
+def _recorded(model: "Model") -> list[PetabTrajectory]:
     """Return the measurements that a result holds, without held-out trajectories, from their fitted initial states.
 
     A trajectory without a fitted one begins at its first row that has every state, and is left out where none has.
@@ -117,11 +116,11 @@ def _recorded(model: "Model") -> list[Trajectory]:
         )
         named = {symbols[name]: np.nan if value is None else value for name, value in start.items()}
         begin = tuple(named[name] for name in model.states)
-        trajectories.append(Trajectory(part.name, times[first:], values, begin, inputs))
+        trajectories.append(PetabTrajectory(part.name, times[first:], values, begin, inputs))
     return trajectories
 
 
-def _given(model: "Model", data: Sequence[Columns]) -> list[Trajectory]:
+def _given(model: "Model", data: Sequence[Columns]) -> list[PetabTrajectory]:
     """Return measurements that are given, each with the initial state of its first row."""
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")
@@ -129,7 +128,7 @@ def _given(model: "Model", data: Sequence[Columns]) -> list[Trajectory]:
     for number, part in enumerate((read_columns(model, part) for part in data), start=1):
         times, values, start = rows_of(model, part)
         first = tuple(start[name] for name in model.states)
-        trajectories.append(Trajectory(str(number), times, values, first, inputs_of(model, part)))
+        trajectories.append(PetabTrajectory(str(number), times, values, first, inputs_of(model, part)))
     return trajectories
 
 
@@ -139,11 +138,11 @@ def _given(model: "Model", data: Sequence[Columns]) -> list[Trajectory]:
 class _Tables:
     """The tables of a problem, row by row, the header first."""
 
-    def __init__(self, model: "Model", description: Description, trajectories: Sequence[Trajectory]) -> None:
+    def __init__(self, model: "Model", description: Description, trajectories: Sequence[PetabTrajectory]) -> None:
         self._description = description
-        self._words = Wording(description, sbml.LANGUAGE)
+        self._words = Wording(description, SBML)
         self._trajectories = trajectories
-        self._starts = [sbml.start_name(self._words, state) for state in description.states]
+        self._starts = [start_name(self._words, state) for state in description.states]
         self._measured = {
             state: np.concatenate([part.values[state.name] for part in trajectories if state.name in part.values])
             for state in description.states
@@ -202,7 +201,7 @@ class _Tables:
             sd, _ = self._errors[name]
             yield f"sd_{name}", f"errors of {state.name}", "log10", sd / _REACH, sd * _REACH, sd, 1
 
-    def _width(self, state: State) -> float:
+    def _width(self, state: ExportedState) -> float:
         """Return how far a state has moved in all; of one that was not measured, how fast those that were have."""
         values = self._measured.get(state)
         if values is None:
@@ -211,7 +210,7 @@ class _Tables:
         return float(np.nanmax(values) - np.nanmin(values)) or 1.0
 
 
-def _errors(model: "Model", state: State, name: str, values: FloatArray) -> tuple[float, str]:
+def _errors(model: "Model", state: ExportedState, name: str, values: FloatArray) -> tuple[float, str]:
     """Return the standard deviation of a state's errors, and that of an error as a formula of the model.
 
     A share of the variance may grow with the square of the state, over the root mean square of its measured values.
@@ -226,7 +225,7 @@ def _errors(model: "Model", state: State, name: str, values: FloatArray) -> tupl
     return sd, f"sd_{name}{growth}"
 
 
-def _constant_input(part: Trajectory, name: str) -> float:
+def _constant_input(part: PetabTrajectory, name: str) -> float:
     """Return the value of an input along a trajectory; raises UsageError where it is not one."""
     values = np.unique(part.inputs.get(name, ()))
     if len(values) != 1 or not np.isfinite(values[0]):

@@ -9,10 +9,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 from xml.sax.saxutils import escape, quoteattr
 
-from atoll.export.description import Description, Formula, Input, State
-from atoll.export.language import Language, Wording
-from atoll.export.naming import Naming, harmless
-from atoll.export.template import Values, fill
+from atoll.export.description import Description, ExportedInput, ExportedState, Formula
+from atoll.export.language import Language, Naming, Values, Wording, fill, harmless
 from atoll_coordinator.units import expanded, is_factor, parse_unit
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import OPERATORS
@@ -40,7 +38,7 @@ class _Sbml(Language):
         Raises:
             UsageError: libsbml finds an error.
         """
-        words, units = Wording(model, self), Units()
+        words, units = Wording(model, self), UnitDefinitions()
         starts = [{"id": words[state], "math": _math(_name(start_name(words, state)))} for state in model.states]
         values: Values = {
             "time_unit": _attributes(timeUnits=units.of(model.time_unit)),
@@ -55,7 +53,7 @@ class _Sbml(Language):
         return text
 
 
-LANGUAGE: Final = _Sbml(
+SBML: Final = _Sbml(
     name="SBML",
     notation=INFIX,
     naming=Naming(frozenset(_WORDS.split()), ("start_", "sd_", "observable_")),
@@ -112,7 +110,7 @@ Factor = tuple[str, float, float]
 """A unit of SBML: its kind, its exponent, its multiplier."""
 
 
-class Units:
+class UnitDefinitions:
     """The unit definitions that a document needs."""
 
     def __init__(self) -> None:
@@ -159,7 +157,7 @@ def factors_of(text: str) -> tuple[Factor, ...]:
     return (first, *((kind, exponent, 1.0) for kind, exponent in kinds[1:]))
 
 
-def start_name(words: Wording, state: State) -> str:
+def start_name(words: Wording, state: ExportedState) -> str:
     """Return the name of the constant that a state begins with."""
     return f"start_{words[state]}"
 
@@ -180,7 +178,7 @@ def check(text: str) -> None:
             )
 
 
-def _parameters(words: Wording, units: Units, has_start_parameters: bool) -> Iterator[Values]:
+def _parameters(words: Wording, units: UnitDefinitions, has_start_parameters: bool) -> Iterator[Values]:
     model = words.model
     for state in model.states:
         unit, start = units.of(state.unit), repr(state.start)
@@ -261,7 +259,7 @@ def _expression(formula: Formula, symbols: Sequence[str], words: Wording) -> str
     return nodes[-1]
 
 
-def _piecewise(variable: Input) -> str:
+def _piecewise(variable: ExportedInput) -> str:
     """Return an input as cubics of the time, piece by piece, constant before and behind."""
     assert variable.table is not None
     rows = variable.table.tolist()

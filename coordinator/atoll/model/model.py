@@ -1,4 +1,8 @@
-"""A model that was found, with what is known of it: equations, constants, simulations, provenance.
+"""The other equations that were compared, each with the rest of the result.
+
+How well a model describes data that it may not have seen: R2.
+
+A model that was found, with what is known of it: equations, constants, simulations, provenance.
 
 Letters: D states, U inputs, N rows or times.
 """
@@ -13,21 +17,53 @@ from typing import Literal, overload
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.arguments import Columns, by_name, has_columns, number, points_of, read_columns
-from atoll.model.beginnings import Given, recorded_inputs, start_of, times_of
-from atoll.model.candidates import candidate_results
-from atoll.model.driving import GivenInputs, inputs_along, require_inputs
-from atoll.model.ensembles import density_of_process, ensemble_of, process_of
-from atoll.model.equations import Equation, equation_of
+from atoll.model.arguments import (
+    Columns,
+    Given,
+    GivenInputs,
+    by_name,
+    column,
+    has,
+    has_columns,
+    inputs_along,
+    number,
+    points_of,
+    read_columns,
+    recorded_inputs,
+    require_inputs,
+    rows_of,
+    stacked,
+    start_of,
+    times_of,
+)
+from atoll.model.equations import (
+    LEVEL,
+    DisplayedEquation,
+    Parameter,
+    differing_groups,
+    equation_of,
+    measured_ranges,
+    of_group,
+    outside_sentence,
+    parameters_of,
+    quantile,
+    remark_on_groups,
+)
 from atoll.model.files import write_text
-from atoll.model.groups import differing_groups, of_group, remark_on_groups
-from atoll.model.joint_errors import JointErrors
-from atoll.model.parameters import LEVEL, Parameter, parameters_of, quantile
-from atoll.model.ranges import measured_ranges, outside_sentence
-from atoll.model.scoring import score
 from atoll.model.shortcuts import Shortcuts
-from atoll.model.simulation import EarlyEndWarning, ExtrapolationWarning, Inputs, Simulation, simulate
-from atoll.model.vector_field import VectorField
+from atoll.model.simulation import (
+    EarlyEndWarning,
+    ExtrapolationWarning,
+    Inputs,
+    Simulation,
+    SimulationWarning,
+    density_of_process,
+    ensemble_of,
+    process_of,
+    simulate,
+)
+from atoll.model.vector_field import JointErrors, VectorField
+from atoll_coordinator.result.equations import Candidate, Equation
 from atoll_coordinator.result.findings import InputKind
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.stochastic.densities import StationaryDensity
@@ -37,6 +73,89 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.quoting import shown
+
+
+def candidate_results(result: Result) -> tuple[Result, ...]:
+    """Return the result with each other candidate in the place of an equation, the best first.
+
+    Without what belongs to the model: errors, verdicts, terms in common.
+    """
+    others = [
+        (candidate.nats, place, candidate)
+        for place, equation in enumerate(result.equations)
+        for candidate in equation.candidates
+        if not candidate.selected and candidate.nats is not None
+    ]
+    return tuple(_with(result, place, other) for _, place, other in sorted(others, key=lambda ranked: ranked[0]))
+
+
+def _with(result: Result, place: int, other: Candidate) -> Result:
+    # constants of candidates, and of equations without their groups, are of all groups together
+    equations = [
+        equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})
+        for equation in result.equations
+    ]
+    shown = result.equations[place]
+    equations[place] = Equation(  # nothing but this is known of it
+        variable=shown.variable,
+        lhs=shown.lhs,
+        **{name: getattr(other, name) for name in ("expression", "complexity", "origin", "nats")},
+        **{name: getattr(shown, name) for name in _OF_THE_SEARCH},
+        is_of_all_groups=result.group is not None or bool(shown.groups),
+    )
+    unknown = {"covariance": None, "groups": (), "correlations": (), "shared_terms": (), "chaos": None}
+    return result.model_copy(update={"equations": tuple(equations), **unknown})
+
+
+_OF_THE_SEARCH = (
+    "error", "normalized_error", "r2", "converged", "simple_together", "epoch", "generation", "point_evaluations",
+    "point_evaluations_by_part", "seconds", "why", "derivative_floor", "target_error", "convergence", "front",
+)  # fmt: skip
+"""What stays beside another candidate, as it is of the search and not of the equation."""
+
+
+def score(model: "Model", data: Columns | Sequence[Columns]) -> float:
+    """Return R2 on data; see `atoll.Model.score`."""
+    given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
+    parts = [read_columns(model, part) for part in given if has_columns(part)]
+    if not given or len(parts) < len(given):
+        raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
+    return _of_regression(model, parts) if model.is_regression else _of_dynamics(model, parts)
+
+
+def _of_regression(model: "Model", parts: Sequence[Columns]) -> float:
+    target = model.result.equations[0].variable
+    both = [stacked([column(part, target), model.predict(part)]) for part in parts]
+    return _r2(*np.concatenate(both, axis=1))
+
+
+def _of_dynamics(model: "Model", parts: Sequence[Columns]) -> float:
+    columns = model.result.columns_by_symbol
+    states = [name for name in model.states if all(has(part, columns[name]) for part in parts)]
+    if not states:
+        names = ", ".join(columns[name] for name in model.states)
+        raise UsageError(f"the data have none of the columns {names} in every part; give a measured state")
+    simulated, measured = [], []
+    for part in parts:
+        times, _, start = rows_of(model, part)
+        inputs = {name: column(part, columns[name]) for name in model.inputs}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SimulationWarning)
+            simulation = model.simulate(start, times, inputs or None, has_bands=False)
+        if simulation.status != "finished":
+            return -np.inf
+        simulated.append(stacked([simulation[name] for name in states]))
+        measured.append(stacked([column(part, columns[name]) for name in states]))
+    pairs = zip(np.concatenate(measured, axis=1), np.concatenate(simulated, axis=1), strict=True)
+    return float(np.mean([_r2(rows, values) for rows, values in pairs]))
+
+
+def _r2(measured: FloatArray, values: FloatArray) -> float:
+    known = np.isfinite(measured)
+    left = float(((measured - values)[known] ** 2).sum())
+    spread = float(((measured[known] - measured[known].mean()) ** 2).sum())
+    return 1.0 - left / spread if spread > 0.0 else (1.0 if left == 0.0 else -np.inf)
 
 
 class Model(Shortcuts):
@@ -110,7 +229,7 @@ class Model(Shortcuts):
         return VectorField.from_result(self._result)
 
     @cached_property
-    def equations(self) -> tuple[Equation, ...]:
+    def equations(self) -> tuple[DisplayedEquation, ...]:
         """All equations; of a stochastic process those of the diffusion as well."""
         return tuple(equation_of(self._result, equation) for equation in self._result.equations)
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from atoll.model.equations import LEVEL
 from atoll.model.files import write_text
-from atoll.model.parameters import LEVEL
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.quoting import path_of
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
     from atoll.analysis.analysis import Analysis
     from atoll.experiments.comparison import Comparison
-    from atoll.experiments.determination import Identifiability, ProfiledConstant
-    from atoll.experiments.suggestion import Cost, Suggestions
+    from atoll.experiments.designs import Cost
+    from atoll.experiments.identifiability import Identifiability, ProfiledConstant
+    from atoll.experiments.suggestion import Suggestions
     from atoll.export.description import HeldInputs, Times
-    from atoll.model.arguments import Columns
-    from atoll.model.beginnings import Given
+    from atoll.model.arguments import Columns, Given
     from atoll.model.model import Model
 
 
@@ -113,9 +113,9 @@ class Shortcuts:
             DataError: the data cannot be used as they are.
         """
         from atoll.api.experiments import suggestions
-        from atoll.experiments.space import Request
+        from atoll.experiments.designs import DesignRequest
 
-        request = Request(
+        request = DesignRequest(
             bounds=bounds or {},
             duration=duration,
             samples=samples,
@@ -196,7 +196,7 @@ class Shortcuts:
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the constants, a row each: `name`, `equation`, `value`, `stderr`, ends of the 95 % interval, `unit`.
 
-        As a frame of ``"polars"`` or ``"pandas"``; null where it is not known. Raises UsageError without pandas.
+        As a frame of ``"polars"`` or ``"pandas"``; null where it is not known. Raises UsageError if it is missing.
         """
         constants = self.itself.params.values()
         intervals = [constant.interval or (None, None) for constant in constants]

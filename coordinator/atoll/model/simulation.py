@@ -1,6 +1,10 @@
 """Simulations of a vector field from any initial state, with bands. Bounded: how it ends is a result, not an error.
 
 Letters: D states, U inputs, K constants, N times.
+
+Paths of the stochastic process that a model is, and the density that they settle into.
+
+Letters: S states, U inputs, N times.
 """
 
 import contextlib
@@ -8,7 +12,7 @@ import csv
 import io
 import math
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -16,15 +20,21 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.joint_errors import JointErrors
-from atoll.model.vector_field import VectorField
+from atoll.model.vector_field import JointErrors, VectorField
+from atoll_coordinator.result.findings import Process
+from atoll_coordinator.stochastic.densities import STEPS, StationaryDensity, density_of, settled_paths
+from atoll_coordinator.stochastic.moments import StepMoments, step_moments
+from atoll_coordinator.stochastic.paths import Ensemble, Simulator, divided, step_counts
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.errors import UsageError
+from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import shown
 
 if TYPE_CHECKING:
     import polars
+
+    from atoll.model.model import Model
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
 """How a simulation ended: at the last time; where a state grows beyond all bounds in finite time; where all evaluations
@@ -112,7 +122,7 @@ class Simulation:
         return np.asarray(self.lower[:, place]), np.asarray(self.upper[:, place])
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas."""
+        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing."""
         return frame_of(self.columns(), library)
 
     def columns(self) -> dict[str, FloatArray]:
@@ -155,7 +165,7 @@ def simulate(
     standard errors lie on either side; `most` bounds the evaluations. Raises UsageError where arguments do not fit.
     """
     check_times(field, x0, t)
-    task = _Task(field, inputs, most)
+    task = _RateTask(field, inputs, most)
     course = _integrated(task, x0, t)
     states, count = course.rows, len(course.rows)
     status: Status = "finished" if course.is_whole else _ending(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
@@ -177,7 +187,7 @@ def followed_sizes(
     Raises UsageError where arguments do not fit.
     """
     check_times(field, x0, t)
-    course = _integrated(_Task(field, inputs, most), x0, t)
+    course = _integrated(_RateTask(field, inputs, most), x0, t)
     return np.maximum(course.sizes, np.minimum(course.lowest, np.abs(x0)))
 
 
@@ -197,7 +207,7 @@ class _SpentError(Exception):
 
 
 @dataclass
-class _Task:
+class _RateTask:
     """The rates as a solver wants them: with a `count` of evaluations, of which there are at most so many."""
 
     field: VectorField
@@ -238,7 +248,7 @@ class _Task:
 
 
 @dataclass(frozen=True, eq=False)
-class _Course:
+class _Integration:
     """States `rows` at the times that were passed, the last time `reached`, and the `last` state (D,) there.
 
     `sizes` (D,) are those beside which errors were small, `lowest` (D,) the least absolute values on the way;
@@ -256,11 +266,11 @@ class _Course:
     is_rough: bool = False
 
 
-def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
+def _integrated(task: _RateTask, x0: FloatArray, t: FloatArray) -> _Integration:
     """Return the course from `x0` (D,), once more with smaller sizes where states turn out to be smaller."""
     begin, sizes = float(t[0]), _sizes(task, x0, t)
     if len(t) == 1 or not np.isfinite(task.field.values(x0, task.inputs_at(begin))).all():
-        return _Course(np.array([x0]), begin, x0, sizes, np.abs(x0), is_whole=len(t) == 1)
+        return _Integration(np.array([x0]), begin, x0, sizes, np.abs(x0), is_whole=len(t) == 1)
     course = _attempt(task, x0, t, sizes)
     smaller = sizes if course.is_spent else _smaller_sizes(task, course, t)
     if (smaller == sizes).all():
@@ -270,7 +280,7 @@ def _integrated(task: _Task, x0: FloatArray, t: FloatArray) -> _Course:
     return finer if finer.is_whole else replace(course, is_rough=course.is_whole)
 
 
-def _smaller_sizes(task: _Task, course: _Course, t: FloatArray) -> FloatArray:
+def _smaller_sizes(task: _RateTask, course: _Integration, t: FloatArray) -> FloatArray:
     """Return sizes (D,) for another attempt: smaller where a state is far below what its size was taken to be."""
     reached, sizes = np.abs(course.rows).max(axis=0), course.sizes.copy()
     if course.is_whole:
@@ -282,7 +292,7 @@ def _smaller_sizes(task: _Task, course: _Course, t: FloatArray) -> FloatArray:
     return sizes
 
 
-def _can_cross(task: _Task, course: _Course, t: FloatArray, place: int) -> bool:
+def _can_cross(task: _RateTask, course: _Integration, t: FloatArray, place: int) -> bool:
     """Tell whether a state may change its sign: where it is 0, its rate leads away from the sign that it began with.
 
     The signs on the way do not tell: in a trough that is deeper than the errors allowed, they are those of errors.
@@ -298,7 +308,7 @@ def _can_cross(task: _Task, course: _Course, t: FloatArray, place: int) -> bool:
     return False
 
 
-def _attempt(task: _Task, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _Course:
+def _attempt(task: _RateTask, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _Integration:
     """Return a course, each state with errors that are small beside its own size (D,)."""
     from scipy.integrate import LSODA
 
@@ -321,10 +331,10 @@ def _attempt(task: _Task, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _
                     rows += [np.asarray(dense(at)) for at in t[len(rows) : end].tolist()]
             if solver.status != "finished":
                 break
-    return _Course(np.array(rows), reached, last, sizes, lowest, len(rows) == len(t), task.is_spent)
+    return _Integration(np.array(rows), reached, last, sizes, lowest, len(rows) == len(t), task.is_spent)
 
 
-def _sizes(task: _Task, x0: FloatArray, t: FloatArray) -> FloatArray:
+def _sizes(task: _RateTask, x0: FloatArray, t: FloatArray) -> FloatArray:
     """Return how large each state is, (D,), all above 0: its initial value, which is what a course can grow from.
 
     Where that is 0, the largest one measured; of a model without data what the first steps of Euler's method make of
@@ -342,7 +352,7 @@ def _sizes(task: _Task, x0: FloatArray, t: FloatArray) -> FloatArray:
     return _positive(sizes)
 
 
-def _ending(task: _Task, course: _Course, sizes: FloatArray, span: float) -> Status:
+def _ending(task: _RateTask, course: _Integration, sizes: FloatArray, span: float) -> Status:
     """Return why a simulation ended early, from the last state that was reached; `sizes` (D,) are those at first."""
     last = course.last
     rates = task.field.values(last, task.inputs_at(course.reached))
@@ -364,7 +374,7 @@ def _sentence(status: Status, reached: float, most: int) -> str:
     }[status]
 
 
-def _standard_errors(task: _Task, errors: JointErrors, course: _Course, t: FloatArray) -> FloatArray | None:
+def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration, t: FloatArray) -> FloatArray | None:
     """Return the standard errors (N, D) of the simulated states (N, D), by the sensitivities S' = J S + df/dc.
 
     None where they cannot be followed.
@@ -405,7 +415,11 @@ def _standard_errors(task: _Task, errors: JointErrors, course: _Course, t: Float
 
 
 def _solved(
-    task: _Task, rates: Callable[[float, FloatArray], FloatArray], start: FloatArray, t: FloatArray, least: FloatArray
+    task: _RateTask,
+    rates: Callable[[float, FloatArray], FloatArray],
+    start: FloatArray,
+    t: FloatArray,
+    least: FloatArray,
 ) -> FloatArray | None:
     """Return the numbers (M, N) that go from `start` (M,) by these rates; None where the solver fails."""
     from scipy.integrate import solve_ivp
@@ -435,3 +449,68 @@ def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
 def _positive(sizes: FloatArray) -> FloatArray:
     """Return sizes, 1 in the place of 0: what is always 0 has none, and errors of it are none."""
     return np.where(sizes > 0.0, sizes, 1.0)
+
+
+MOST_STEPS: Final = 200_000
+"""Steps of an ensemble: some minutes."""
+
+
+def ensemble_of(
+    model: "Model", x0: FloatArray, times: FloatArray, inputs: Inputs | None, drawn: tuple[int, int]
+) -> Ensemble:
+    """Return paths from `x0` (S,) at the first of the `times` (N,), which ascend.
+
+    Between two times steps are no longer than those of the measurements; `inputs` are held in each at their value in
+    its middle. `drawn` are the number of paths and their seed. Raises UsageError.
+    """
+    simulator, longest = _simulator(model, *drawn), process_of(model).step
+    check_times(model.field, x0, times, drawn[0])
+    count = float(step_counts(times, longest).sum())
+    if count > MOST_STEPS:
+        what = f"{count:.15g} steps of {longest:g}, that of the measurements, are more than {MOST_STEPS}"
+        raise UsageError(f"{what}; simulate less time")
+    begins, lengths, is_kept = divided(times, longest)
+    middles = (begins + 0.5 * lengths).tolist()
+    held = np.zeros((0, len(middles))) if inputs is None else np.array([inputs(at) for at in middles]).T
+    paths = simulator.paths(np.repeat(x0[:, None], drawn[0], axis=1), held, lengths, is_kept)
+    return Ensemble(model.states, times, paths.transpose(2, 0, 1), model.time)
+
+
+def density_of_process(
+    model: "Model", x0: FloatArray, inputs: Sequence[float], drawn: tuple[int, int]
+) -> StationaryDensity | None:
+    """Return the density that paths from `x0` (S,) settle into, `inputs` (U,) held; None where they do not settle."""
+    simulator = _simulator(model, *drawn, least=2)  # one path tells no error of its means
+    check_times(model.field, x0, np.zeros(1))
+    most = MOST_NUMBERS // ((STEPS + 1) * len(x0))
+    if drawn[0] > most:
+        raise UsageError(f"{drawn[0]} paths are more than {most}, those of which a density is taken; draw fewer")
+    starts = np.repeat(x0[:, None], drawn[0], axis=1)
+    paths = settled_paths(simulator, starts, np.array(inputs), process_of(model).step)
+    return None if paths is None else density_of(model.states, paths)
+
+
+def process_of(model: "Model") -> Process:
+    """Return the process; raises UsageError where the model has no noise, or its result does not say its steps."""
+    process = model.result.process
+    if not model.components:
+        raise UsageError("the model has no noise of its own, so it has no paths; --stochastic seeks such models")
+    if process is None:
+        raise UsageError("this result has equations of noise but nothing as 'process'; give it as it was written")
+    return process
+
+
+def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simulator:
+    """Return what draws paths; raises UsageError where there is nothing to draw."""
+    for name, value, lower in (("paths", paths, least), ("seed", seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < lower:
+            raise UsageError(f"{name} must be a whole number of at least {lower}, but {value!r} was given")
+    names = (*model.states, *model.inputs)
+    texts = {equation.variable: equation.exact for equation in model.equations}
+    diffusion = {pair: from_infix(texts[name], names) for name, pair in model.components.items()}
+    drift, discretisation = model.field.programs, process_of(model).discretisation
+
+    def moments(points: FloatArray, lengths: FloatArray) -> StepMoments:
+        return step_moments(drift, diffusion, points, lengths, discretisation)
+
+    return Simulator(moments, np.random.default_rng(seed))

@@ -2,30 +2,37 @@
 
 Letters: D states, U inputs, P parameters, N points. Values agree with those of the search up to rounding, since
 functions are those of the C library, and sine and cosine have values of large numbers, too.
+
+The joint errors of the constants of a model.
+
+Letters: D states, P constants of a vector field, K constants whose joint covariance is known.
 """
 
+import itertools
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from atoll.model.parameters import Parameter
+from atoll.model.equations import Parameter, program_of
 from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.findings import Covariance
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
 from atoll_core.expression.evaluation import NUMPY
-from atoll_core.expression.operators import Functions
+from atoll_core.expression.operators import VARIABLE, Functions
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.export import to_sympy
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
 
 MOST_STATES: Final = 200
 """More states than this make a Jacobian of more than 40 000 formulas."""
@@ -159,31 +166,31 @@ class VectorField:
         return sides
 
     @cached_property
-    def _rates(self) -> "_Function":
+    def _rates(self) -> "_CompiledPrograms":
         return self._function(self._sides, (len(self.states),))
 
     @cached_property
-    def _by_states(self) -> "_Function":
+    def _by_states(self) -> "_CompiledPrograms":
         return self._slopes(0, len(self.states))
 
     @cached_property
-    def _by_inputs(self) -> "_Function":
+    def _by_inputs(self) -> "_CompiledPrograms":
         return self._slopes(len(self.states), len(self.inputs))
 
     @cached_property
-    def _by_parameters(self) -> "_Function":
+    def _by_parameters(self) -> "_CompiledPrograms":
         return self._slopes(len(self.states) + len(self.inputs), len(self.parameters))
 
-    def _slopes(self, begin: int, count: int) -> "_Function":
+    def _slopes(self, begin: int, count: int) -> "_CompiledPrograms":
         """Return the derivatives of all right-hand sides by so many variables from `begin` on."""
         slopes = [derivative(side, variable) for side in self._sides for variable in range(begin, begin + count)]
         return self._function(slopes, (len(self.states), count))
 
-    def _function(self, programs: Sequence[Program], shape: tuple[int, ...]) -> "_Function":
-        return _Function(programs, shape, len(self.states) + len(self.inputs) + len(self.parameters))
+    def _function(self, programs: Sequence[Program], shape: tuple[int, ...]) -> "_CompiledPrograms":
+        return _CompiledPrograms(programs, shape, len(self.states) + len(self.inputs) + len(self.parameters))
 
     def _evaluated(
-        self, function: "_Function", x: npt.ArrayLike, u: npt.ArrayLike | None, p: npt.ArrayLike | None
+        self, function: "_CompiledPrograms", x: npt.ArrayLike, u: npt.ArrayLike | None, p: npt.ArrayLike | None
     ) -> FloatArray:
         points = np.asarray(x, dtype=np.float64)
         inputs = np.asarray(() if u is None else u, dtype=np.float64)
@@ -228,7 +235,7 @@ def _velocity_of(variable: str, symbols: Mapping[str, str]) -> str:
     return symbols[name]
 
 
-class _Function:
+class _CompiledPrograms:
     """Programs as two functions, compiled when first used: of plain numbers, fast at one point, and of arrays.
 
     `shape` is that in which callers want the values of all programs at a point.
@@ -266,3 +273,70 @@ class _Function:
                     values[:, index] = column
         values[~np.isfinite(values)] = np.nan
         return values
+
+
+@dataclass(frozen=True, eq=False)
+class JointErrors:
+    """The joint covariance (K, K) of the constants, and the field whose parameters they are.
+
+    `field` has the right-hand sides with factors of one as constants; `columns` (K,) say which of its P parameters the
+    constants are.
+    """
+
+    field: VectorField
+    columns: tuple[int, ...]
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, result: Result, field: VectorField) -> "JointErrors | None":
+        """Return the errors of a result's model, `field` being its right-hand sides; None where they are not known.
+
+        Constants of a diffusion are left out.
+        """
+        known = result.covariance
+        if known is None or any(None in row for row in known.matrix):
+            return None
+        rows = [row for row, place in enumerate(known.constants) if place.variable in result.symbols]
+        variables = [known.constants[row].variable for row in rows]
+        names, programs = (*field.states, *field.inputs), list(field.programs)
+        sides: dict[str, int] = {}
+        for variable in dict.fromkeys(variables):
+            equation = next(equation for equation in result.equations if equation.variable == variable)
+            program = _explicit(result, equation, known)
+            if program is None:
+                return None
+            sides[variable] = _place(field, equation, result.symbols[variable])
+            programs[sides[variable]] = _over(program, [names.index(name) for name in result.names])
+        ends = np.cumsum([0, *(len(constant_places(program)) for program in programs)])
+        following = [
+            itertools.count(begin) for begin in ends.tolist()
+        ]  # parameters stand one after the other in each side
+        columns = tuple(next(following[sides[variable]]) for variable in variables)
+        matrix = np.array(known.matrix, dtype=np.float64).reshape(len(known.constants), -1)
+        return cls(replace(field, programs=tuple(programs)), columns, matrix[np.ix_(rows, rows)])
+
+    def rates(self, x: FloatArray, u: FloatArray | None) -> FloatArray:
+        """Return the derivatives (D, K) of the rates by the constants at a point."""
+        return self.field.parameter_derivatives(x, u)[:, list(self.columns)]
+
+
+def _explicit(result: Result, equation: Equation, known: Covariance) -> Program | None:
+    """Return a right-hand side whose constants, in node order, are those of the covariance; None without."""
+    if equation.program is None:
+        return None
+    origins = [place.constant for place in known.constants if place.variable == equation.variable]
+    program = program_of(equation, result.names)
+    explicit = (make_coefficients_explicit(program), as_written(program))
+    return next((coefficients.program for coefficients in explicit if [*coefficients.origins] == origins), None)
+
+
+def _over(program: Program, places: Sequence[int]) -> Program:
+    """Return a program over other variables, those at these places; its constants stay in their order."""
+    left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
+    return replace(program, left=np.array(left, dtype=np.int16))
+
+
+def _place(field: VectorField, equation: Equation, symbol: str) -> int:
+    """Return which right-hand side is the equation of a state: for order 2, behind those of the positions."""
+    position = field.states.index(symbol)
+    return position + len(field.states) // 2 if is_acceleration(equation) else position

@@ -5,17 +5,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from atoll.display.curves import ModelCurves, chosen, curves_of
-from atoll.display.series import label
+from atoll.display.curves import ModelCurves, chosen, curves_of, label
 from atoll.model.model import Model
-from atoll.report.chart import Axis, Chart
+from atoll.report.markup import Axis, Chart
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
 
 if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
-    from atoll.experiments.determination import Identifiability
+    from atoll.experiments.identifiability import Identifiability
     from atoll.experiments.suggestion import Suggestions
 
 

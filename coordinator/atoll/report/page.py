@@ -4,16 +4,10 @@ from functools import cache
 from importlib.resources import files
 from typing import Final
 
-from atoll.report.choice import choice
-from atoll.report.constants import constants
-from atoll.report.dynamics import dynamics
+from atoll.report.equations import choice, constants, origin, overview, search
 from atoll.report.findings import Findings
-from atoll.report.fit import fitted_values, trajectories
 from atoll.report.markup import Element, element, paragraph, to_text
-from atoll.report.origin import origin
-from atoll.report.overview import overview
-from atoll.report.process import process
-from atoll.report.search import search
+from atoll.report.trajectories import dynamics, fitted_values, process, trajectories
 from atoll_coordinator.result.result import Result
 from atoll_core import VERSION
 

@@ -5,5 +5,5 @@ bytes, and ``analyses`` what can be asked of a result; ``team`` gives batches of
 help with it; ``process`` is the program that a worker starts, which runs one task after another. Nothing here knows the
 service or the bus.
 
-A lease comes to a worker -> its process gets a `atoll_core.tasks.frames.Run` -> `functions.FUNCTIONS` -> `Finished`.
+A lease comes to a worker -> its process gets a `atoll_core.task_frames.Run` -> `functions.FUNCTIONS` -> `Finished`.
 """

@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from atoll.experiments.space import Request
+from atoll.experiments.designs import DesignRequest
+from atoll.model.equations import LEVEL
 from atoll.model.model import Model
-from atoll.model.parameters import LEVEL
 from atoll.terminal.output import as_json
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.result.result import Result
@@ -53,7 +53,7 @@ class Profile(Question):
 class Suggest(Question):
     """The experiments to make next, see `atoll.Model.suggest`."""
 
-    request: Request
+    request: DesignRequest
     form: Form = "text"
 
 
@@ -115,7 +115,7 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
             known = identify(model.result, table, question.level, spread)
             return _formed(question.form, known.as_dict, known.__str__)
         case Suggest():
-            from atoll.experiments.design_search import suggest
+            from atoll.experiments.suggestion import suggest
 
             suggested = suggest(_model(result, question).result, question.request, table)
             return _formed(question.form, suggested.as_dict, suggested.__str__)

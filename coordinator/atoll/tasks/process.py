@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Final
 
 from atoll_core.logs import fields
-from atoll_core.machine.usage import collect_rarely, memory_bytes
+from atoll_core.machine import collect_rarely, memory_bytes
 from atoll_core.signals import ENDING, ignore
-from atoll_core.tasks.frames import (
+from atoll_core.task_frames import (
+    OTHER_VERSION,
     Ask,
     Batch,
     Begun,
@@ -33,8 +34,8 @@ from atoll_core.tasks.frames import (
     Started,
     Take,
     ToProcess,
+    version,
 )
-from atoll_core.tasks.installation import OTHER_VERSION, version
 
 _STDIN: Final = 0
 _STDOUT: Final = 1

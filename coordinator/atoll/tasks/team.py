@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from atoll_core.tasks.frames import Ask, Batch, FromProcess, Give, Progressed
+from atoll_core.task_frames import Ask, Batch, FromProcess, Give, Progressed
 from atoll_core.wire.messages.tasks import MAX_BATCH
 
 HOLD_S: Final = 2.0

@@ -4,7 +4,9 @@ import contextlib
 import json
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+
+from pydantic_core import to_jsonable_python
 
 from atoll_core.command_line import unwritable
 from atoll_core.quoting import visible, visible_line
@@ -36,6 +38,17 @@ def as_json(value: object) -> str:
     """Return `value` as indented JSON, rows of numbers on one line; NaN and infinity are refused, not written."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
     return _NUMBERS.sub(lambda match: " ".join(match[0].split()).replace("[ ", "[").replace(" ]", "]"), text)
+
+
+def plain(value: Mapping[str, object]) -> dict[str, object]:
+    """Return dataclasses, arrays and tuples as plain data for JSON, with None for numbers that are not finite."""
+    data: dict[str, object] = to_jsonable_python(value, inf_nan_mode="null", fallback=lambda array: array.tolist())
+    return data
+
+
+def attributes(of: object, *names: str) -> dict[str, object]:
+    """Return attributes by name."""
+    return {name: getattr(of, name) for name in names}
 
 
 def shortened(expression: str, digits: int = 6) -> str:

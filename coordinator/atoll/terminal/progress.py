@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from atoll.client.follower import Display
 from atoll.terminal.output import clipped, count, duration, error_text, note, shortened
-from atoll_core.compilation.progress import count_of
+from atoll_core.compilation.cache import count_of
 from atoll_core.quoting import visible, visible_line
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, VariableView, Workforce
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Final
 
-from atoll.model.constants import number_text, plus_minus
+from atoll.model.equations import number_text, plus_minus
 from atoll.text.tables import percent
 from atoll_coordinator.result.findings import Density, PathEnsemble
 from atoll_coordinator.result.result import Result

@@ -7,10 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.export.text import as_csv, as_latex, as_sympy
-from atoll.model.constants import number_text
-from atoll.model.equations import DIGITS, rounded
-from atoll.model.parameters import constant_names
+from atoll.export.formats import as_csv, as_latex, as_sympy
+from atoll.model.equations import DIGITS, constant_names, number_text, rounded
 from atoll.text import tables
 from atoll.text.process import process_lines
 from atoll_coordinator.result.equations import Equation, Member

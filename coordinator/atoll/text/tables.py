@@ -7,8 +7,18 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from atoll.model.constants import ConstantWords, constant_words, fitted_text, number_text, with_errors, words_of
-from atoll.model.parameters import constant_names, interval_text, r2_text, unit_text
+from atoll.model.equations import (
+    ConstantWords,
+    constant_names,
+    constant_words,
+    fitted_text,
+    interval_text,
+    number_text,
+    r2_text,
+    unit_text,
+    with_errors,
+    words_of,
+)
 from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, SimpleTogether, Units
 from atoll_coordinator.result.findings import Errors, ExcludedRows, Noise, Place
 from atoll_coordinator.result.listed_trajectories import Simulated

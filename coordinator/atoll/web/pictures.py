@@ -7,13 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.display.curves import chosen, curves_of
+from atoll.display.curves import chosen, curves_of, label
 from atoll.display.notation import equation_mathml
-from atoll.display.series import label
-from atoll.model.beginnings import beginning_of
-from atoll.model.equations import rounded
+from atoll.model.arguments import beginning_of
+from atoll.model.equations import r2_text, rounded
 from atoll.model.model import Model
-from atoll.model.parameters import r2_text
 from atoll.model.simulation import Simulation
 from atoll.text.conclusion import conclusion
 from atoll.text.tables import constants_line

@@ -24,7 +24,7 @@ from starlette.exceptions import HTTPException
 from atoll.client.local_workers import start_apart
 from atoll.client.over_http import TOKEN
 from atoll.web.problems import UnreadableError
-from atoll_core.machine.usage import total_memory_bytes
+from atoll_core.machine import total_memory_bytes
 
 TABLE: Final = "application/vnd.atoll.table"
 """Media type of a table that has been read already, as clients of the bus upload it."""

@@ -14,7 +14,7 @@ from atoll_coordinator.data.differentiation.held_inputs import estimate_driven_s
 from atoll_coordinator.data.increments.targets import assemble_process
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
-from atoll_coordinator.data.roles.symbols import assign_symbols
+from atoll_coordinator.data.roles.roles import assign_symbols
 from atoll_coordinator.data.row_selection.row_means import average_oversampled_rows, estimates_of_means
 from atoll_coordinator.data.row_selection.selected_rows import (
     normalize_weights,
@@ -22,7 +22,7 @@ from atoll_coordinator.data.row_selection.selected_rows import (
     select_weighty_rows,
     thin_searched_rows,
 )
-from atoll_coordinator.data.trajectories.gaps import split_at_gaps
+from atoll_coordinator.data.trajectories.measurements import split_at_gaps
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 

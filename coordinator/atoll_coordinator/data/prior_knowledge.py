@@ -1,35 +1,118 @@
-"""What is known beforehand, in terms of the data: guesses, known equations, what an equation may be made of. Pure.
+"""Prior knowledge in terms of the data: guesses, known equations, bounds, what an equation may be made of. Pure.
 
-What cannot be used is refused in one sentence, before anything is searched.
+Left-hand sides are accepted as people write them: the equation of ``x`` is called ``x``, ``dx``, ``dx/dt`` or ``x'``,
+for order 2 ``d2x``, ``d2x/dt2`` or ``x''``; columns by their name or by their symbol. A column that is called ``dx``
+itself comes before the derivative of ``x``. Whatever cannot be used is refused in one sentence, before a search begins.
 """
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain, combinations, combinations_with_replacement
-from typing import Final
+from typing import Final, TypeVar
 
 from atoll_coordinator.data.recording import component_name
-from atoll_coordinator.data.roles.left_hand_sides import LeftSides
+from atoll_coordinator.data.roles.columns import split_unit
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.errors import UsageError
-from atoll_core.expression.bounds import ALL_EQUATIONS, Bound, parse_bound
 from atoll_core.expression.operation_list import placed_text
 from atoll_core.expression.operators import BY_NAME, VARIABLE
 from atoll_core.expression.program import Program
+from atoll_core.expression.restrictions import ALL_EQUATIONS, parse_bound
 from atoll_core.expression.simplification import complexity, simplify_program
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.quoting import did_you_mean
+
+Value = TypeVar("Value")
 
 _INDIVIDUALS_PER_GUESS: Final = 4
-"""At most one of so many individuals begins as a guess; more are refused."""
+"""At most one of so many individuals begins as a guess; more guesses are refused."""
+_FORMS: Final = {1: r"d{0}(/d\w+)?|{0}'", 2: r"d2{0}(/d\w+?(\^|\*\*)?2)?|{0}''"}
+"""Forms of left-hand sides by the order of the derivative, {0} being the escaped name."""
+_ORDINALS: Final = {1: "first", 2: "second"}
+
+
+@dataclass(frozen=True)
+class LeftSides:
+    """The equations of a job: `variables` are their names; `order` is None where nothing is differentiated.
+
+    `symbols` has the symbol of each column that expressions may use, in the order of the dataset's rows.
+    """
+
+    variables: tuple[str, ...]
+    symbols: Mapping[str, str]
+    order: int | None
+
+    def several(self, option: str, by_side: Mapping[str, Value]) -> dict[str, tuple[Value, ...]]:
+        """Return the values in `by_side` for each variable, in the order of the variables.
+
+        Raises UsageError, naming `option`, where a left-hand side belongs to no variable.
+        """
+        pairs = [(self.variable(option, text), value) for text, value in by_side.items()]
+        named = {name for name, _ in pairs}
+        return {
+            name: tuple(value for other, value in pairs if other == name) for name in self.variables if name in named
+        }
+
+    def single(self, option: str, by_side: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the value in `by_side` for each variable; raises UsageError like `several`, or for one named twice."""
+        several = self.several(option, by_side)
+        twice = next((name for name, values in several.items() if len(values) > 1), None)
+        if twice is not None:
+            raise UsageError(f"{option} names the equation of '{twice}' twice; give one")
+        return {name: value for name, (value,) in several.items()}
+
+    def variable(self, option: str, text: str) -> str:
+        """Return the variable that the left-hand side `text` belongs to; raises UsageError, naming `option`."""
+        text = text.strip()
+        for name in (text, split_unit(text)[0]):
+            if name in self.variables:
+                return name
+        named = [name for name in self.variables if self.symbols.get(name) == text]
+        fitting = named or [name for name in self.variables if self._is_derivative(text, name, self.order)]
+        if fitting:
+            return fitting[0]
+        sought = f"equations are sought for {', '.join(self.variables)}{did_you_mean(text, self.variables)}"
+        for order in _FORMS:
+            if not any(self._is_derivative(text, name, order) for name in self.variables):
+                continue
+            sought = f"{', '.join(self.variables)} is sought as it stands; name it so"
+            if self.order is not None:
+                other = "leave --order 2 out" if self.order == 2 else "add --order 2"
+                form = f"d{'2' * (self.order == 2)}x=…"
+                sought = f"{_ORDINALS[self.order]} derivatives are sought; write {form}, or {other}"
+            raise UsageError(f"{option} names '{text}', a {_ORDINALS[order]} derivative, but {sought}")
+        raise UsageError(f"{option} names '{text}', but {sought}")
+
+    def symbols_of(self, option: str, texts: Sequence[str]) -> tuple[str, ...]:
+        """Return the symbols of variables named by column or symbol; raises UsageError, naming `option`."""
+        known = ", ".join(self.symbols)
+        if not texts:
+            raise UsageError(f"{option} names no variable for an equation; name at least one of {known}")
+        symbols: list[str] = []
+        for text in texts:
+            name = next((name for name in (text, split_unit(text)[0]) if name in self.symbols), None)
+            if name is None and text not in self.symbols.values():
+                hint = did_you_mean(text, self.symbols)
+                raise UsageError(f"{option} names '{text}', but the variables are {known}{hint}")
+            symbols.append(text if name is None else self.symbols[name])
+        return tuple(dict.fromkeys(symbols))
+
+    def _is_derivative(self, text: str, name: str, order: int | None) -> bool:
+        if order is None:
+            return False
+        names = dict.fromkeys((name, self.symbols.get(name, name)))
+        return any(re.fullmatch(_FORMS[order].format(re.escape(spelling)), text) for spelling in names)
 
 
 def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str]) -> tuple[JobConfig, tuple[str, ...]]:
     """Return the resolved configuration (see `resolve_prior`) and the equations of the job, in order.
 
-    Those are the ones sought, all unless ``--only`` names some, and the known ones; of a stochastic process also every
-    component of its diffusion, some of which the data may not show. Raises UsageError.
+    Those are the equations sought, all unless ``--only`` names some, and the known equations; of a stochastic process
+    also every component of its diffusion, some of which the data may not show. Raises UsageError.
     """
     names = roles.equations
     if config.data.stochastic:
@@ -41,10 +124,10 @@ def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str
 
 
 def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, str]) -> JobConfig:
-    """Return `config` with what is known beforehand by variable, and allowed variables by symbol; all is checked.
+    """Return `config` with prior knowledge by variable, and allowed variables by symbol; all is checked.
 
     Args:
-        config: as submitted; one that has been through this stays as it is.
+        config: as submitted; a resolved one stays as it is.
         variables: names of the job's equations, of known ones as well.
         symbols: symbol of each column that expressions may use, in the order of the dataset's rows.
 
@@ -57,7 +140,15 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
     for name, text in known.items():
         _known_program(name, text, names)
     guesses = _texts(sides, "--guess", config.prior.guesses)
-    space = _resolved_space(config.space, sides)
+    allowed = sides.single("--allow", config.space.variables_of)
+    required = sides.single("--require", config.space.required_of)
+    space = config.space.model_copy(
+        update={
+            "operators_of": sides.single("--operators", config.space.operators_of),
+            "required_of": {name: sides.symbols_of("--require", texts) for name, texts in required.items()},
+            "variables_of": {name: sides.symbols_of("--allow", texts) for name, texts in allowed.items()},
+        }
+    )
     bounds = _resolved_bounds(config.prior.bounds, sides, [name for name in variables if name not in known])
     for option, by_variable in (
         ("--guess", guesses),
@@ -69,56 +160,19 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
         for name in by_variable:
             if name in known:
                 raise UsageError(f"{option} names '{name}', whose equation is known; leave one of the two out")
-    _check_required(space, names)
+    for name, needed in space.required_of.items():
+        usable = [names[column] for column in space.columns_for(name, names)]
+        excluded = next((symbol for symbol in needed if symbol not in usable), None)
+        if excluded is not None:
+            raise UsageError(
+                f"--require wants {excluded} in the equation of '{name}', but --allow lets it use "
+                f"{', '.join(usable)} only; change one of the two"
+            )
     prior = PriorConfig(guesses=guesses, known=known, bounds=bounds)
     resolved = config.model_copy(update={"prior": prior, "space": space})
     for name, texts in guesses.items():
         _check_guesses(resolved, name, texts, names)
     return resolved
-
-
-def _texts(sides: LeftSides, option: str, by_side: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
-    """Return the texts by variable; raises UsageError."""
-    return {name: tuple(chain.from_iterable(texts)) for name, texts in sides.several(option, by_side).items()}
-
-
-def _resolved_bounds(
-    bounds: Mapping[str, tuple[str, ...]], sides: LeftSides, sought: Sequence[str]
-) -> dict[str, tuple[str, ...]]:
-    """Return the bounds by variable, those on all equations among them; raises UsageError."""
-    general = tuple(bounds.get(ALL_EQUATIONS, ()))
-    own = _texts(sides, "--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
-    if general and not sought:
-        raise UsageError(f"--bound {general[0]!r} is about equations that are sought, but all are known; leave it out")
-    names = tuple(sides.symbols.values())
-    whole = {name: (*general, *own.get(name, ())) for name in dict.fromkeys((*sought, *own))}
-    for name, texts in whole.items():
-        try:
-            _check_agreement(name, [parse_bound(text, names) for text in texts])
-        except UsageError as error:
-            raise UsageError(f"--bound: {error}") from error
-    return {name: texts for name, texts in whole.items() if texts}
-
-
-def _check_agreement(name: str, bounds: Sequence[Bound]) -> None:
-    """Raise UsageError where two bounds on the same numbers of an equation leave none of them."""
-    for one, other in combinations(bounds, 2):
-        is_of_same = (one.scope, one.shape) == (other.scope, other.shape) or "every" in (one.scope, other.scope)
-        if is_of_same and not max(one.lower, other.lower) < min(one.upper, other.upper):
-            pair = f"the bounds {one.text!r} and {other.text!r} of '{name}'"
-            raise UsageError(f"{pair} contradict each other; leave one of them out")
-
-
-def _check_required(space: SpaceConfig, names: Sequence[str]) -> None:
-    """Raise UsageError where an equation must have a variable that it may not use."""
-    for variable, required in space.required_of.items():
-        allowed = [names[column] for column in space.columns_for(variable, names)]
-        excluded = next((name for name in required if name not in allowed), None)
-        if excluded is not None:
-            raise UsageError(
-                f"--require wants {excluded} in the equation of '{variable}', but --allow lets it use "
-                f"{', '.join(allowed)} only; change one of the two"
-            )
 
 
 def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
@@ -131,7 +185,7 @@ def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
 
 
 def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Program, ...]]:
-    """Return the programs of the guesses by variable, their constants as given.
+    """Return the programs of the guesses by variable, with their constants.
 
     `config` is resolved. Raises UsageError where a guess is no expression over the dataset's symbols.
     """
@@ -147,15 +201,34 @@ def _sides(config: JobConfig, variables: Sequence[str], symbols: Mapping[str, st
     return LeftSides(tuple(variables), symbols, None if config.data.target is not None else config.data.order)
 
 
-def _resolved_space(space: SpaceConfig, sides: LeftSides) -> SpaceConfig:
-    allowed = sides.single("--allow", space.variables_of)
-    required = sides.single("--require", space.required_of)
-    update = {
-        "operators_of": sides.single("--operators", space.operators_of),
-        "required_of": {name: sides.symbols_of("--require", texts) for name, texts in required.items()},
-        "variables_of": {name: sides.symbols_of("--allow", texts) for name, texts in allowed.items()},
-    }
-    return space.model_copy(update=update)
+def _texts(sides: LeftSides, option: str, by_side: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    return {name: tuple(chain.from_iterable(texts)) for name, texts in sides.several(option, by_side).items()}
+
+
+def _resolved_bounds(
+    bounds: Mapping[str, tuple[str, ...]], sides: LeftSides, sought: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """Return the bounds by variable, with the bounds on all equations.
+
+    Raises UsageError, also where two bounds on the same numbers of an equation leave none of them.
+    """
+    general = tuple(bounds.get(ALL_EQUATIONS, ()))
+    own = _texts(sides, "--bound", {side: texts for side, texts in bounds.items() if side != ALL_EQUATIONS})
+    if general and not sought:
+        raise UsageError(f"--bound {general[0]!r} is about equations that are sought, but all are known; leave it out")
+    names = tuple(sides.symbols.values())
+    whole = {name: (*general, *own.get(name, ())) for name in dict.fromkeys((*sought, *own))}
+    for name, texts in whole.items():
+        try:
+            parsed = [parse_bound(text, names) for text in texts]
+        except UsageError as error:
+            raise UsageError(f"--bound: {error}") from error
+        for one, other in combinations(parsed, 2):
+            is_of_same = (one.scope, one.shape) == (other.scope, other.shape) or "every" in (one.scope, other.scope)
+            if is_of_same and not max(one.lower, other.lower) < min(one.upper, other.upper):
+                pair = f"the bounds {one.text!r} and {other.text!r} of '{name}'"
+                raise UsageError(f"--bound: {pair} contradict each other; leave one of them out")
+    return {name: texts for name, texts in whole.items() if texts}
 
 
 def _parsed(option: str, variable: str, text: str, names: Sequence[str]) -> Program:

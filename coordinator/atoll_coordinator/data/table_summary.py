@@ -6,8 +6,7 @@ import numpy as np
 
 from atoll_coordinator.data.columns.examination import examine
 from atoll_coordinator.data.prior_knowledge import resolve_equations
-from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.roles.symbols import assign_symbols
+from atoll_coordinator.data.roles.roles import Roles, assign_symbols
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray

@@ -2,7 +2,7 @@
 
 `pipeline` tells the whole way on one page; it goes down this list from refinement to result:
 
-- `refinement`: what comes in (`Pool`: the front of a variable) and what goes out (`Refinement`). Pure data
+- `pools`: what refining is given (the `Pool` of each variable, laws); `refinement`: what it gives (`Refinement`)
 - `criteria`: the description lengths, side by side
 - `batches`: named pure functions of which any machine may compute batches (`BatchFunction`, `Batches`, `Spread`)
 - `deadline`: the end that ``--max-time`` sets

@@ -1,13 +1,16 @@
 """Least squares and likelihoods by damped steps: one driver of every fit, and the linear equations of its steps.
 
 Near a point with the gradient g, a cost is about that of the normal equations N s = -g: half a sum of squares with the
-derivatives J of what is left has N = J'J, a likelihood has Fisher's information. A step s solves them with the diagonal
-raised by a share, the damping (Levenberg 1944, Marquardt 1963). One that does not lower the cost is tried again, damped
-more. Letters: K numbers that are fitted, R rows.
+derivatives J of the residuals has N = J'J, a likelihood has Fisher's information. A step s solves them with the
+diagonal raised by a share, the damping (Levenberg 1944, Marquardt 1963). One that does not lower the cost is tried
+again, damped more. What is fitted, to what, and when a fit has ended is for a `Fitter` to say: there is one for the
+rows of a target (`regression.fit`), one for trajectories (`shooting.multiple_shooting`), one for the steps of a
+stochastic process (`stochastic.likelihood`). Letters: K numbers that are fitted, R rows.
 """
 
 from collections.abc import Callable
-from typing import Final, TypeVar
+from dataclasses import dataclass
+from typing import Final, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,38 +30,74 @@ _FACTOR: Final = 10.0
 
 Point = TypeVar("Point")
 Step = TypeVar("Step")
+Result = TypeVar("Result", covariant=True)
 Solver = Callable[[float], tuple[Step, float] | None]
-"""What solves for the step of a damping. It comes with its promise: by about how much it lowers the cost if that is as
-the equations have it. None where there is no solution, or bounds leave none that goes down."""
+"""Solves for the step of a damping. It comes with its promise: by about how much it lowers the cost if the equations
+hold. None where there is no solution, or bounds leave none that goes down."""
 
 
-def minimize(
-    begun: Point,
-    linearise: Callable[[Point], Solver[Step]],
-    move: Callable[[Point, Step], tuple[Point, float] | None],
-    settled: Callable[[Point], float] = lambda point: SETTINGS.selection.least_gain,
-    steps: int = SETTINGS.effort.steps,
-    is_over: Callable[[Point, float, int], bool] = lambda point, promise, taken: False,
-) -> Point:
-    """Return the point of least cost that damped steps from `begun` lead to.
+class Fitter(Protocol[Point, Step, Result]):
+    """One fit by damped steps, by roles that are named as in optimistix."""
 
-    Args:
-        begun: where the fit begins.
-        linearise: makes the equations of steps from a point.
-        move: takes a step; returns the point there and by how much the cost has fallen, None where there is no cost.
-        settled: the fall of the cost at a point below which a step is none: one that promises less is not tried, and
-            after one that lowers it by less the fit ends. Of costs in nats, what counts in a description.
-        steps: most steps, successful or not.
-        is_over: whether to end the fit at a point, given what its first step promises and how many were tried.
-    """
-    point, solve, damping = begun, None, FIRST_DAMPING
-    for taken in range(steps):
-        is_new, solve = solve is None, solve or linearise(point)
-        solved, least, moved = solve(damping), settled(point), None
+    def init(self) -> Point | None:
+        """Return where the fit begins, None where there is no cost to lower."""
+        ...
+
+    def equations(self, point: Point) -> Solver[Step]:
+        """Return the normal equations at a point."""
+        ...
+
+    def step(self, point: Point, step: Step) -> tuple[Point, float] | None:
+        """Return the point after a step and by how much the cost has fallen, None where there is no cost."""
+        ...
+
+    def settled(self, point: Point) -> float:
+        """Return the fall of the cost that does not count: a step that promises no more is not tried, and one that
+        lowers the cost by no more is the last. Of costs in nats, what counts in a description."""
+        return SETTINGS.selection.least_gain
+
+    def done(self, point: Point, promise: float, taken: int) -> bool:
+        """Tell whether the fit ends at a point, given what its first step promises and how many steps were tried."""
+        return False
+
+    def result(self, point: Point | None) -> Result:
+        """Return the outcome of a fit that ended at a point."""
+        ...
+
+
+@dataclass(frozen=True)
+class Descent(Generic[Point, Step]):
+    """A `Fitter` of a few lines: a fit from a point that has a cost to the last point, its roles being functions."""
+
+    begun: Point
+    equations: Callable[[Point], Solver[Step]]
+    step: Callable[[Point, Step], tuple[Point, float] | None]
+    settled: Callable[[Point], float] = lambda point: SETTINGS.selection.least_gain
+
+    def init(self) -> Point:
+        """Return where the fit begins."""
+        return self.begun
+
+    def done(self, point: Point, promise: float, taken: int) -> bool:
+        """Return False: the fit ends where it has settled."""
+        return False
+
+    def result(self, point: Point | None) -> Point:
+        """Return the last point."""
+        return self.begun if point is None else point
+
+
+def minimize(fitter: Fitter[Point, Step, Result], steps: int = SETTINGS.effort.steps) -> Result:
+    """Return the result at the point of least cost that at most so many damped steps lead to, successful or not."""
+    point, solve, damping = fitter.init(), None, FIRST_DAMPING
+    for taken in range(steps if point is not None else 0):
+        assert point is not None
+        is_new, solve = solve is None, solve or fitter.equations(point)
+        solved, least, moved = solve(damping), fitter.settled(point), None
         if solved is not None and np.isfinite(solved[1]):
-            if solved[1] <= least or (is_new and is_over(point, solved[1], taken)):
+            if solved[1] <= least or (is_new and fitter.done(point, solved[1], taken)):
                 break
-            moved = move(point, solved[0])
+            moved = fitter.step(point, solved[0])
         if moved is None or not moved[1] >= 0.0:
             damping *= _FACTOR
             if damping > MOST_DAMPING:
@@ -67,7 +106,7 @@ def minimize(
         (point, gain), solve, damping = moved, None, max(damping / _FACTOR, LEAST_DAMPING)
         if gain <= least:
             break
-    return point
+    return fitter.result(point)
 
 
 def solver(

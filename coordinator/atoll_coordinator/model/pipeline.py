@@ -25,7 +25,8 @@ from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.inference.target_evidence import target_evidence
 from atoll_coordinator.model.inference.unexplained import unexplained_remarks
 from atoll_coordinator.model.inference.verdict import judge
-from atoll_coordinator.model.refinement import LawsByGroup, Member, Pools, Refined, Refinement, Simulation
+from atoll_coordinator.model.pools import LawsByGroup, Member, Pools
+from atoll_coordinator.model.refinement import Refined, Refinement, Simulation
 from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
@@ -36,7 +37,7 @@ from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.stochastic.process_choice import ProcessChoice
 from atoll_coordinator.model.structure.constant_units import equation_units
 from atoll_core.config import JobConfig
-from atoll_core.machine.cores import usable_cores
+from atoll_core.machine import usable_cores
 
 NOT_SIMULATED: Final = (
     "No system of equations could be simulated along the measured trajectories; those shown fit the derivatives alone."

@@ -1,23 +1,21 @@
-"""What refining takes and gives: pools, laws; equations with errors, alternatives, verdicts, simulations. Pure.
+"""What refining gives: equations with errors, alternatives, verdicts, simulations. Pure.
 
 Letters: K constants of one program, T trajectories, R rows of one trajectory, S states.
 """
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
 from atoll_coordinator.dimensions import EquationUnits
+from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.stochastic.densities import StationaryDensity
 from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_coordinator.stochastic.paths import Ensemble
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.notes import notes_of
-from atoll_core.expression.program import MAX_NODES, Program
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll_core.expression.program import Program
 from atoll_core.expression.writing.expansion import Shape
-from atoll_core.search.pareto import FrontEntry
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
 JobKind = Literal["trajectories", "groups", "target", "process"]
@@ -26,63 +24,6 @@ them or not; a target on rows; the steps of a stochastic process."""
 CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: by itself, by ``--max-time`` with the best so far, or without a result of its own."""
-
-Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]
-"""Where an equation comes from: the front or the runners-up of the search, a guess, a library of terms, what was given,
-or a descent from any of these to a shorter description. Constants may have been fitted and made simple since."""
-
-
-@dataclass(frozen=True)
-class Pool:
-    """What the search hands on of one variable.
-
-    `front` has for each complexity the program of least error, if no simpler one is as good; `runners_up` the next best
-    of each complexity, distinct in function, by (complexity, error).
-    """
-
-    front: tuple[FrontEntry, ...]
-    runners_up: tuple[FrontEntry, ...] = ()
-
-
-Pools = Mapping[str, Pool]
-"""By variable, what the search hands on."""
-
-
-@dataclass(frozen=True, eq=False)
-class Law:
-    """A sum of products: its `program`, the `nats` by which laws of one state compare, and how well it fits.
-
-    `excess` is how many times as large as the noise, or as the limit of convergence, the errors are. `is_tested` tells
-    whether there are enough rows for the largest library that it was chosen from. `lead` is how many nats longer the
-    best of the other programs is that were compared with it and are no sums of products. `probability` is that of
-    errors as large as these where all are noise. `is_of_rates`: it was found among many variables, by derivatives.
-    """
-
-    program: Program
-    nats: float
-    excess: float
-    is_tested: bool
-    lead: float = math.inf
-    probability: float = 1.0
-    is_of_rates: bool = False
-
-
-LawsByGroup = Sequence[Mapping[str, tuple[Law, ...]]]
-"""By variable, its laws: a mapping for each group of trajectories, one for all where there are no groups."""
-
-
-@dataclass(frozen=True, eq=False)
-class Member:
-    """A member of a front: its program, and its loss and mean squared error on all rows."""
-
-    program: Program
-    error: float
-    mse: float
-
-
-def decode_members(entries: Sequence[FrontEntry], inputs: int) -> tuple[Member, ...]:
-    """Return the members of a front; `inputs` is how many variables there are."""
-    return tuple(Member(Program.from_bytes(entry.program, inputs), entry.error, entry.mse) for entry in entries)
 
 
 @dataclass(frozen=True)
@@ -418,8 +359,3 @@ class Refinement:
     def __post_init__(self) -> None:
         """Keep which of the warnings are notes: what is read of bytes does not tell."""
         object.__setattr__(self, "notes", tuple(dict.fromkeys((*self.notes, *notes_of(self.warnings)))))
-
-
-def may_be_shown(program: Program, largest: int | None) -> bool:
-    """Tell whether a program is not larger than the user allows (None: than any may be), and can be printed."""
-    return len(program) <= min(largest or MAX_NODES, MAX_NODES) and tree_size(program) <= PRINTABLE_SIZE

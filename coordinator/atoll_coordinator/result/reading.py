@@ -12,8 +12,7 @@ from pydantic_core import ErrorDetails
 
 from atoll_coordinator.result.upgrade import upgraded
 from atoll_core.errors import UsageError
-from atoll_core.hints import similar_file
-from atoll_core.quoting import path_of, shown
+from atoll_core.quoting import path_of, shown, similar_file
 
 SCHEMA: Final[Literal[1]] = 1
 RESULT: Final = "result.json"

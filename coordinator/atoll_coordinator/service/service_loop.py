@@ -30,11 +30,11 @@ from atoll_coordinator.service.workers.membership import ABSENCE_S
 from atoll_core import VERSION
 from atoll_core.errors import RemoteProtocolError, StoreError
 from atoll_core.logs import fields
-from atoll_core.machine.usage import memory_bytes
+from atoll_core.machine import memory_bytes
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
-from atoll_core.wire.bus.turns import Turns
+from atoll_core.wire.bus.queues import Turns
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Answer, Failure, Result
 from atoll_core.wire.messages.epochs import (
@@ -50,7 +50,7 @@ from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import CoordinatorView, Counters, EventKind, JobState, UserView, Workforce
 from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_core.wire.rejects import Rejects
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings
 
 _LOG = logging.getLogger(__name__)
 
@@ -125,7 +125,7 @@ class Service:
         self._deletion = JobDeletion(self.controller, store, dependencies.retention)
         self._followers = Followers(
             store.incarnation, self.controller.shown, self.controller.events, self._workforce,
-            lambda client, payload: self._bus.put(topics.changes(store.cluster, client), payload),
+            lambda client, payload: self._bus.put(topics.client(store.cluster, client, "changes"), payload),
         )  # fmt: skip
         self.controller.changed, self.controller.events.told = self._note_change, self._note_event
         self._metrics = metrics
@@ -153,7 +153,7 @@ class Service:
         self._bus.watch(topics.all_workers(cluster, "alive"))
         for expression in (topics.all_jobs(cluster), topics.all_blobs(cluster), topics.all_clients(cluster)):
             self._bus.serve(expression)
-        for expression in (topics.HELLO, topics.all_greetings()):
+        for expression in (topics.HELLO, topics.ALL_GREETINGS):
             self._bus.serve(expression)
         self._bus.post(_TimeCheck())  # stored jobs are prepared at once
         self._tick_later()

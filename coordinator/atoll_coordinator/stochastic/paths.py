@@ -104,7 +104,7 @@ class Ensemble:
         return self.lower[:, place], self.upper[:, place]
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
-        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError without pandas."""
+        """Return the `columns` as a frame of ``"polars"`` or ``"pandas"``; raises UsageError if it is missing."""
         return frame_of(self.columns(), library)
 
     @cached_property

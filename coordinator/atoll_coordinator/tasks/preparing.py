@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.refinement import LawsByGroup
+from atoll_coordinator.model.pools import LawsByGroup
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import DataError, RemoteProtocolError, UsageError

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Final
 
-from atoll_core.compilation.warmup import Report, compile_or_load
+from atoll_core.compilation.cache import Report, compile_or_load
 
 if TYPE_CHECKING:
     from atoll_core.data.dataset import Problem

@@ -9,8 +9,7 @@ from uuid import uuid4
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
 from atoll_core.logs import fields
-from atoll_core.machine.cores import usable_cores
-from atoll_core.machine.usage import total_memory_bytes
+from atoll_core.machine import total_memory_bytes, usable_cores
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import decode, encode

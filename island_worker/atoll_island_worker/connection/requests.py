@@ -111,8 +111,8 @@ class Requests:
             case Respond():
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
             case FetchStates():
-                key, request = topics.state(self.cluster, action.body.job), Request("states", states=action.body)
+                key, request = topics.job(self.cluster, action.body.job, "state"), Request("states", states=action.body)
                 self.ask(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, request)
             case FetchPlacements():
-                key = topics.placement(self.cluster, action.job)
+                key = topics.job(self.cluster, action.job, "placement")
                 self.ask(key, b"", PULL_TIMEOUT_S, Request("placement", action.job))

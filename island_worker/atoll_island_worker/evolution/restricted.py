@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from atoll_core.expression.bounds import EquationBounds
 from atoll_core.expression.program import Program, constant_places
-from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.restrictions import EquationBounds, Restrictions
 from atoll_core.expression.writing.shortest import collected
 from atoll_island_worker.evolution.formula import from_program, from_tape, onto_tape, to_program
 from atoll_island_worker.evolution.structures import Scratch

@@ -20,7 +20,8 @@ from multiprocessing.connection import Connection
 from typing import Final, Protocol
 
 from atoll_core.errors import AtollError
-from atoll_core.tasks.frames import (
+from atoll_core.task_frames import (
+    OTHER_VERSION,
     Batch,
     Ended,
     Failure,
@@ -32,8 +33,8 @@ from atoll_core.tasks.frames import (
     Said,
     Started,
     ToProcess,
+    version,
 )
-from atoll_core.tasks.installation import OTHER_VERSION, version
 
 END_LIMIT_S: Final = 2.0
 """How long a process that was killed, or that has closed its pipe, may take to be gone."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.tasks.frames import (
+from atoll_core.task_frames import (
     Ask,
     Batch,
     Begun,

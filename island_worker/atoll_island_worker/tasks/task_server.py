@@ -18,7 +18,7 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Final
 
-from atoll_core.tasks.installation import version
+from atoll_core.task_frames import version
 from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.processes.parent import request_parent_death_signal
 from atoll_island_worker.tasks.task_process import Process, Starter, start_process

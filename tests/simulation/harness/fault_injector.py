@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from atoll_core.tasks.frames import Failure
+from atoll_core.task_frames import Failure
 from tests.simulation.harness.fault_schedule import Fault
 from tests.simulation.harness.participants import USUAL_BACKGROUND_S, Participants
 from tests.simulation.harness.stub_islands import StubCompute

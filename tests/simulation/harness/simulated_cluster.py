@@ -15,7 +15,8 @@ from atoll.client.client import Client
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import LawsByGroup, Pools, Refinement
+from atoll_coordinator.model.pools import LawsByGroup, Pools
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.tasks.background import Dependencies

@@ -12,7 +12,7 @@ from typing import Final
 
 from atoll_coordinator.tasks.preparing import Preparer, prepare
 from atoll_coordinator.tasks.refining import Refiner, refine
-from atoll_core.tasks.frames import (
+from atoll_core.task_frames import (
     Ask,
     Batch,
     Begun,

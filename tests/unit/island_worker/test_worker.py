@@ -54,7 +54,7 @@ class Pair:
         self.compute = RecordingCompute()
         self._coordinator = self.network.bus("coordinator", is_router=True)
         self._coordinator.handle_with(self._answer)
-        self._coordinator.serve(topics.all_greetings())
+        self._coordinator.serve(topics.ALL_GREETINGS)
         self._coordinator.serve(topics.all_blobs("cluster"))
         bus = self.network.bus("w")
         self.worker = Worker(bus, self.compute, "w", wait_s=60.0)  # type: ignore[arg-type]

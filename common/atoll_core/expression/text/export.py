@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 from atoll_core.expression.operators import ABS, SQRT
 from atoll_core.expression.program import Program
-from atoll_core.expression.text.form import Form, Kind, Renderer, Signed
-from atoll_core.expression.text.infix import INFIX, displayed_form, exact_form
+from atoll_core.expression.text.infix import INFIX, Form, Kind, Renderer, Signed, displayed_form, exact_form
 
 if TYPE_CHECKING:
     import sympy

@@ -15,25 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, NoReturn, cast
 
 from atoll_core.errors import UsageError
-from atoll_core.expression.builder import ProgramBuilder
-from atoll_core.expression.operators import (
-    ABS,
-    ADD,
-    CONSTANT,
-    COS,
-    DIVIDE,
-    FUNCTIONS,
-    MULTIPLY,
-    NEGATE,
-    OPERATORS,
-    POW,
-    SIN,
-    SQUARE,
-    SUBTRACT,
-    VARIABLE,
-)
-from atoll_core.expression.program import MAX_NODES, Program
-from atoll_core.hints import did_you_mean
+from atoll_core.expression import operators as op
+from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder
+from atoll_core.quoting import did_you_mean
 
 LARGEST_POWER: Final = 64
 """Largest natural exponent that is written as multiplications."""
@@ -48,9 +32,9 @@ _TOKEN: Final = re.compile(
     re.VERBOSE | re.ASCII | re.DOTALL,
 )
 _OPENING: Final = re.compile(r"\s*\(")
-_CALLS: Final = {name: code for code, name in FUNCTIONS.items()} | {"Abs": ABS}
-_LEVELS: Final = {ADD: 1, SUBTRACT: 1, MULTIPLY: 2, DIVIDE: 2, POW: 4}
-_BINARY: Final = {OPERATORS[code].text: (level, code) for code, level in _LEVELS.items()}
+_CALLS: Final = {name: code for code, name in op.FUNCTIONS.items()} | {"Abs": op.ABS}
+_LEVELS: Final = {op.ADD: 1, op.SUBTRACT: 1, op.MULTIPLY: 2, op.DIVIDE: 2, op.POW: 4}
+_BINARY: Final = {op.OPERATORS[code].text: (level, code) for code, level in _LEVELS.items()}
 _UNARY_LEVEL: Final = 3
 _Kind = Literal["number", "call", "name", "natural", "operator", "blank", "foreign", "end"]
 _MINUS: Final = "unary minus"
@@ -130,7 +114,9 @@ class _Parser:
         return True
 
     def _constant(self, value: float) -> int:
-        return self._builder.constant(value) if self._merges_constants else self._builder.append(CONSTANT, value=value)
+        return (
+            self._builder.constant(value) if self._merges_constants else self._builder.append(op.CONSTANT, value=value)
+        )
 
     def _number(self, token: _Token) -> int:
         value = float(token.text)
@@ -140,7 +126,7 @@ class _Parser:
 
     def _named(self, token: _Token) -> int:
         if token.text in self._variables:
-            return self._builder.add(VARIABLE, self._variables[token.text])
+            return self._builder.add(op.VARIABLE, self._variables[token.text])
         if token.text == "pi":
             return self._constant(math.pi)
         known = ", ".join(self._variables)
@@ -163,8 +149,8 @@ class _Parser:
             known = ", ".join(sorted({*_CALLS, "tan", "cot"}))
             hint = did_you_mean(token.text, _CALLS)
             raise UsageError(f"{token.text!r} {self._where(token)} is no known function; known: {known}{hint}")
-        parts = (self._builder.add(SIN, argument), self._builder.add(COS, argument))
-        return self._builder.add(DIVIDE, *(parts if token.text == "tan" else parts[::-1]))
+        parts = (self._builder.add(op.SIN, argument), self._builder.add(op.COS, argument))
+        return self._builder.add(op.DIVIDE, *(parts if token.text == "tan" else parts[::-1]))
 
     def _reduce(self, level: int) -> None:
         """Apply the pending operators that bind at least as tightly as `level`, back to the last bracket."""
@@ -180,16 +166,16 @@ class _Parser:
 
     def _negated(self, index: int) -> int:
         code, _, _, value = self._builder.nodes[index]
-        return self._constant(-value) if code == CONSTANT else self._builder.add(NEGATE, index)
+        return self._constant(-value) if code == op.CONSTANT else self._builder.add(op.NEGATE, index)
 
     def _natural_power(self, base: int, exponent: int) -> int:
         if not 1 <= exponent <= LARGEST_POWER:
-            return self._builder.add(POW, base, self._constant(float(exponent)))
+            return self._builder.add(op.POW, base, self._constant(float(exponent)))
         if exponent == 1:
             return base
-        power = self._builder.add(SQUARE, base)
+        power = self._builder.add(op.SQUARE, base)
         for _ in range(exponent - 2):
-            power = self._builder.add(MULTIPLY, power, base)
+            power = self._builder.add(op.MULTIPLY, power, base)
         return power
 
     def _fail(self, token: _Token, expected: str) -> NoReturn:

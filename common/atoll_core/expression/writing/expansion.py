@@ -13,10 +13,8 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Final, TypeAlias
 
-from atoll_core.expression.builder import ProgramBuilder
-from atoll_core.expression.operators import ADD, CONSTANT, DIVIDE, INVERSE, MULTIPLY, NEGATE, POW, SUBTRACT, VARIABLE
-from atoll_core.expression.program import MAX_NODES, Program, structure
-from atoll_core.expression.writing.failures import contained
+from atoll_core.expression import operators as op
+from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder, structure
 from atoll_core.expression.writing.layout import in_order
 from atoll_core.expression.writing.shortest import sum_of
 from atoll_core.expression.writing.sums_of_products import (
@@ -26,6 +24,7 @@ from atoll_core.expression.writing.sums_of_products import (
     Sum,
     UndefinedError,
     add,
+    contained,
     distribute,
     kept,
     merged,
@@ -94,7 +93,7 @@ def expand_sum(terms: Sum) -> Sum:
 
 def _bracket(monomial: Monomial) -> tuple[Atom, int] | None:
     """Return the first bracket above the line of a term, None without one."""
-    return next(((atom, count) for atom, count in monomial if atom[0] == ADD and count > 0), None)
+    return next(((atom, count) for atom, count in monomial if atom[0] == op.ADD and count > 0), None)
 
 
 def shape_of(monomial: Monomial) -> Shape:
@@ -104,7 +103,7 @@ def shape_of(monomial: Monomial) -> Shape:
 
 def _atom_shape(atom: Atom) -> Shape:
     kind, *rest = atom
-    if kind == VARIABLE:
+    if kind == op.VARIABLE:
         return atom
     return (kind, *(tuple(sorted((shape_of(monomial) for monomial, _ in inner), key=repr)) for inner in rest))
 
@@ -128,11 +127,11 @@ def inner_numbers(terms: Sum) -> list[float]:
 
 def _numbers(atom: Atom) -> list[float]:
     kind, *rest = atom
-    if kind == VARIABLE:
+    if kind == op.VARIABLE:
         return []
     numbers: list[float] = []
     for inner in rest:
-        lead = _lead(inner) if kind == ADD else None
+        lead = _lead(inner) if kind == op.ADD else None
         numbers += [
             coefficient
             for monomial, coefficient in inner
@@ -155,7 +154,7 @@ def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
     factors = dict(terms)
     for monomial, factor in terms:
         for atom, count in monomial:
-            below = dict(atom[1]) if atom[0] == ADD and count == -1 and len(atom[1]) == 2 else {}
+            below = dict(atom[1]) if atom[0] == op.ADD and count == -1 and len(atom[1]) == 2 else {}
             constant = below.pop(ONE, 0.0)
             rest = merged(power for power in monomial if power[0] != atom)
             if constant and rest in factors:
@@ -207,7 +206,7 @@ class _Builder(ProgramBuilder):
     def number(self, value: float, role: Role) -> int:
         """Return the index of a new constant."""
         self.roles.append(role)
-        return self.append(CONSTANT, value=value)
+        return self.append(op.CONSTANT, value=value)
 
     def sum_of_terms(self, terms: Sum) -> int:
         """Return the index of an expanded sum, a positive term in front if there is one."""
@@ -224,7 +223,7 @@ class _Builder(ProgramBuilder):
         for place, (monomial, coefficient) in enumerate(terms):
             within = () if inner is None else _extended(path, repr(shape_of(monomial)), counts)
             term = self._term(monomial, coefficient, inner, within, is_first=place == 0)
-            top = self.operate(ADD if coefficient > 0.0 else SUBTRACT, top, term) if place else term
+            top = self.operate(op.ADD if coefficient > 0.0 else op.SUBTRACT, top, term) if place else term
         return top
 
     def _term(self, monomial: Monomial, coefficient: float, inner: Shape | None, path: Path, *, is_first: bool) -> int:
@@ -239,7 +238,7 @@ class _Builder(ProgramBuilder):
             self.units.append(replace(role, sign=coefficient))
         factor = None if is_plain else self.number(sign * coefficient, role)
         node = self._product(monomial, factor, shape, path)
-        return self.operate(NEGATE, node) if is_plain and sign * coefficient < 0.0 else node
+        return self.operate(op.NEGATE, node) if is_plain and sign * coefficient < 0.0 else node
 
     def _product(self, monomial: Monomial, factor: int | None, shape: Shape, path: Path) -> int:
         counts: Counter[str] = Counter()
@@ -249,23 +248,23 @@ class _Builder(ProgramBuilder):
         if not below:
             return self._chained(above)
         divisor = self._chained(below)
-        return self.operate(DIVIDE, self._chained(above), divisor) if above else self.operate(INVERSE, divisor)
+        return self.operate(op.DIVIDE, self._chained(above), divisor) if above else self.operate(op.INVERSE, divisor)
 
     def _chained(self, factors: Sequence[int]) -> int:
-        return reduce(lambda node, factor: self.operate(MULTIPLY, node, factor), factors)
+        return reduce(lambda node, factor: self.operate(op.MULTIPLY, node, factor), factors)
 
     def _atom(self, atom: Atom, shape: Shape, path: Path, counts: Counter[str]) -> int:
         kind, *rest = atom
-        if kind == VARIABLE:
-            return self.add(VARIABLE, rest[0])
+        if kind == op.VARIABLE:
+            return self.add(op.VARIABLE, rest[0])
         path = _extended(path, repr(_atom_shape(atom)), counts)
-        if kind == ADD:
+        if kind == op.ADD:
             return self._added(rest[0], shape, path)
-        if kind == POW:
+        if kind == op.POW:
             if not rest[0]:
                 raise UndefinedError
             base = self._added(rest[0], shape, (*path, ("base", 0)))
-            return self.operate(POW, base, self._added(rest[1], shape, (*path, ("exponent", 0))))
+            return self.operate(op.POW, base, self._added(rest[1], shape, (*path, ("exponent", 0))))
         return self.operate(kind, self._added(rest[0], shape, path))
 
 
@@ -291,8 +290,8 @@ def _factored(terms: Sum, lead: int) -> Program:
     """Return a sum with the coefficient of one of its terms in front of a bracket."""
     factor = terms[lead][1]
     builder = _Builder(lambda *_: False)
-    scale = builder.append(CONSTANT, value=factor)
+    scale = builder.append(op.CONSTANT, value=factor)
     inner = tuple(
         (monomial, 1.0 if place == lead else kept(number / factor)) for place, (monomial, number) in enumerate(terms)
     )
-    return builder.program(builder.operate(MULTIPLY, scale, builder.sum_of_terms(inner)))
+    return builder.program(builder.operate(op.MULTIPLY, scale, builder.sum_of_terms(inner)))

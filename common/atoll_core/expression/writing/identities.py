@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from itertools import combinations
 from typing import Final
 
-from atoll_core.expression.operators import ABS, ADD, COS, LOG, SIN, SQRT
+from atoll_core.expression import operators as op
 from atoll_core.expression.writing.sums_of_products import (
     ONE,
     ZERO,
@@ -72,7 +72,7 @@ def _expanded(terms: Sum, best: Best) -> Iterator[Sum]:
     is_open = True
     for term in terms:
         monomial, coefficient = term
-        parts = [(atom, exponent) for atom, exponent in monomial if atom[0] == ADD and exponent > 0]
+        parts = [(atom, exponent) for atom, exponent in monomial if atom[0] == op.ADD and exponent > 0]
         whole: Sum = ((tuple(item for item in monomial if item not in parts), coefficient),)
         for atom, exponent in parts:
             expanded = distribute(_times(term, (atom, -1)), atom[1])
@@ -92,9 +92,9 @@ def _inner(terms: Sum, best: Best) -> Iterator[Sum]:
     """Brackets in their best form."""
     parts: list[tuple[float, Sum]] = []
     for monomial, coefficient in terms:
-        whole = product([coefficient, *(item for item in monomial if item[0][0] != ADD)])
+        whole = product([coefficient, *(item for item in monomial if item[0][0] != op.ADD)])
         for atom, exponent in monomial:
-            if atom[0] == ADD:
+            if atom[0] == op.ADD:
                 whole = multiply(whole, power(best(atom[1]), exponent))
         parts.append((1.0, whole))
     yield add(*parts)
@@ -128,7 +128,7 @@ def _over_one_line(terms: Sum, best: Best) -> Iterator[Sum]:
     divisors: dict[Atom, int] = {}
     for monomial, _ in terms:
         for atom, exponent in monomial:
-            if exponent < 0 and atom[0] in (ADD, SIN, COS):
+            if exponent < 0 and atom[0] in (op.ADD, op.SIN, op.COS):
                 divisors[atom] = min(divisors.get(atom, 0), exponent)
     for atom, exponent in divisors.items():
         over = tuple(term for term in terms if dict(term[0]).get(atom, 0) < 0)
@@ -149,7 +149,7 @@ def _whole_and_parts(terms: Sum) -> list[Sum]:
 
 
 def _expanded_power(atom: Atom, exponent: int) -> Sum:
-    base = atom[1] if atom[0] == ADD else atom_sum(atom)
+    base = atom[1] if atom[0] == op.ADD else atom_sum(atom)
     total = base
     for _ in range(exponent - 1):
         total = distribute(total, base)
@@ -166,7 +166,7 @@ def _lifted(term: Term, atom: Atom, exponent: int, raising: Sum) -> Sum:
 def _divisors_multiplied(terms: Sum, best: Best) -> Iterator[Sum]:
     """1/((u + v) (u - v)) as 1/(u^2 - v^2)."""
     for term in terms:
-        below = [atom for atom, exponent in term[0] if atom[0] == ADD and exponent < 0]
+        below = [atom for atom, exponent in term[0] if atom[0] == op.ADD and exponent < 0]
         for one, other in combinations(below, 2):
             divisor = distribute(one[1], other[1])
             rest = _times(term, (one, 1), (other, 1))
@@ -178,7 +178,7 @@ def _divided_out(terms: Sum, best: Best) -> Iterator[Sum]:
     for term in terms:
         monomial, coefficient = term
         for atom, exponent in monomial:
-            if atom[0] != ADD or exponent >= 0:
+            if atom[0] != op.ADD or exponent >= 0:
                 continue
             for lead, factor in atom[1]:
                 if lead == ONE or not _divides(lead, monomial):
@@ -193,7 +193,7 @@ def _without_inner_quotients(terms: Sum, best: Best) -> Iterator[Sum]:
     """A bracket with quotients as one quotient."""
     for term in terms:
         for atom, exponent in term[0]:
-            if atom[0] != ADD:
+            if atom[0] != op.ADD:
                 continue
             lowest: dict[Atom, int] = {}
             for inner, _ in atom[1]:
@@ -213,20 +213,20 @@ def _squares_of_waves(terms: Sum, best: Best) -> Iterator[Sum]:
     """sin^2 u as 1 - cos^2 u and the reverse; both as (1 -+ cos 2u)/2; in one term, in all of them."""
     for atom in _waves(terms):
         argument = atom[1]
-        other = ((COS if atom[0] == SIN else SIN), argument)
-        doubled = function(COS, add((2.0, argument)))
+        other = ((op.COS if atom[0] == op.SIN else op.SIN), argument)
+        doubled = function(op.COS, add((2.0, argument)))
         chosen = tuple(term for term in terms if dict(term[0]).get(atom, 0) >= 2)
         if not chosen:
             continue
         of_other = add((1.0, constant(1.0)), (-1.0, atom_sum(other, exponent=2)))
-        of_double = add((1.0, constant(0.5)), (-0.5 if atom[0] == SIN else 0.5, doubled))
+        of_double = add((1.0, constant(0.5)), (-0.5 if atom[0] == op.SIN else 0.5, doubled))
         for substitute in (of_other, of_double):
             for group in _whole_and_parts(chosen):
                 yield _replaced(terms, group, *(distribute(_times(term, (atom, -2)), substitute) for term in group))
 
 
 def _waves(terms: Sum) -> list[Atom]:
-    return sorted({atom for monomial, _ in terms for atom, _ in monomial if atom[0] in (SIN, COS)})
+    return sorted({atom for monomial, _ in terms for atom, _ in monomial if atom[0] in (op.SIN, op.COS)})
 
 
 def _double_angles(terms: Sum, best: Best) -> Iterator[Sum]:
@@ -236,11 +236,11 @@ def _double_angles(terms: Sum, best: Best) -> Iterator[Sum]:
         monomial, coefficient = term
         exponents = dict(monomial)
         for atom, exponent in monomial:
-            partner = (COS, atom[1]) if atom[0] == SIN else None
+            partner = (op.COS, atom[1]) if atom[0] == op.SIN else None
             if partner in exponents and exponent > 0 and exponents[partner] > 0:
                 rest = _times((monomial, times(0.5, coefficient)), (atom, -1), (partner, -1))
-                yield _replaced(terms, (term,), multiply(rest, function(SIN, add((2.0, atom[1])))))
-            if atom[0] in (SIN, COS) and exponent > 0:
+                yield _replaced(terms, (term,), multiply(rest, function(op.SIN, add((2.0, atom[1])))))
+            if atom[0] in (op.SIN, op.COS) and exponent > 0:
                 half = add((0.5, atom[1]))
                 if any(wave[1] == half for wave in waves):
                     rest = _times(term, (atom, -1))
@@ -249,8 +249,8 @@ def _double_angles(terms: Sum, best: Best) -> Iterator[Sum]:
 
 
 def _by_half(code: int, half: Sum) -> list[Sum]:
-    sine, cosine = (SIN, half), (COS, half)
-    if code == SIN:
+    sine, cosine = (op.SIN, half), (op.COS, half)
+    if code == op.SIN:
         return [((merged([(sine, 1), (cosine, 1)]), 2.0),)]
     return [
         add((1.0, constant(1.0)), (-2.0, atom_sum(sine, exponent=2))),
@@ -264,12 +264,12 @@ def _angle_sums(terms: Sum, best: Best) -> Iterator[Sum]:
         one, other = (_waves_by_argument(divided(term[0], shared)) for term in (first, second))
         if len(one) != 2 or one.keys() != other.keys() or any(one[argument] == other[argument] for argument in one):
             continue
-        a, b = sorted(one, key=lambda argument: (one[argument] != SIN, argument))
+        a, b = sorted(one, key=lambda argument: (one[argument] != op.SIN, argument))
         sign = 1.0 if first[1] * second[1] > 0.0 else -1.0
         if one[a] == one[b]:
-            whole, factor = function(COS, add((1.0, a), (-sign, b))), (first if one[a] == COS else second)[1]
+            whole, factor = function(op.COS, add((1.0, a), (-sign, b))), (first if one[a] == op.COS else second)[1]
         else:
-            whole, factor = function(SIN, add((1.0, a), (sign, b))), first[1]
+            whole, factor = function(op.SIN, add((1.0, a), (sign, b))), first[1]
         yield _replaced(terms, (first, second), multiply(((shared, factor),), whole))
 
 
@@ -282,7 +282,7 @@ def _pairs_of_one_size(terms: Sum) -> Iterator[tuple[Term, Term, Monomial]]:
 
 def _waves_by_argument(monomial: Monomial) -> dict[Sum, int]:
     """Return SIN or COS by argument, of a product of sines and cosines; nothing of any other product."""
-    if any(atom[0] not in (SIN, COS) or exponent != 1 for atom, exponent in monomial):
+    if any(atom[0] not in (op.SIN, op.COS) or exponent != 1 for atom, exponent in monomial):
         return {}
     return {atom[1]: atom[0] for atom, _ in monomial}
 
@@ -292,7 +292,7 @@ def _expanded_angles(terms: Sum, best: Best) -> Iterator[Sum]:
     waves = _waves(terms)
     for term in terms:
         for atom, exponent in term[0]:
-            if atom[0] not in (SIN, COS) or exponent < 1 or len(atom[1]) < 2:
+            if atom[0] not in (op.SIN, op.COS) or exponent < 1 or len(atom[1]) < 2:
                 continue
             for part in dict.fromkeys(wave[1] for wave in waves if wave[1] != atom[1]):
                 for sign in (1.0, -1.0):
@@ -304,9 +304,9 @@ def _expanded_angles(terms: Sum, best: Best) -> Iterator[Sum]:
 
 def _of_two(code: int, part: Sum, sign: float, other: Sum) -> Sum:
     """Return the sine or cosine of ``sign * part + other``."""
-    sine, cosine = function(SIN, part), function(COS, part)
-    other_sine, other_cosine = function(SIN, other), function(COS, other)
-    if code == SIN:
+    sine, cosine = function(op.SIN, part), function(op.COS, part)
+    other_sine, other_cosine = function(op.SIN, other), function(op.COS, other)
+    if code == op.SIN:
         return add((sign, distribute(sine, other_cosine)), (1.0, distribute(cosine, other_sine)))
     return add((1.0, distribute(cosine, other_cosine)), (-sign, distribute(sine, other_sine)))
 
@@ -315,11 +315,11 @@ def _logarithms(terms: Sum, best: Best) -> Iterator[Sum]:
     """log a + log b as log(a b), log a - log b as log(a/b)."""
     for first, second, shared in _pairs_of_one_size(terms):
         logs = [divided(term[0], shared) for term in (first, second)]
-        if any(len(logarithm) != 1 or logarithm[0][1] != 1 or logarithm[0][0][0] != LOG for logarithm in logs):
+        if any(len(logarithm) != 1 or logarithm[0][1] != 1 or logarithm[0][0][0] != op.LOG for logarithm in logs):
             continue
         sign = 1 if first[1] * second[1] > 0.0 else -1
         inner = multiply(logs[0][0][0][1], power(logs[1][0][0][1], sign))
-        whole = multiply(((shared, first[1]),), function(LOG, best(inner)))
+        whole = multiply(((shared, first[1]),), function(op.LOG, best(inner)))
         yield _replaced(terms, (first, second), whole)
 
 
@@ -327,7 +327,7 @@ def _roots(terms: Sum, best: Best) -> Iterator[Sum]:
     """sqrt a sqrt b as sqrt(a b), and likewise for quotients and absolute values."""
     for term in terms:
         for (one, count), (other, other_count) in combinations(term[0], 2):
-            if one[0] == other[0] and one[0] in (SQRT, ABS) and abs(count) == abs(other_count) == 1:
+            if one[0] == other[0] and one[0] in (op.SQRT, op.ABS) and abs(count) == abs(other_count) == 1:
                 inner = multiply(power(one[1], count), power(other[1], other_count))
                 rest = _times(term, (one, -count), (other, -other_count))
                 yield _replaced(terms, (term,), multiply(rest, function(one[0], best(inner))))

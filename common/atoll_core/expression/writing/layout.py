@@ -11,20 +11,8 @@ from functools import lru_cache
 from operator import itemgetter
 from typing import Final
 
-from atoll_core.expression.builder import Expression
-from atoll_core.expression.operators import (
-    ADD,
-    COS,
-    DIVIDE,
-    INVERSE,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SIN,
-    SUBTRACT,
-    TANH,
-    VARIABLE,
-)
+from atoll_core.expression import operators as op
+from atoll_core.expression.program import Expression
 from atoll_core.expression.writing.sums_of_products import (
     ONE,
     Atom,
@@ -69,14 +57,14 @@ def _signed(negative: bool, cost: int, expression: Expression) -> Written:
     if not negative:
         return cost, expression
     negated = _negated(expression)
-    return cost + _SIGN, (NEGATE, expression) if negated is None else negated
+    return cost + _SIGN, (op.NEGATE, expression) if negated is None else negated
 
 
 def _negated(expression: Expression) -> "Expression | None":
     """Return a number, or a product or quotient that begins with one, as its negative; None where none leads."""
     if isinstance(expression, float):
         return -expression
-    if isinstance(expression, tuple) and expression[0] in (MULTIPLY, DIVIDE):
+    if isinstance(expression, tuple) and expression[0] in (op.MULTIPLY, op.DIVIDE):
         code, first, *rest = expression
         negated = _negated(first)
         return None if negated is None else (code, negated, *rest)
@@ -90,7 +78,7 @@ def _listed(terms: list[Term]) -> Written:
     total, expression = _signed(*terms[0])
     for negative, cost, other in terms[1:]:
         total += NODE + cost + (_SIGN if negative else 0)
-        expression = (SUBTRACT if negative else ADD, expression, other)
+        expression = (op.SUBTRACT if negative else op.ADD, expression, other)
     return total, expression
 
 
@@ -109,7 +97,7 @@ def _grouped(terms: Sum) -> Iterator[Written]:
         sign = 1.0 if any(coefficient > 0.0 for _, coefficient in group) else -1.0
         cost, inner = written(tuple((monomial, sign * coefficient / size) for monomial, coefficient in group))
         number, text = _number(size)
-        parts.append((sign < 0.0, cost + number + NODE, (MULTIPLY, text, inner)))
+        parts.append((sign < 0.0, cost + number + NODE, (op.MULTIPLY, text, inner)))
     yield _listed(parts)
 
 
@@ -120,10 +108,10 @@ def in_order(terms: Sum) -> list[tuple[Monomial, float]]:
 
 def _place(term: tuple[Monomial, float]) -> tuple[object, ...]:
     monomial, _ = term
-    has_function = any(atom[0] not in (VARIABLE, ADD) for atom, _ in monomial)
+    has_function = any(atom[0] not in (op.VARIABLE, op.ADD) for atom, _ in monomial)
     has_quotient = any(exponent < 0 for _, exponent in monomial)
     degree = sum(exponent for _, exponent in monomial if exponent > 0)
-    variables = tuple((atom[1], -exponent) for atom, exponent in monomial if atom[0] == VARIABLE)
+    variables = tuple((atom[1], -exponent) for atom, exponent in monomial if atom[0] == op.VARIABLE)
     return (monomial != ONE, has_function, has_quotient, degree, variables, monomial)
 
 
@@ -131,9 +119,9 @@ def _term(monomial: Monomial, coefficient: float) -> Term:
     """Return the cheapest writing of a term."""
     if not monomial:
         return (coefficient < 0.0, *_number(abs(coefficient)))
-    if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == VARIABLE and abs(coefficient) == 1.0:
-        return coefficient < 0.0, NODE, (VARIABLE, monomial[0][0][1])
-    brackets = {atom: exponent for atom, exponent in monomial if atom[0] == ADD}
+    if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == op.VARIABLE and abs(coefficient) == 1.0:
+        return coefficient < 0.0, NODE, (op.VARIABLE, monomial[0][0][1])
+    brackets = {atom: exponent for atom, exponent in monomial if atom[0] == op.ADD}
     scales = {atom: _own_scale(atom[1]) for atom in brackets}
     best = _laid_out(monomial, coefficient, scales)
     for atom, exponent in brackets.items():
@@ -148,14 +136,14 @@ def _with_tangents(monomial: Monomial) -> list[tuple[Atom, int]]:
     """Return factors in which sin u/cos u is one, ``(DIVIDE, u, SIN)``, and cos u/sin u likewise."""
     exponents = dict(monomial)
     for (kind, *arguments), exponent in monomial:
-        partner = (COS, *arguments) if kind == SIN else ()
+        partner = (op.COS, *arguments) if kind == op.SIN else ()
         other = exponents.get(partner, 0)
         if exponent * other < 0:
             count = min(abs(exponent), abs(other))
             sign = 1 if exponent > 0 else -1
-            exponents[(SIN, *arguments)] -= sign * count
+            exponents[(op.SIN, *arguments)] -= sign * count
             exponents[partner] += sign * count
-            exponents[(DIVIDE, *arguments, SIN if sign > 0 else COS)] = count
+            exponents[(op.DIVIDE, *arguments, op.SIN if sign > 0 else op.COS)] = count
     return [item for item in exponents.items() if item[1]]
 
 
@@ -183,48 +171,48 @@ def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float])
         if exponent > 0:
             above.append((cost, expression))
         else:
-            has_quotient = atom[0] == ADD and any(count < 0 for inner, _ in atom[1] for _, count in inner)
+            has_quotient = atom[0] == op.ADD and any(count < 0 for inner, _ in atom[1] for _, count in inner)
             below.append((cost + _INNER_QUOTIENT * has_quotient, expression))
     size = abs(coefficient)
     if size != 1.0:
         above.insert(0, _number(size))
     cost = sum(factor[0] for factor in (*above, *below)) + NODE * (len(above) + len(below) - 1)
     if not above:
-        return coefficient < 0.0, cost + 2 * NODE, (INVERSE, _chained(below))
+        return coefficient < 0.0, cost + 2 * NODE, (op.INVERSE, _chained(below))
     expression = _chained(above)
-    return coefficient < 0.0, cost, (DIVIDE, expression, _chained(below)) if below else expression
+    return coefficient < 0.0, cost, (op.DIVIDE, expression, _chained(below)) if below else expression
 
 
 def _chained(factors: list[Written]) -> Expression:
     expression = factors[0][1]
     for _, factor in factors[1:]:
-        expression = (MULTIPLY, expression, factor)
+        expression = (op.MULTIPLY, expression, factor)
     return expression
 
 
 def _factor_place(atom: Atom) -> tuple[object, ...]:
     """Return what orders factors for reading: variables, functions, brackets."""
-    return (atom[0] != VARIABLE, atom[0] == ADD, atom)
+    return (atom[0] != op.VARIABLE, atom[0] == op.ADD, atom)
 
 
 def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]:
     """Return whether an atom is written as its negative, and how it is written."""
     kind = atom[0]
-    if kind == VARIABLE:
-        return False, (NODE, (VARIABLE, atom[1]))
-    if kind == POW:
+    if kind == op.VARIABLE:
+        return False, (NODE, (op.VARIABLE, atom[1]))
+    if kind == op.POW:
         base, exponent = written(atom[1]), written(atom[2])
-        return False, (base[0] + exponent[0] + NODE + _FUNCTION, (POW, base[1], exponent[1]))
-    argument = scaled(atom[1], scale) if kind == ADD else atom[1]
-    flips = kind in (ADD, SIN, TANH, DIVIDE) and _flips(argument, wants_flip=wants_flip)
-    if flips or (kind == COS and _flips(argument, wants_flip=False)):
+        return False, (base[0] + exponent[0] + NODE + _FUNCTION, (op.POW, base[1], exponent[1]))
+    argument = scaled(atom[1], scale) if kind == op.ADD else atom[1]
+    flips = kind in (op.ADD, op.SIN, op.TANH, op.DIVIDE) and _flips(argument, wants_flip=wants_flip)
+    if flips or (kind == op.COS and _flips(argument, wants_flip=False)):
         argument = scaled(argument, -1.0)
     cost, expression = written(argument)
-    if kind == ADD:
+    if kind == op.ADD:
         return flips, (cost, expression)
-    if kind == DIVIDE:
-        other = COS if atom[2] == SIN else SIN
-        return flips, (cost + NODE + _FUNCTION, (DIVIDE, (atom[2], expression), (other, expression)))
+    if kind == op.DIVIDE:
+        other = op.COS if atom[2] == op.SIN else op.SIN
+        return flips, (cost + NODE + _FUNCTION, (op.DIVIDE, (atom[2], expression), (other, expression)))
     return flips, (cost + NODE + _FUNCTION, (kind, expression))
 
 

@@ -9,25 +9,11 @@ from typing import Final
 import numpy as np
 
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import ProgramBuilder
+from atoll_core.expression import operators as op
 from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.operators import (
-    ADD,
-    ARITY,
-    CONSTANT,
-    DIVIDE,
-    INVERSE,
-    MULTIPLY,
-    NEGATE,
-    POW,
-    SQUARE,
-    SUBTRACT,
-    VARIABLE,
-)
-from atoll_core.expression.program import MAX_NODES, Program
+from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder
 from atoll_core.expression.simplification import simplify_program
 from atoll_core.expression.text.infix import tree_size
-from atoll_core.expression.writing.failures import contained
 from atoll_core.expression.writing.identities import equal_sums
 from atoll_core.expression.writing.layout import NODE, written
 from atoll_core.expression.writing.sums_of_products import (
@@ -35,6 +21,7 @@ from atoll_core.expression.writing.sums_of_products import (
     UndefinedError,
     add,
     constant,
+    contained,
     function,
     multiply,
     power,
@@ -91,30 +78,30 @@ def sum_of(program: Program, depth: int = 0) -> Sum:
     """Return the sum that a program is; brackets and arguments in their best form to that depth."""
     sums: list[Sum] = []
     for code, left, right, value in program.nodes():
-        if code == VARIABLE:
+        if code == op.VARIABLE:
             sums.append(variable(left))
-        elif code == CONSTANT:
+        elif code == op.CONSTANT:
             sums.append(constant(value))
         else:
-            sums.append(_operated(code, sums[left], sums[right] if ARITY[code] == 2 else (), depth))
+            sums.append(_operated(code, sums[left], sums[right] if op.ARITY[code] == 2 else (), depth))
     return sums[-1]
 
 
 def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
-    if code in (ADD, SUBTRACT):
-        return add((1.0, left), (1.0 if code == ADD else -1.0, right))
-    if code == NEGATE:
+    if code in (op.ADD, op.SUBTRACT):
+        return add((1.0, left), (1.0 if code == op.ADD else -1.0, right))
+    if code == op.NEGATE:
         return add((-1.0, left))
     one, other = best_of(left, depth), best_of(right, depth)
-    if code == SQUARE or (code == MULTIPLY and left == right):
+    if code == op.SQUARE or (code == op.MULTIPLY and left == right):
         return power(one, 2)
-    if code == MULTIPLY:
+    if code == op.MULTIPLY:
         return multiply(one, other)
-    if code == DIVIDE:
+    if code == op.DIVIDE:
         return multiply(one, power(other, -1))
-    if code == INVERSE:
+    if code == op.INVERSE:
         return power(one, -1)
-    return raised(one, other) if code == POW else function(code, one)
+    return raised(one, other) if code == op.POW else function(code, one)
 
 
 @lru_cache(maxsize=50_000)

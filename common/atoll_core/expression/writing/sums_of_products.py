@@ -1,24 +1,55 @@
-"""Sums of products: expressions in which much of real algebra needs no rules.
+"""Sums of products: a normal form of expressions in which much of real algebra needs no rules.
 
-A `Sum` maps monomials to coefficients, a `Monomial` atoms to whole powers, both sorted; an `Atom` is a variable, a
-function of a sum, a power with any exponent, or a sum of several terms as a factor. So the order of terms and factors,
-like terms, quotients that cancel and products of constants have one form. The makers below bring each function to one
-form, too: a phase lies within an eighth of a turn of 0, arguments begin positive, there is one exponential in a
-product.
+A `Sum` maps monomials to coefficients, a `Monomial` maps atoms to integer powers, both sorted; an `Atom` is a variable,
+a function of a sum, a power with any exponent, or a sum of several terms as a factor. The order of terms and factors,
+like terms, cancelling quotients and products of constants therefore have one form. The constructors below bring
+functions to one form as well: a phase lies within an eighth of a turn of 0, arguments begin with a positive term, and
+a product has one exponential.
 
-Values may differ where the given expression has none: ``x/x`` is 1.
+Values may differ where the original expression has none: ``x/x`` is 1.
 
-One module, since a product joins its exponentials, powers and roots by functions of sums, and these are made of
-products: neither half comes without the other.
+All of it is one module because products join exponentials, powers and roots by functions of sums, and these functions
+are made of products.
 """
 
+import logging
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable
-from functools import partial
-from typing import Any, Final, TypeAlias
+from functools import partial, wraps
+from typing import Any, Final, ParamSpec, TypeAlias, TypeVar
 
+from atoll_core.expression import operators as op
 from atoll_core.expression.evaluation import value_of
-from atoll_core.expression.operators import ABS, ADD, COS, EXP, LOG, POW, SIN, SQRT, TANH, VARIABLE
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+FAILURES: Final[Counter[str]] = Counter()
+"""How often rewriting failed, by function and kind of error."""
+
+
+def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Make any mistake in rewriting an `UndefinedError`, which leaves an expression as it was.
+
+    Writing decides how an equation is shown, and not what it is: no mistake in it may cost an island or a job. What
+    fails, fails at the same program always, so that the same seed still gives the same bits.
+    """
+
+    @wraps(function)
+    def guarded(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        try:
+            return function(*arguments, **named)
+        except UndefinedError:
+            raise
+        except Exception as error:
+            kind = f"{function.__name__}: {type(error).__name__}"
+            FAILURES[kind] += 1
+            if FAILURES[kind] == 1:
+                logging.getLogger(__name__).warning("an expression stays as it was, rewriting failed: %s", kind)
+            raise UndefinedError from error
+
+    return guarded
+
 
 Atom: TypeAlias = tuple[Any, ...]
 """``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the code tells what
@@ -50,7 +81,7 @@ def constant(value: float) -> Sum:
 
 def variable(index: int) -> Sum:
     """Return a variable."""
-    return (((((VARIABLE, index), 1),), 1.0),)
+    return (((((op.VARIABLE, index), 1),), 1.0),)
 
 
 def split_constant(terms: Sum) -> tuple[float, Sum]:
@@ -104,7 +135,7 @@ def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
     waiting = list(terms)
     while waiting:
         monomial, coefficient = waiting.pop()
-        if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == ADD:
+        if len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == op.ADD:
             waiting += [(inner, times(coefficient, factor)) for inner, factor in monomial[0][0][1]]
         else:
             total[monomial] = total.get(monomial, 0.0) + coefficient
@@ -173,7 +204,7 @@ def bracket(terms: Sum) -> tuple[float, Monomial]:
         return (rest[0][1], merged([*shared, *rest[0][0]])) if rest else (0.0, ONE)
     lead = next(coefficient for monomial, coefficient in rest if monomial != ONE)
     unit = tuple((monomial, cleaned(kept(coefficient / lead))) for monomial, coefficient in rest)
-    return lead, merged([*shared, ((ADD, unit), 1)])
+    return lead, merged([*shared, ((op.ADD, unit), 1)])
 
 
 def common(monomials: Iterable[Monomial]) -> Monomial:
@@ -211,7 +242,9 @@ def product(factors: Iterable[tuple[Atom, int] | float]) -> Sum:
         else:
             powers.append(factor)
     monomial = merged(powers)
-    if any(atom[0] in (EXP, POW, SQRT) or (atom[0] == ABS and abs(exponent) > 1) for atom, exponent in monomial):
+    if any(
+        atom[0] in (op.EXP, op.POW, op.SQRT) or (atom[0] == op.ABS and abs(exponent) > 1) for atom, exponent in monomial
+    ):
         return _reduced(coefficient, monomial)
     return collect([(monomial, cleaned(coefficient))]) if coefficient else ZERO
 
@@ -223,13 +256,13 @@ def _reduced(coefficient: float, monomial: Monomial) -> Sum:
     powers: dict[Sum, list[tuple[float, Sum]]] = {}
     roots: list[tuple[Sum, int]] = []
     for atom, count in monomial:
-        if atom[0] == EXP:
+        if atom[0] == op.EXP:
             exponents.append((float(count), atom[1]))
-        elif atom[0] == POW:
+        elif atom[0] == op.POW:
             powers.setdefault(atom[1], []).append((float(count), atom[2]))
-        elif atom[0] == SQRT:
+        elif atom[0] == op.SQRT:
             roots.append((atom[1], count))
-        elif atom[0] == ABS:
+        elif atom[0] == op.ABS:
             odd = int(math.fmod(count, 2))
             known[atom] = known.get(atom, 0) + odd
             coefficient = times(coefficient, _multiplied(known, atom[1], count - odd))
@@ -241,10 +274,10 @@ def _reduced(coefficient: float, monomial: Monomial) -> Sum:
             continue
         halves = count + 2 * known.pop(_lone_atom(argument), 0)
         odd = int(math.fmod(halves, 2))
-        known[(SQRT, argument)] = odd
+        known[(op.SQRT, argument)] = odd
         coefficient = times(coefficient, _multiplied(known, argument, (halves - odd) // 2))
     if exponents:
-        coefficient = times(coefficient, _multiplied(known, function(EXP, add(*exponents)), 1))
+        coefficient = times(coefficient, _multiplied(known, function(op.EXP, add(*exponents)), 1))
     for base, parts in powers.items():
         whole = float(known.pop(_lone_atom(base), 0))
         coefficient = times(coefficient, _multiplied(known, raised(base, add(*parts, (whole, constant(1.0)))), 1))
@@ -306,20 +339,20 @@ def _wave(code: int, argument: Sum) -> Sum:
     # With r the rest and q the quarter turns that make a cosine a sine: sin(-r + p + q) = -sin(r - p - q).
     quarters = round(phase / _QUARTER)
     left = sign * (phase - quarters * _QUARTER)
-    quarters = int(sign) * (quarters + (code == COS)) % 4
+    quarters = int(sign) * (quarters + (code == op.COS)) % 4
     inner = collect([(ONE, left), *rest]) if abs(left) > _PHASE else rest
-    return atom_sum((COS if quarters % 2 else SIN, inner), sign if quarters < 2 else -sign)
+    return atom_sum((op.COS if quarters % 2 else op.SIN, inner), sign if quarters < 2 else -sign)
 
 
 def _exponential(argument: Sum) -> Sum:
     shift, rest = split_constant(argument)
-    number = value_of(EXP, shift, 0.0) if shift else 1.0
+    number = value_of(op.EXP, shift, 0.0) if shift else 1.0
     if not 0.0 < number < math.inf:
         raise UndefinedError
     whole: list[tuple[Atom, int]] = []
     left: list[tuple[Monomial, float]] = []
     for monomial, coefficient in rest:
-        is_log = len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == LOG
+        is_log = len(monomial) == 1 and monomial[0][1] == 1 and monomial[0][0][0] == op.LOG
         if is_log and coefficient.is_integer() and abs(coefficient) <= LARGEST_POWER:
             scale, factors = bracket_or_term(monomial[0][0][1])
             number = times(number, raised_number(scale, int(coefficient)))
@@ -328,72 +361,74 @@ def _exponential(argument: Sum) -> Sum:
             left.append((monomial, coefficient))
     if not left:
         return product([number, *whole])
-    return product([number, *whole, ((EXP, tuple(left)), 1)]) if whole else atom_sum((EXP, tuple(left)), number)
+    return product([number, *whole, ((op.EXP, tuple(left)), 1)]) if whole else atom_sum((op.EXP, tuple(left)), number)
 
 
 def _logarithm(argument: Sum) -> Sum:
     monomial, coefficient = argument[0]
     if len(argument) > 1 or coefficient < 0.0:
-        return atom_sum((LOG, argument))
-    parts: list[tuple[float, Sum]] = [(1.0, constant(value_of(LOG, coefficient, 0.0)))]
+        return atom_sum((op.LOG, argument))
+    parts: list[tuple[float, Sum]] = [(1.0, constant(value_of(op.LOG, coefficient, 0.0)))]
     rest: list[tuple[Atom, int]] = []
     for atom, exponent in monomial:
-        if atom[0] == EXP:
+        if atom[0] == op.EXP:
             parts.append((float(exponent), atom[1]))
         else:
             rest.append((atom, exponent))
     if len(rest) == 1 and rest[0][1] % 2:
         ((atom, exponent),) = rest
-        is_root = atom[0] == SQRT
-        logarithm = function(LOG, atom[1]) if is_root else atom_sum((LOG, collect(atom_sum(atom))))
+        is_root = atom[0] == op.SQRT
+        logarithm = function(op.LOG, atom[1]) if is_root else atom_sum((op.LOG, collect(atom_sum(atom))))
         parts.append((0.5 * exponent if is_root else float(exponent), logarithm))
     elif rest:
-        parts.append((1.0, atom_sum((LOG, collect([(tuple(rest), 1.0)])))))
+        parts.append((1.0, atom_sum((op.LOG, collect([(tuple(rest), 1.0)])))))
     return add(*parts)
 
 
 def _root(argument: Sum) -> Sum:
     monomial, coefficient = argument[0]
     if len(argument) > 1 or coefficient < 0.0:
-        return atom_sum((SQRT, argument))
+        return atom_sum((op.SQRT, argument))
     number = math.sqrt(coefficient)
     if len(monomial) == 1:
         ((atom, exponent),) = monomial
-        if atom[0] == EXP:
-            return multiply(constant(number), function(EXP, add((0.5, atom[1]))))
+        if atom[0] == op.EXP:
+            return multiply(constant(number), function(op.EXP, add((0.5, atom[1]))))
         if exponent % 2 == 0:
-            return multiply(constant(number), power(function(ABS, collect(atom_sum(atom))), exponent // 2))
+            return multiply(constant(number), power(function(op.ABS, collect(atom_sum(atom))), exponent // 2))
         if exponent < 0:
             inverse = collect(atom_sum(atom, exponent=-exponent))
-            return multiply(constant(number), power(function(SQRT, inverse), -1))
-    return product([number, ((SQRT, collect([(monomial, 1.0)])), 1)])
+            return multiply(constant(number), power(function(op.SQRT, inverse), -1))
+    return product([number, ((op.SQRT, collect([(monomial, 1.0)])), 1)])
 
 
 def _hyperbolic_tangent(argument: Sum) -> Sum:
     sign, positive = unsigned(argument)
-    return atom_sum((TANH, positive), sign)
+    return atom_sum((op.TANH, positive), sign)
 
 
 def _magnitude(argument: Sum) -> Sum:
     if len(argument) != 1:
-        return atom_sum((ABS, unsigned(argument)[1]))
+        return atom_sum((op.ABS, unsigned(argument)[1]))
     ((monomial, coefficient),) = argument
-    positive = [(atom, exponent) for atom, exponent in monomial if atom[0] in (EXP, SQRT, ABS) or exponent % 2 == 0]
+    positive = [
+        (atom, exponent) for atom, exponent in monomial if atom[0] in (op.EXP, op.SQRT, op.ABS) or exponent % 2 == 0
+    ]
     rest = tuple(item for item in monomial if item not in positive)
     parts: list[tuple[Atom, int] | float] = [abs(coefficient), *positive]
     if rest:
-        parts.append(((ABS, collect([(rest, 1.0)])), 1))
+        parts.append(((op.ABS, collect([(rest, 1.0)])), 1))
     return product(parts)
 
 
 _FORMS: Final[dict[int, Callable[[Sum], Sum]]] = {
-    SIN: partial(_wave, SIN),
-    COS: partial(_wave, COS),
-    EXP: _exponential,
-    LOG: _logarithm,
-    SQRT: _root,
-    ABS: _magnitude,
-    TANH: _hyperbolic_tangent,
+    op.SIN: partial(_wave, op.SIN),
+    op.COS: partial(_wave, op.COS),
+    op.EXP: _exponential,
+    op.LOG: _logarithm,
+    op.SQRT: _root,
+    op.ABS: _magnitude,
+    op.TANH: _hyperbolic_tangent,
 }
 
 
@@ -401,15 +436,15 @@ def raised(base: Sum, exponent: Sum) -> Sum:
     """Return a power with any exponent."""
     number, basis = number_of(exponent), number_of(base)
     if number is not None and basis is not None:
-        return constant(value_of(POW, basis, number))
+        return constant(value_of(op.POW, basis, number))
     if number is not None:
         if number.is_integer() and abs(number) <= LARGEST_POWER:
             return power(base, int(number))
         if abs(number) == 0.5:
-            return power(function(SQRT, base), 1 if number > 0.0 else -1)
+            return power(function(op.SQRT, base), 1 if number > 0.0 else -1)
         if len(base) == 1 and base[0][1] > 0.0 and base[0][1] != 1.0:
-            scale = kept(value_of(POW, base[0][1], number))
-            return multiply(constant(scale), atom_sum((POW, ((base[0][0], 1.0),), exponent)))
+            scale = kept(value_of(op.POW, base[0][1], number))
+            return multiply(constant(scale), atom_sum((op.POW, ((base[0][0], 1.0),), exponent)))
     if basis == 1.0:
         return constant(1.0)
-    return atom_sum((POW, base, exponent))
+    return atom_sum((op.POW, base, exponent))

@@ -1,22 +1,31 @@
-"""The bus over zenoh: an embedded router for the coordinator, clients for all others. Alone in knowing zenoh.
+"""The bus over zenoh: an embedded router for the coordinator, client sessions for all others. The only import of zenoh.
 
-What zenoh calls back only puts an event into one inbox; the owner thread takes it out. Callbacks run on zenoh's own
-threads (``indirect=False``), so no thread of ours can keep a process from ending. Never fork after opening a bus.
+Zenoh's callbacks only put events into one inbox; the owner thread takes them out. Callbacks run on zenoh's own threads
+(``indirect=False``), so that no thread of ours can keep a process from ending. Never fork after opening a bus.
 
-Settings and their reasons: no discovery (one address to dial), no shared memory (it may drop silently and fills
-/dev/shm), BLOCK instead of the default that drops under load, queues large enough for bursts, a hung peer is waited
-for at most `_WAIT_FOR_PEER_US`, a lease short enough to notice a lost machine within seconds, and no message read that
-is larger than any of ours. While one thread waits for a hung peer, others serve everybody else: answers are sent by
-threads of the outbox, a router has more threads than zenoh gives it, and its sockets are closed without a wait.
+Settings and their reasons: no discovery (one address to dial), no shared memory (it may drop messages silently and
+fills /dev/shm), BLOCK instead of the default that drops messages under load, queues large enough for bursts, a wait of
+`_WAIT_FOR_PEER_US` for a peer that reads nothing, a lease short enough to notice a lost machine within seconds, and a
+limit on the size of messages.
+
+While one thread waits for a peer that reads nothing, other threads serve everyone else: the outbox sends answers, and
+a router gets more threads than zenoh starts by default. Closing a socket must not wait either. Zenoh sets SO_LINGER to
+10 s on each TCP socket, and the thread that closes a socket is one of the few that read messages for all clients: if
+the other side reads nothing, ``close`` blocks it for 10 s. Zenoh has no setting for this, so `LingerRemover` resets the
+option on each socket when its link comes up. ``close`` then returns at once, and the operating system still sends what
+is buffered. Whether a later version of zenoh makes this unnecessary has to be tested, not read.
 """
 
 import contextlib
 import itertools
 import json
 import os
+import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, cast
 
@@ -26,7 +35,6 @@ from zenoh.handlers import Callback
 from atoll_core.errors import LocalProtocolError, UnreachableError, UsageError
 from atoll_core.signals import interrupts_held_back
 from atoll_core.wire.addresses import Address, Destination, bindable, check_certificates, destination, why_unreachable
-from atoll_core.wire.bus.inbox import Inbox, Timers
 from atoll_core.wire.bus.interface import (
     MAX_PAYLOAD,
     Event,
@@ -41,12 +49,63 @@ from atoll_core.wire.bus.interface import (
     check_key,
     check_payload,
 )
-from atoll_core.wire.bus.lingering import LingerRemover
-from atoll_core.wire.bus.outbox import Outbox
+from atoll_core.wire.bus.queues import Inbox, Outbox, Timers
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.security.access_control import access_control
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings, access_control
 from atoll_core.wire.topics import HELLO, ROOT
+
+_FOLDERS: Final = (Path("/proc/self/fd"), Path("/dev/fd"))
+_OFF: Final = struct.pack("ii", 0, 0)
+_SCAN_PAUSE_S: Final = 0.05
+"""Between two looks at all sockets, so that a thousand clients that connect at once do not cause a thousand looks."""
+
+
+class LingerRemover:
+    """A thread that takes SO_LINGER back from the sockets of a router; it is told of each link that comes up."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._is_due = threading.Event()
+        self._is_closed = threading.Event()
+        threading.Thread(target=self._run, name="lingering sockets", daemon=True).start()
+
+    def link_is_up(self) -> None:
+        """Look for new sockets. From any thread; returns at once."""
+        self._is_due.set()
+
+    def close(self) -> None:
+        """End the thread. Repeatable."""
+        self._is_closed.set()
+        self._is_due.set()
+
+    def _run(self) -> None:
+        while self._is_due.wait() and not self._is_closed.is_set():
+            self._is_due.clear()
+            for each in sockets_of(self._port):
+                with contextlib.suppress(OSError):
+                    each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
+            self._is_closed.wait(_SCAN_PAUSE_S)
+
+
+def sockets_of(port: int) -> Iterator[socket.socket]:
+    """Yield this process's TCP sockets of local `port`, by descriptors that are closed again; none on Windows."""
+    folder = next((folder for folder in _FOLDERS if folder.is_dir()), None)
+    for name in [path.name for path in folder.iterdir()] if folder is not None else []:
+        try:
+            copy = os.dup(int(name))  # whose socket stays the same, even when zenoh closes its own meanwhile
+        except OSError:
+            continue
+        try:
+            found = socket.socket(fileno=copy)
+        except OSError:  # no socket
+            os.close(copy)
+            continue
+        with found:
+            if found.family in (socket.AF_INET, socket.AF_INET6) and found.type == socket.SOCK_STREAM:
+                with contextlib.suppress(OSError):
+                    if found.getsockname()[1] == port:
+                        yield found
+
 
 _WAIT_FOR_PEER_US: Final = 1_000_000
 _GIVEN_UP: Final = 0.9

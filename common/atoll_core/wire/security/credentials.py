@@ -17,7 +17,7 @@ from typing import Final, Literal, TypedDict, cast
 
 from atoll_core.command_line import TLS_OPTIONS
 from atoll_core.errors import RefusedError, UsageError
-from atoll_core.wire.security.role_bindings import MAX_NAME
+from atoll_core.wire.security.roles import MAX_NAME
 from atoll_core.wire.topics import is_id
 
 Use = Literal["serve", "connect"]

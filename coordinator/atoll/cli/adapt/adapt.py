@@ -18,7 +18,7 @@ from atoll.client.client import Client, connected
 from atoll.terminal.output import note, say
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.logs import configure, fields
-from atoll_core.machine.batch_jobs import job_of
+from atoll_core.machine import job_of
 from atoll_core.signals import stopping
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import WorkerView

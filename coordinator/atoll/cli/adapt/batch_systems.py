@@ -2,7 +2,7 @@
 
 Words may have ``{name}`` of the jobs, ``{job}`` the id of one, ``{cores}`` of each and ``{user}``; scripts have
 ``{worker}``, the command of a job's workers. To add a system, add a template here and the variable of its job ids to
-`atoll_core.machine.batch_jobs`.
+`atoll_core.machine`.
 """
 
 import re

@@ -11,8 +11,7 @@ from typing import Final
 
 from atoll.cli.doctor.finding import Finding, counted, fine
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll_core.machine.cores import usable_cores
-from atoll_core.machine.file_systems import file_system, is_networked
+from atoll_core.machine import file_system, is_networked, usable_cores
 
 MB: Final = 1024 * 1024
 GB: Final = 1024 * MB

@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from atoll.client.options import GROUPS, MOST_WORKERS
-from atoll_core.command_line import add_log_options, add_tls_options, duration, seconds, whole_number
-from atoll_core.completion import SHELLS
+from atoll_core.command_line import SHELLS, add_log_options, add_tls_options, duration, seconds, whole_number
 
 EXPORT_FORMATS: Final = (
     "python", "c", "julia", "matlab", "modelica", "xppaut", "sbml", "latex", "sympy", "csv", "json", "petab"

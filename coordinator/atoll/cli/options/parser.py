@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from typing import Final, NoReturn
 
 from atoll.cli.options.arguments import VERBS
-from atoll_core.command_line import Parser
-from atoll_core.completion import complete
+from atoll_core.command_line import Parser, complete
 from atoll_core.errors import UsageError
 
 HANDLERS: Final = {

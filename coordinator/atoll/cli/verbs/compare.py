@@ -10,7 +10,7 @@ from atoll.cli.exit_codes import DONE
 from atoll.cli.request import result_of
 from atoll.cli.verbs.models import deliver
 from atoll.experiments.comparison import compare as compare_results
-from atoll.experiments.measured import config_of
+from atoll.experiments.fits import config_of
 from atoll.model.model import Model
 from atoll.terminal.output import as_json
 from atoll_core.errors import UsageError

@@ -9,11 +9,10 @@ from pathlib import Path
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options.values import finite_number, if_given, interval, intervals, numbers, whole_number
 from atoll.cli.request import result_of
-from atoll.model.arguments import ReadColumns
+from atoll.model.arguments import FileStart, ReadColumns, start_of_file, times_until
 from atoll.model.files import write_text
 from atoll.model.model import Model
 from atoll.model.simulation import SimulationWarning
-from atoll.model.start import Start, start_of_file, times_of
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.data.differentiation.inputs import InputCurve
 from atoll_coordinator.result.result import Result
@@ -99,10 +98,10 @@ def _vary(parameter: str | None, bounds: str | None) -> tuple[str, tuple[float, 
 def suggest(options: argparse.Namespace) -> int:
     """Suggest experiments for ``options.result``. Return the exit code."""
     from atoll.cli.analyses import ask
-    from atoll.experiments.space import Request
+    from atoll.experiments.designs import DesignRequest
     from atoll.tasks.analyses import Suggest
 
-    request = Request(
+    request = DesignRequest(
         bounds=intervals(options.box, "--box"),
         duration=if_given(finite_number, options.duration, "--duration"),
         samples=if_given(whole_number, options.samples, "--samples"),
@@ -215,21 +214,21 @@ def _load(options: argparse.Namespace) -> Model:
     return model if options.group is None else model.of_group(options.group)
 
 
-def _start_of(model: Model, text: str | None) -> Start:
+def _start_of(model: Model, text: str | None) -> FileStart:
     """Return what ``--initial`` says: numbers by name, or a data file; raises UsageError or DataError."""
     if text is None:
-        return Start()
+        return FileStart()
     if Path(text).is_file():
         return start_of_file(model, Path(text))
     if "=" not in text:
         raise UsageError(f"--initial wants numbers such as x=1,y=3 or a data file, and {text!r} is neither")
-    return Start(numbers([text], "--initial", "NAME=NUMBER, separated by commas"))
+    return FileStart(numbers([text], "--initial", "NAME=NUMBER, separated by commas"))
 
 
-def _chosen_times(model: Model, start: Start, options: argparse.Namespace) -> FloatArray:
+def _chosen_times(model: Model, start: FileStart, options: argparse.Namespace) -> FloatArray:
     """Return the times that ``--until`` and ``--step`` choose; raises UsageError where nothing tells them."""
     end = if_given(finite_number, options.until, "--until")
-    return times_of(model, start, end, if_given(finite_number, options.step, "--step"))
+    return times_until(model, start, end, if_given(finite_number, options.step, "--step"))
 
 
 def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:

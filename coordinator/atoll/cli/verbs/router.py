@@ -18,9 +18,8 @@ from atoll_core import VERSION
 from atoll_core.errors import RefusedError, UnreachableError
 from atoll_core.logs import fields
 from atoll_core.signals import stopping
-from atoll_core.wire.addresses import Destination, destination, parse_address
-from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.addresses import Destination, announced, destination, parse_address
+from atoll_core.wire.security.roles import RoleBindings
 
 if TYPE_CHECKING:
     from atoll_core.wire.bus.interface import Bus

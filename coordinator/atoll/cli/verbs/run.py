@@ -20,7 +20,7 @@ from atoll.cli.web_process import web_process
 from atoll.client.local_coordinator import local_processes
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
-from atoll_core.machine.cores import usable_cores
+from atoll_core.machine import usable_cores
 from atoll_core.signals import raising_interrupts
 
 _WORKER_LOG: Final = "workers.log"

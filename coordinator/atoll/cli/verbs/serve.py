@@ -14,11 +14,10 @@ from atoll.terminal.output import note, say
 from atoll_core import VERSION
 from atoll_core.errors import NotNowError, RefusedError, UnreachableError, UsageError
 from atoll_core.logs import fields
-from atoll_core.machine.file_systems import file_system, is_networked
+from atoll_core.machine import file_system, is_networked
 from atoll_core.signals import reloading, stopping
-from atoll_core.wire.addresses import Destination, bindable, parse_address
-from atoll_core.wire.connect_file import announced
-from atoll_core.wire.security.role_bindings import RoleBindings, read_role_bindings
+from atoll_core.wire.addresses import Destination, announced, bindable, parse_address
+from atoll_core.wire.security.roles import RoleBindings, read_role_bindings
 
 if TYPE_CHECKING:
     from atoll_coordinator.service.scheduling.limits import Limits

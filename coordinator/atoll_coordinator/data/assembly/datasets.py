@@ -49,7 +49,7 @@ def assemble_given(
     for name, column in zip(roles.equations, roles.derivatives or roles.equations, strict=True):
         values = measurements.columns[column]
         deviation = representable_standard_deviation(column, values[selected])
-        targets.append(Target(name, roles.left_hand_sides[name], values, 0.0, deviation))
+        targets.append(Target(name, roles.left_hand_side(name), values, 0.0, deviation))
     inputs = np.array([measurements.columns[name] for name in roles.variables])
     sought = tuple(target for target in targets if target.variable in equations)
     whole = Dataset(tuple(symbols.values()), inputs, sought, dict(symbols), warnings)
@@ -82,7 +82,7 @@ def assemble_differentiated(
     values += [estimate.velocity for estimate in estimates if roles.velocities]
     values += [np.concatenate(parts) for parts in inputs]
     targets = [
-        _target(name, roles.left_hand_sides[name], estimate, selected.searched)
+        _target(name, roles.left_hand_side(name), estimate, selected.searched)
         for name, estimate in zip(roles.states, estimates, strict=True)
     ]
     sought = [target for target in targets if target.variable in equations]

@@ -1,9 +1,7 @@
-"""What the columns themselves say before anything is searched: checks, each a pure function, in one table.
+"""Checks of columns before anything is searched, cheap enough for a client: nothing is smoothed or compiled.
 
-- `finding`: `Finding`, a sentence with what to do, and what is done about it; `Columns`, what a check sees
-- `examination`: `examine`: the table of checks, made in order, and what they found acted on where that is safe
-- `fill_values`, `clipping`, `levels`, `counters`, `relations`, `maps`, `second_order`: the checks
-- `sums`: sums in a fixed order, since what a check leaves out changes what the search sees
-
-Cheap enough for a client: nothing is smoothed or compiled.
+- `finding`: `Finding`, a sentence with advice; `ExaminedColumns`, the input of a check; sums in a fixed order, since a
+  column that is left out changes what the search sees
+- `values`, `relations`, `motion`: the checks
+- `examination`: `examine`: runs all checks in order and acts on their findings where that is safe
 """

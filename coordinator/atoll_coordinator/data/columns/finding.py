@@ -1,5 +1,6 @@
-"""What a check of columns sees, and what it finds. Pure data."""
+"""The input of a check of columns, its output, and sums of a few thousand numbers in a fixed order. Pure."""
 
+import math
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,6 +11,7 @@ import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray
 
@@ -19,10 +21,9 @@ Parts = Sequence[FloatArray]
 
 @dataclass(frozen=True)
 class Finding:
-    """What was `found` in the columns, and the `advice` what to do, both without a stop at the end.
+    """What was `found` in the columns, and the `advice`, both without a full stop.
 
-    It is acted on where that is safe: the states `left_out` are not sought, and the values `missing`, by column, are
-    taken as missing.
+    The states `left_out` are not sought, and the values `missing`, by column, are treated as missing.
     """
 
     found: str
@@ -32,12 +33,12 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """What is said."""
+        """The message."""
         return f"{self.found}; {self.advice}."
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class ExaminedColumns:
     """The variables of a job along the trajectories that are not held out, by column.
 
     `values` has states, inputs and the target; angles are unwrapped.
@@ -49,8 +50,8 @@ class Columns:
     values: Mapping[str, Parts]
 
     @classmethod
-    def of(cls, measurements: Measurements, config: JobConfig) -> "Columns":
-        """Return what checks see of measurements."""
+    def of(cls, measurements: Measurements, config: JobConfig) -> "ExaminedColumns":
+        """Return the columns of measurements."""
         roles, whole = measurements.roles, measurements.trajectories
         kept = [place for place, is_out in enumerate(measurements.held_out) if not is_out]
         parts = {
@@ -75,7 +76,7 @@ class Columns:
 
     @property
     def angles(self) -> frozenset[str]:
-        """Columns that are angles, whose values are not those of the file."""
+        """Columns that are angles, whose values are not the values of the file."""
         return frozenset(angle.column for angle in self.roles.angles)
 
     @cached_property
@@ -84,12 +85,12 @@ class Columns:
         return {name: np.concatenate(list(parts)) for name, parts in self.values.items()}
 
     def finite(self, name: str) -> FloatArray:
-        """Return all values of a column that are there."""
+        """Return all values of a column that are not missing."""
         values = self.whole[name]
         return values[np.isfinite(values)]
 
     def may_leave_out(self, name: str) -> bool:
-        """Say whether a column is a state that no option names, so that it may be left out."""
+        """Tell whether a column is a state that no option names, so that it may be left out."""
         data = self.config.data
         if not self.is_in_time or name not in self.roles.states or data.states is not None:
             return False
@@ -97,15 +98,54 @@ class Columns:
         texts = self.config.model_dump_json(include={"space", "prior"}, exclude_defaults=True)
         return name not in named and re.search(rf"(?<!\w){re.escape(name)}(?!\w)", texts) is None
 
-    def without(self, missing: Mapping[str, float]) -> "Columns":
-        """Return the same with one value of some columns taken as missing."""
+    def without(self, missing: Mapping[str, float]) -> "ExaminedColumns":
+        """Return the same with one value of some columns treated as missing."""
         values = {
             name: [np.where(part == missing[name], np.nan, part) for part in parts] if name in missing else parts
             for name, parts in self.values.items()
         }
-        return Columns(self.roles, self.config, self.times, values)
+        return ExaminedColumns(self.roles, self.config, self.times, values)
 
 
 def listed(names: Iterable[str]) -> str:
     """Return column names as an option takes them, in quotes where the shell needs them."""
     return shlex.quote(",".join(f'"{name}"' if "," in name else name for name in names))
+
+
+def quoted(names: Iterable[str]) -> str:
+    """Return column names for a sentence: 'x' and 'y'."""
+    return " and ".join(f"'{name}'" for name in names)
+
+
+def dot(one: FloatArray, other: FloatArray) -> float:
+    """Return the sum of products."""
+    return math.fsum((one * other).tolist())
+
+
+def mean(values: FloatArray) -> float:
+    """Return the mean, 0 of nothing."""
+    return math.fsum(values.tolist()) / max(1, len(values))
+
+
+def variance(values: FloatArray) -> float:
+    """Return the mean square of the distances from the mean."""
+    away = values - mean(values)
+    return dot(away, away) / max(1, len(away))
+
+
+def upper_median(values: FloatArray) -> float:
+    """Return the upper median, 0 of nothing."""
+    return float(np.sort(values)[len(values) // 2]) if len(values) else 0.0
+
+
+def roughness(parts: Parts) -> float:
+    """Return half of the mean square step from row to row over the variance (von Neumann 1941), NaN left out.
+
+    It is 1 for white noise, and small for smooth motion: 1 - cos(2 pi / n) for a wave of n rows.
+    """
+    begin = [part[: SETTINGS.columns.most_rows] for part in parts]
+    steps = np.concatenate([np.diff(part) for part in begin])
+    values = np.concatenate(begin)
+    steps, values = steps[np.isfinite(steps)], values[np.isfinite(values)]
+    spread = variance(values)
+    return 0.5 * dot(steps, steps) / (max(1, len(steps)) * spread) if spread > 0.0 else 0.0

@@ -1,7 +1,7 @@
 """Columns that determine each other: equal ones, multiples, totals, sums that stay constant. Pure.
 
-Each column is compared, by least squares, with those before it (modified Gram-Schmidt, twice), whose coefficients
-follow from those of the basis. Whatever equation is found with such columns, others say the same.
+Each column is compared, by least squares, with the columns before it (modified Gram-Schmidt, twice), whose coefficients
+follow from the coefficients of the basis. Any equation found with such columns can be written in several ways.
 """
 
 import math
@@ -11,19 +11,28 @@ from decimal import Decimal
 
 import numpy as np
 
-from atoll_coordinator.data.columns.finding import Columns, Finding, listed
-from atoll_coordinator.data.columns.sums import dot, mean, roughness, sign_changes, variance
+from atoll_coordinator.data.columns.finding import (
+    ExaminedColumns,
+    Finding,
+    dot,
+    listed,
+    mean,
+    roughness,
+    upper_median,
+    variance,
+)
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.columns
+Values = Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True)
 class Relation:
     """``name = constant + sum of coefficient * column``, exact but for rounding, or up to noise.
 
-    `residual` is its standard deviation, as a share of that of the column.
+    `residual` is its standard deviation, as a share of the standard deviation of the column.
     """
 
     name: str
@@ -43,154 +52,158 @@ class Relation:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """All columns that it is about."""
+        """All columns of the relation."""
         return (*self.coefficients, self.name)
 
 
-def check_relations(columns: Columns) -> Iterator[Finding]:
+def check_relations(columns: ExaminedColumns) -> Iterator[Finding]:
     """Yield a finding for each column that others determine.
 
     A state that is a multiple or a total of others, to within rounding, is not sought: nothing is lost. With a constant
-    (a sum that stays 1, degrees beside kelvin) something is conserved, and each column has an equation.
+    (a sum that stays 1, degrees Celsius and kelvin) something is conserved, and each column has an equation.
     """
-    left: list[str] = []
+    left_out: list[str] = []
+    states = columns.roles.states
     for relation in linear_relations(columns):
-        chosen = _subject(relation, left)
-        is_made = relation.is_exact and chosen.constant == 0.0
-        if is_made and columns.may_leave_out(chosen.name) and len(columns.roles.states) - len(left) > 1:
-            left.append(chosen.name)
-            yield _left_out(chosen, columns)
+        total = relation
+        if not any(name in left_out for name in relation.columns):  # the column that is the sum of the others
+            forms = [relation.solved_for(name) for name in reversed(relation.columns)]
+            sums = (form for form in forms if all(value > 0.0 for value in form.coefficients.values()))
+            total = next(sums, relation)
+        is_redundant = relation.is_exact and total.constant == 0.0
+        if is_redundant and columns.may_leave_out(total.name) and len(states) - len(left_out) > 1:
+            left_out.append(total.name)
+            yield Finding(
+                f"'{total.name}' is {_sum(total.coefficients, total.is_exact)} in every row, so that it adds nothing "
+                "but other ways to write each equation",
+                f"no equation is sought for it (--states {listed(states)} keeps it)",
+                left_out=(total.name,),
+            )
         else:
-            yield _named(relation if chosen.constant else chosen, columns, left)
+            yield _remark(relation if total.constant else total, states, left_out)
 
 
-def linear_relations(columns: Columns) -> list[Relation]:
-    """Return what determines columns, each by those before it."""
+def linear_relations(columns: ExaminedColumns) -> list[Relation]:
+    """Return the relations that determine columns, each by the columns before it."""
     roles = columns.roles
     names = [name for name in roles.variables if name in columns.values and name != roles.target]
     if len(names) > LIMITS.most_compared or (columns.roles.order == 2 and len(names) < 2):
         return []
     rows = np.flatnonzero(np.logical_and.reduce([np.isfinite(columns.whole[name]) for name in names] or [np.zeros(0)]))
     some = rows[:: -(-len(rows) // LIMITS.most_rows) or 1]
-    values = {name: columns.whole[name][some] for name in names}
-    every = {name: columns.whole[name][rows] for name in names}
-    fit = _Basis()
+    sampled = {name: columns.whole[name][some] for name in names}
+    whole = {name: columns.whole[name][rows] for name in names}
+    basis = _Basis()
     relations: list[Relation] = []
     for name in names:
-        spread = variance(values[name])
-        if len(rows) <= len(fit.names) + LIMITS.few_values or not spread > 0.0:
+        spread = variance(sampled[name])
+        if len(rows) <= len(basis.names) + LIMITS.few_values or not spread > 0.0:
             continue
-        found = fit.relation(name, values, every, math.sqrt(spread))
+        found = basis.relation(name, sampled, whole, math.sqrt(spread))
         if found is None:
-            fit.add(name, values[name])
+            basis.add(name, sampled[name])
         else:
             relations.append(found)
     return relations
 
 
 class _Basis:
-    """Orthonormal columns, and how each is made of columns of the table, all about their means."""
+    """Orthonormal columns, and their coefficients in columns of the table, all about their means."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
         self._units: list[FloatArray] = []
-        self._makings: list[list[float]] = []
+        self._coefficients: list[list[float]] = []
 
     def add(self, name: str, values: FloatArray) -> None:
-        """Take a column into the basis."""
         shares, rest = self._projected(values)
         size = math.sqrt(dot(rest, rest))
-        making = [-sum(share * own[place] for share, own in zip(shares, self._makings, strict=True))
-                  for place in range(len(self.names))]  # fmt: skip
+        own = [-value for value in self._combined(shares)]
         self.names.append(name)
         self._units.append(rest / size)
-        self._makings = [[*own, 0.0] for own in self._makings] + [[entry / size for entry in (*making, 1.0)]]
+        self._coefficients = [[*row, 0.0] for row in self._coefficients] + [[entry / size for entry in (*own, 1.0)]]
 
     def _projected(self, values: FloatArray) -> tuple[list[float], FloatArray]:
-        """Return the share of each unit in the values, and what is left of them."""
+        """Return the share of each unit in the values, and the residuals."""
         shares, rest = [0.0] * len(self._units), values - mean(values)
-        for _ in range(2):  # what rounding leaves the first time is taken off the second
+        for _ in range(2):  # the second time removes the rounding errors of the first
             for place, unit in enumerate(self._units):
                 share = dot(unit, rest)
                 shares[place] += share
                 rest = rest - share * unit
         return shares, rest
 
-    def relation(
-        self, name: str, values: Mapping[str, FloatArray], every: Mapping[str, FloatArray], deviation: float
-    ) -> Relation | None:
-        """Return how a column is made of those of the basis, None where it is not.
+    def _combined(self, shares: Sequence[float]) -> list[float]:
+        """Return the coefficient of each column in the sum of units."""
+        return [
+            sum(share * row[place] for share, row in zip(shares, self._coefficients, strict=True))
+            for place in range(len(self.names))
+        ]
 
-        `values` are those of some rows, `every` those of all, in which an exact relation holds.
+    def relation(self, name: str, sampled: Values, whole: Values, deviation: float) -> Relation | None:
+        """Return how a column depends on the columns of the basis, None where it does not.
+
+        `sampled` are the values of some rows, `whole` the values of all rows, in which an exact relation holds.
         """
-        shares, rest = self._projected(values[name])
-        residual = math.sqrt(variance(rest)) / deviation
-        if not self.names or residual > LIMITS.alike:
+        shares, rest = self._projected(sampled[name])
+        if not self.names or math.sqrt(variance(rest)) / deviation > LIMITS.alike:
             return None
-        coefficients = {
-            other: sum(share * own[place] for share, own in zip(shares, self._makings, strict=True))
-            for place, other in enumerate(self.names)
-        }
-        return _exact(name, coefficients, values, every, deviation) or _noisy(
-            name, coefficients, values, deviation, rest
-        )
+        coefficients = dict(zip(self.names, self._combined(shares), strict=True))
+        exact = _exact(name, coefficients, sampled, whole, deviation)
+        return exact or _noisy(name, coefficients, sampled, deviation, rest)
 
 
 def _exact(
-    name: str,
-    coefficients: Mapping[str, float],
-    values: Mapping[str, FloatArray],
-    every: Mapping[str, FloatArray],
-    deviation: float,
+    name: str, coefficients: Mapping[str, float], sampled: Values, whole: Values, deviation: float
 ) -> Relation | None:
-    """Return the relation if it holds in every row to within rounding: of arithmetic, or of what was written."""
+    """Return the relation if it holds in every row to within rounding: of arithmetic, or of the written digits."""
     least = SETTINGS.common.negligible * deviation
-    for terms in (_without_small(coefficients, values, least) or coefficients, coefficients):
-        steps = [abs(factor) * _step(values[other]) for other, factor in terms.items()]
-        written = 2.0 * (_step(values[name]) + sum(steps))
+    for terms in (_without_small(coefficients, sampled, least) or coefficients, coefficients):
+        steps = [abs(factor) * _step(sampled[other]) for other, factor in terms.items()]
+        written = 2.0 * (_step(sampled[name]) + sum(steps))
         tolerance = written if written <= least else SETTINGS.interpolation.smallest_noise * deviation
-        rest = every[name] - _combined(terms, every)
-        constant = mean(values[name] - _combined(terms, values))
+        rest = whole[name] - _weighted_sum(terms, whole)
+        constant = mean(sampled[name] - _weighted_sum(terms, sampled))
         if float(np.max(np.abs(rest - constant))) <= tolerance:
-            sizes = [abs(mean(values[other])) / math.sqrt(variance(values[other])) for other in (*terms, name)]
+            sizes = [abs(mean(sampled[other])) / math.sqrt(variance(sampled[other])) for other in (*terms, name)]
             is_zero = abs(constant) <= tolerance * (1.0 + max(sizes))
             return Relation(name, terms, 0.0 if is_zero else constant, True, 0.0)
     return None
 
 
 def _noisy(
-    name: str, coefficients: Mapping[str, float], values: Mapping[str, FloatArray], deviation: float, rest: FloatArray
+    name: str, coefficients: Mapping[str, float], sampled: Values, deviation: float, rest: FloatArray
 ) -> Relation | None:
-    """Return the relation if what it leaves is small and without a pattern from row to row."""
-    rows, left = len(rest), math.sqrt(variance(rest))
+    """Return the relation if its residuals are small and without a pattern from row to row."""
+    rows, size = len(rest), math.sqrt(variance(rest))
     least = 1.0 - LIMITS.significant / math.sqrt(rows)
-    is_white = min(roughness([rest]), 2.0 * sign_changes(rest)) > least
+    above = rest > upper_median(
+        rest
+    )  # few rows far out, as at the begin of a motion, decide a mean square, but not this
+    sign_changes = int(np.count_nonzero(above[1:] != above[:-1])) / max(1, rows - 1)
+    is_white = min(roughness([rest]), 2.0 * sign_changes) > least
     if rows < LIMITS.rows_per_column * (len(coefficients) + 1) or not is_white:
         return None
-    error = LIMITS.significant * left / math.sqrt(rows)
-    kept = _without_small(coefficients, values, max(error, SETTINGS.common.negligible * deviation))
+    error = LIMITS.significant * size / math.sqrt(rows)
+    kept = _without_small(coefficients, sampled, max(error, SETTINGS.common.negligible * deviation))
     if not kept:
         return None
-    constant = mean(values[name] - _combined(kept, values))
-    sizes = [mean(values[other]) ** 2 / variance(values[other]) for other in kept]
+    constant = mean(sampled[name] - _weighted_sum(kept, sampled))
+    sizes = [mean(sampled[other]) ** 2 / variance(sampled[other]) for other in kept]
     is_zero = abs(constant) <= error * math.sqrt(1.0 + sum(sizes))
-    return Relation(name, kept, 0.0 if is_zero else constant, False, left / deviation)
+    return Relation(name, kept, 0.0 if is_zero else constant, False, size / deviation)
 
 
-def _without_small(
-    coefficients: Mapping[str, float], values: Mapping[str, FloatArray], least: float
-) -> dict[str, float]:
+def _without_small(coefficients: Mapping[str, float], values: Values, least: float) -> dict[str, float]:
     return {
-        other: factor
-        for other, factor in coefficients.items()
-        if abs(factor) * math.sqrt(variance(values[other])) > least
+        name: factor for name, factor in coefficients.items() if abs(factor) * math.sqrt(variance(values[name])) > least
     }
 
 
-def _combined(coefficients: Mapping[str, float], values: Mapping[str, FloatArray]) -> FloatArray:
+def _weighted_sum(coefficients: Mapping[str, float], values: Values) -> FloatArray:
     total = np.zeros(len(next(iter(values.values()))))
-    for other, factor in coefficients.items():
-        total = total + factor * values[other]
+    for name, factor in coefficients.items():
+        total = total + factor * values[name]
     return total
 
 
@@ -207,25 +220,8 @@ def _step(values: FloatArray) -> float:
     return max(min(10.0**place, largest), by_digits, 4.0 * float(np.spacing(largest)))
 
 
-def _subject(relation: Relation, left: Sequence[str]) -> Relation:
-    """Return the relation for the column that is the sum of the others, as a total is, else as it was found."""
-    if any(name in left for name in relation.columns):
-        return relation
-    forms = [relation.solved_for(name) for name in reversed(relation.columns)]
-    return next((form for form in forms if all(value > 0.0 for value in form.coefficients.values())), relation)
-
-
-def _left_out(relation: Relation, columns: Columns) -> Finding:
-    name = relation.name
-    return Finding(
-        f"'{name}' is {_text(relation)} in every row, so that it adds nothing but other ways to write each equation",
-        f"no equation is sought for it (--states {listed(columns.roles.states)} keeps it)",
-        left_out=(name,),
-    )
-
-
-def _named(relation: Relation, columns: Columns, left: Sequence[str]) -> Finding:
-    """Return the finding of a relation that is not acted on."""
+def _remark(relation: Relation, states: Sequence[str], left_out: Sequence[str]) -> Finding:
+    """Return the finding of a relation after which no column is left out."""
     how = "in every row" if relation.is_exact else f"up to noise ({100.0 * relation.residual:.2g} % of {relation.name})"
     if relation.constant:
         ones = {name: -value for name, value in relation.coefficients.items()} | {relation.name: 1.0}
@@ -235,20 +231,16 @@ def _named(relation: Relation, columns: Columns, left: Sequence[str]) -> Finding
         digits = 4 if relation.is_exact else 2
         what = f"{_sum(ones, relation.is_exact)} stays {sign * relation.constant / least:.{digits}g} {how}"
     else:
-        what = f"'{relation.name}' is {_text(relation)} {how}"
-    states = [name for name in columns.roles.states if name not in left and name != relation.name]
+        what = f"'{relation.name}' is {_sum(relation.coefficients, relation.is_exact)} {how}"
+    others = [name for name in states if name not in left_out and name != relation.name]
     found = f"{what}, so that each equation can be written in several ways"
-    if relation.name in columns.roles.states and states:
-        return Finding(found, f"to do without '{relation.name}', add --states {listed(states)}")
+    if relation.name in states and others:
+        return Finding(found, f"to do without '{relation.name}', add --states {listed(others)}")
     return Finding(found, f"leave '{relation.name}' out of --inputs if it is not wanted")
 
 
-def _text(relation: Relation) -> str:
-    return _sum(relation.coefficients, relation.is_exact)
-
-
 def _sum(coefficients: Mapping[str, float], is_exact: bool) -> str:
-    """Return a sum of columns as people write it, what is added before what is taken off."""
+    """Return a sum of columns as people write it, added terms before subtracted ones."""
     digits, text = 4 if is_exact else 2, ""
     for name, value in sorted(coefficients.items(), key=lambda pair: pair[1] < 0.0):
         size = f"{abs(value):.{digits}g}"

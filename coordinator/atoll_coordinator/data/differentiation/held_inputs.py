@@ -20,9 +20,7 @@ from atoll_coordinator.data.differentiation.derivatives import Differentiation, 
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.data.differentiation.missing_values import make_signal
 from atoll_coordinator.data.differentiation.smoothing import Smoother
-from atoll_coordinator.data.trajectories.gaps import take_pieces
-from atoll_coordinator.data.trajectories.measurements import Measurements
-from atoll_coordinator.data.trajectories.trajectories import Range
+from atoll_coordinator.data.trajectories.measurements import Measurements, Range, take_pieces
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.columns.levels import has_few_levels, repeats_in_step
+from atoll_coordinator.data.columns.values import has_few_levels, repeats_in_step
 from atoll_coordinator.data.differentiation.interpolation import predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Quantisation

@@ -1,4 +1,4 @@
-"""The process that reads a MATLAB file of versions 5 to 7 by scipy, which a damaged file may end without an exception.
+"""The process that reads a MATLAB file of versions 5 to 7 by scipy, which a damaged file can crash.
 
 ``python -m atoll_coordinator.data.reading.matlab_child FILE`` writes the arrays to stdout as NPZ: ``names`` as JSON,
 pairs of a run (0 for arrays that belong to none) and a name, and the arrays by their number among these.
@@ -23,36 +23,29 @@ def main() -> None:
     parts = parts_of({name: value for name, value in values.items() if not name.startswith("__")})
     arrays = {(run, name): array for run, part in enumerate(parts) for name, array in part.items()}
     packed = io.BytesIO()
-    numbered: dict[str, Any] = {  # keywords of numpy
-        str(number): array for number, array in enumerate(arrays.values())
-    }
+    numbered: dict[str, Any] = {str(number): array for number, array in enumerate(arrays.values())}
     np.savez(packed, names=np.array(json.dumps([*arrays])), **numbered)
     sys.stdout.buffer.write(packed.getvalue())
 
 
 def parts_of(values: Mapping[str, object]) -> list[dict[str, AnyArray]]:
-    """Return the arrays that belong to no run, then those of each run."""
-    runs = runs_of(values)
-    given = {name: value for name, value in values.items() if name not in runs}
-    parts = [flat(given), *({} for _ in next(iter(runs.values()), []))]
-    for name, items in runs.items():
-        for run, item in enumerate(items, start=1):
-            parts[run] |= flat(item) if isinstance(item, dict) else flat({name: item})
-    return parts
+    """Return the arrays that belong to no run, then the arrays of each run.
 
-
-def runs_of(values: Mapping[str, object]) -> dict[str, list[object]]:
-    """Return the parts of structure arrays and of cells, by name, that hold one run each: structures, or arrays.
-
-    All have as many parts as the first.
+    Runs are the elements of a structure array or of cells, structures or arrays; all have as many elements as the
+    first.
     """
-    found: dict[str, list[object]] = {}
+    runs: dict[str, list[object]] = {}
     for name, value in values.items():
         items = _items(value)
-        is_run = (all(isinstance(item, dict) for item in items) and not are_rows(items)) or all(map(_is_array, items))
-        if items and is_run and len(items) == len(next(iter(found.values()), items)):
-            found[name] = items
-    return found
+        is_run = (all(isinstance(item, dict) for item in items) and not _are_rows(items)) or all(map(_is_array, items))
+        if items and is_run and len(items) == len(next(iter(runs.values()), items)):
+            runs[name] = items
+    parts = [flat({name: value for name, value in values.items() if name not in runs})]
+    parts += [{} for _ in next(iter(runs.values()), [])]
+    for name, items in runs.items():
+        for run, item in enumerate(items, start=1):
+            parts[run] |= flat(item if isinstance(item, dict) else {name: item})
+    return parts
 
 
 def _items(value: object) -> list[object]:
@@ -63,7 +56,7 @@ def _items(value: object) -> list[object]:
     return [*value] if isinstance(value, list) else []
 
 
-def are_rows(items: Sequence[object]) -> bool:
+def _are_rows(items: Sequence[object]) -> bool:
     """Tell whether elements are rows, structures of single values, as `table2struct` of MATLAB makes of tables."""
     return bool(items) and all(
         isinstance(item, dict) and item and all(np.ndim(part) == 0 for part in item.values()) for item in items
@@ -75,14 +68,14 @@ def _is_array(item: object) -> bool:
 
 
 def flat(values: Mapping[str, object]) -> dict[str, AnyArray]:
-    """Return the arrays, those of structures by the field's name, or by both names where it is taken.
+    """Return the arrays; fields of structures by the field's name, or by both names where it is taken.
 
     What holds no numbers or text becomes a single empty text.
     """
     arrays: dict[str, AnyArray] = {}
     for name, value in values.items():
         rows = _items(value)
-        if are_rows(rows):
+        if _are_rows(rows):
             records = [row for row in rows if isinstance(row, dict)]
             value = {field: np.array([row.get(field, np.nan) for row in records]) for field in records[0]}
         if isinstance(value, dict):

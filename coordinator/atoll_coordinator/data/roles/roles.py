@@ -1,32 +1,47 @@
-"""The role of every column: time, trajectory, state, input, target, derivative, weight. Pure."""
+"""The role of every column (time, trajectory, state, input, target, derivative, weight) and its symbol. Pure."""
 
+import keyword
+import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from itertools import chain, count
+from typing import Final, Literal
 
 import numpy as np
 
-from atoll_coordinator.data.roles.column_options import check_options, named_columns, strip_units
-from atoll_coordinator.data.roles.time_column import TIME_NAMES, find_time_column
-from atoll_coordinator.data.roles.trajectory_column import find_trajectory_column
+from atoll_coordinator.data.roles.columns import (
+    TIME_NAMES,
+    check_options,
+    find_time_column,
+    find_trajectory_column,
+    named_columns,
+    strip_units,
+)
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.units import parse_unit
 from atoll_core.config import Angle, DataConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError, UsageError
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
+
+RESERVED: Final = frozenset(
+    {"sin", "cos", "tan", "cot", "sec", "csc", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "ln"}
+    | {"sqrt", "abs", "Abs", "pow", "Pow", "inverse", "square", "neg", "sign"}
+    | {"Symbol", "Function", "Integer", "Float", "Rational", "Number"}
+)
+"""Functions of expressions, and the names that sympy's parser itself writes into what it evaluates."""
 
 
 @dataclass(frozen=True)
 class Roles:
     """Column names by their role; `inputs` are variables without an equation.
 
-    `target` is set in explicit regression and `derivatives` (one per state) where they are given; with neither, the
-    states are differentiated in time, `order` times. `weights` is the column that says how much each row counts.
-    `held` are the inputs that keep their value from one row to the next.
-    `angles` are the states and inputs that are angles, with their unit; `offsets` the states measured up to an offset.
-    Trajectories with different values in column `group` may differ in constants; so may all where this
-    `is_by_trajectory`.
+    `target` is set in explicit regression, `derivatives` (one per state) where they are given; with neither, the states
+    are differentiated in time, `order` times. `weights` is the column of the weights of rows. `held` are the inputs
+    that keep their value from one row to the next. `angles` are the states and inputs that are angles, with their unit;
+    `offsets` the states measured up to an offset. Trajectories with different values in column `group` may differ in
+    constants; so may all trajectories if `is_by_trajectory`.
     """
 
     time: str | None
@@ -51,36 +66,37 @@ class Roles:
         return tuple(dict.fromkeys(name for name in every if name is not None))
 
     @property
+    def is_given(self) -> bool:
+        """Whether columns hold the left-hand sides: a target or derivatives."""
+        return self.target is not None or bool(self.derivatives)
+
+    @property
     def equations(self) -> tuple[str, ...]:
         """Columns for which an equation is sought."""
         return self.states if self.target is None else (self.target,)
 
-    @property
-    def left_hand_sides(self) -> dict[str, str]:
-        """The left-hand side of each equation as it is printed."""
-        if self.target is not None:
-            return {self.target: self.target}
-        time, power = self.time or "t", "2" if self.order == 2 else ""
-        return {name: f"d{power}{name}/d{time}{power}" for name in self.states}
-
     def left_hand_side(self, name: str) -> str:
-        """Return the left-hand side of one equation, which may be that of a component of a diffusion."""
-        return self.left_hand_sides.get(name) or f"d{name}/d{self.time or 't'}"
+        """Return the left-hand side of one equation as it is printed; components of a diffusion have one as well."""
+        if self.target is not None:
+            return self.target
+        power = "2" if self.order == 2 else ""
+        return f"d{power}{name}/d{self.time or 't'}{power}"
 
     @property
     def velocities(self) -> tuple[str, ...]:
         """Names of the velocities that are variables: one for each state for order 2, else none."""
-        taken = (*self.states, *self.inputs)
-        return tuple(_unused(f"{name}_dot", taken) for name in self.states) if self.order == 2 else ()
+        names = []
+        for state in self.states if self.order == 2 else ():
+            name = f"{state}_dot"
+            while name in (*self.states, *self.inputs):
+                name += "_"
+            names.append(name)
+        return tuple(names)
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """What expressions may use: states, for order 2 their velocities, and inputs."""
+        """Names that expressions may use: states, for order 2 their velocities, and inputs."""
         return (*self.states, *self.velocities, *self.inputs)
-
-
-def _unused(name: str, taken: Sequence[str]) -> str:
-    return _unused(name + "_", taken) if name in taken else name
 
 
 def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
@@ -102,26 +118,13 @@ def assign_roles(table: Table, config: DataConfig) -> tuple[Roles, DataConfig]:
         except UsageError as error:
             raise UsageError(f"--unit for '{name}': {error}") from error
     roles = assigned(table.names, config, trajectory)
-    if not _has_time_or_slopes(roles):
-        _check_no_text_time(table)
+    text_time = next((name for name in TIME_NAMES if name in table.skipped), None)
+    if roles.time is None and not roles.is_given and text_time is not None:
+        reason = f"column '{text_time}' of {table.files[0]} holds text that is neither a number nor a date"
+        raise DataError(f"{reason}; write numbers, or dates as year-month-day")
     _check_equations(roles, config, table)
-    _check_angles(roles)
-    _check_held(roles)
+    _check_named_roles(roles, config)
     return roles, config
-
-
-def _check_known(name: str, table: Table, *, may_be_text: bool = False) -> None:
-    """Raise DataError when the table has no column `name`."""
-    if name in table.names:
-        return
-    if name in table.skipped:
-        raise DataError(f"column '{name}' holds text; a column of numbers is expected")
-    texts = table.skipped if may_be_text else ()
-    of_text = f", and with text {', '.join(texts)}" if texts else ""
-    hint = did_you_mean(name, (*table.names, *texts))
-    raise DataError(
-        f"there is no column '{name}' in {table.files[0]}, which has {', '.join(table.names)}{of_text}{hint}"
-    )
 
 
 def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -> Roles:
@@ -150,17 +153,26 @@ def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -
     )
 
 
-def _has_time_or_slopes(roles: Roles) -> bool:
-    """Say whether left-hand sides can be had: given in columns, or as derivatives in the time."""
-    return roles.time is not None or roles.target is not None or bool(roles.derivatives)
+def _check_known(name: str, table: Table, *, may_be_text: bool = False) -> None:
+    """Raise DataError when the table has no column `name`."""
+    if name in table.names:
+        return
+    if name in table.skipped:
+        raise DataError(f"column '{name}' holds text; a column of numbers is expected")
+    texts = table.skipped if may_be_text else ()
+    of_text = f", and with text {', '.join(texts)}" if texts else ""
+    hint = did_you_mean(name, (*table.names, *texts))
+    raise DataError(
+        f"there is no column '{name}' in {table.files[0]}, which has {', '.join(table.names)}{of_text}{hint}"
+    )
 
 
 def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
     if not roles.equations:
         used = [f"'{name}'" for name in roles.used if name in table.names]
-        beside = f" besides {' and '.join(used)}" if used else ""
+        besides = f" besides {' and '.join(used)}" if used else ""
         raise DataError(
-            f"no column of numbers is left in {table.files[0]} to be a state{beside}; add one for each state"
+            f"no column of numbers is left in {table.files[0]} to be a state{besides}; add one for each state"
         )
     clash = next((name for name in roles.states if roles.order == 2 and f"{name}_dot" in roles.states), None)
     if clash is not None:
@@ -172,8 +184,12 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         states = ", ".join(roles.states)
         counts = f"{len(roles.derivatives)} derivatives were named for the states {states}"
         raise UsageError(f"{counts}; name as many states with --states, in the same order")
-    if not _has_time_or_slopes(roles):
+    if roles.time is None and not roles.is_given:
         raise _missing_time(table, roles.states, config)
+
+
+def _check_named_roles(roles: Roles, config: DataConfig) -> None:
+    """Raise UsageError where an option names a column that has not the role that the option needs."""
     for name in config.only or ():
         if name not in roles.equations:
             sought = f"equations are sought for {', '.join(roles.equations)}{did_you_mean(name, roles.equations)}"
@@ -181,17 +197,11 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
     for name in config.offsets:
         if name not in roles.states:
             raise UsageError(f"--offsets names '{name}', but the states are {', '.join(roles.states)}; remove it")
-
-
-def _check_angles(roles: Roles) -> None:
     for angle in roles.angles:
-        if angle.column == roles.target:
-            raise UsageError(f"--angle names '{angle.column}', the target of an explicit regression; remove it")
         if angle.column not in (*roles.states, *roles.inputs):
-            raise UsageError(f"--angle names '{angle.column}', which is neither a state nor an input; remove it")
-
-
-def _check_held(roles: Roles) -> None:
+            is_target = angle.column == roles.target
+            what = "the target of an explicit regression" if is_target else "which is neither a state nor an input"
+            raise UsageError(f"--angle names '{angle.column}', {what}; remove it")
     for name in roles.held:
         if name not in roles.inputs:
             known = ", ".join(roles.inputs) or "none; name it with --inputs"
@@ -200,36 +210,66 @@ def _check_held(roles: Roles) -> None:
             raise UsageError(f"--hold names '{name}', the time, which does not stay the same between rows; remove it")
 
 
-def _check_no_text_time(table: Table) -> None:
-    """Raise DataError when a column is called as the time is, but holds text; for a table without a time."""
-    name = next((name for name in TIME_NAMES if name in table.skipped), None)
-    if name is not None:
-        reason = f"column '{name}' of {table.files[0]} holds text that is neither a number nor a date"
-        raise DataError(f"{reason}; write numbers, or dates as year-month-day")
-
-
 def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> DataError:
     """Return the error of a table without a time; it names a state that may be the time."""
-    looked = config.time or " or ".join(TIME_NAMES[:2])
-    has_others = len(states) > 1
-    breaks = {name: _breaks(table, name) for name in states} if has_others else {}
-    ascending = next((name for name, count in breaks.items() if count == 0), None)
-    restarting = next((name for name, count in breaks.items() if count is not None and count > 0), None)
-    advice = [] if ascending is None else [f"name it with --time (perhaps {ascending})"]
-    if ascending is None and restarting is not None:
-        advice = [f"name it with --time (perhaps {restarting}; it begins anew: add --trajectory COLUMN, or blank rows)"]
+    breaks = {name: number for name in states if (number := _breaks(table, name)) is not None}
+    ascending = next((name for name, number in breaks.items() if number == 0), None)
+    restarting = next((name for name, number in breaks.items() if number > 0), None)
+    advice = []
+    if len(states) > 1 and ascending is not None:
+        advice.append(f"name it with --time (perhaps {ascending})")
+    elif len(states) > 1 and restarting is not None:
+        restart = "it begins anew: add --trajectory COLUMN, or blank rows"
+        advice.append(f"name it with --time (perhaps {restarting}; {restart})")
     advice.append("give the time between rows, as --step 0.1, if it is always the same")
-    advice += ["use --target COLUMN, for one column as a function of the others"] if has_others else []
-    return DataError(f"no time column was found (looked for {looked}); {', or '.join(advice)}")
+    advice += ["use --target COLUMN, for one column as a function of the others"] if len(states) > 1 else []
+    names = config.time or " or ".join(TIME_NAMES[:2])
+    return DataError(f"no time column was found (looked for {names}); {', or '.join(advice)}")
 
 
 def _breaks(table: Table, name: str) -> int | None:
-    """Return how often the numbers of a column do not grow within a trajectory, as times that begin anew do not.
+    """Return how often the numbers of a column do not increase within a trajectory, as times that begin anew do.
 
-    None where that is no time: stretches between two such rows are too short for a trajectory.
+    None where they are no times: stretches between two such rows are too short for a trajectory.
     """
     steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
     ends = np.flatnonzero(~(steps > 0.0))
     stretches = np.diff(np.concatenate([[-1], ends, [len(steps)]]))
     is_long = not len(ends) or int(stretches.min()) >= SETTINGS.checks.min_rows
     return len(ends) if len(steps) and is_long else None
+
+
+# ------------------------------------------------------------------------------------------------------------ symbols
+
+
+def assign_symbols(columns: Sequence[str]) -> dict[str, str]:
+    """Return the symbol of each column in expressions: its name where possible, else a rewritten one; all are unique.
+
+    A symbol must survive being written into the text of an expression and being read by sympy's parser, whose
+    ``local_dict`` is made from these symbols: S, I, N, E and beta do; Python's keywords and names of functions do not.
+    """
+    symbols = {column: column for column in columns if _is_symbol(column)}
+    taken = set(symbols.values())
+    for column in columns:
+        if column not in symbols:
+            name = _rewritten(column)
+            candidates = chain([name], (f"{name}_{number}" for number in count(2)))
+            symbols[column] = next(symbol for symbol in candidates if symbol not in taken)
+            taken.add(symbols[column])
+    return {column: symbols[column] for column in columns}
+
+
+def _is_symbol(name: str) -> bool:
+    """Tell whether `name` is one identifier for Python, which normalises to NFKC, and for sympy's tokenizer."""
+    is_plain = unicodedata.normalize("NFKC", name) == name and re.fullmatch(r"\w+", name) is not None
+    return is_plain and name.isidentifier() and not keyword.iskeyword(name) and name not in RESERVED
+
+
+def _rewritten(name: str) -> str:
+    """Return an identifier that resembles `name`: ``x-y`` gives x_y, ``2nd`` gives x2nd, ``lambda`` gives lambda_."""
+    text = re.sub(r"\W+", "_", unicodedata.normalize("NFKC", name)).strip("_") or "x"
+    if not text.isidentifier():
+        text = "x" + text
+    if not text.isidentifier():
+        text = re.sub(r"[^A-Za-z0-9_]+", "_", text)
+    return text if _is_symbol(text) else text + "_"

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.data.roles.columns import TIME_NAMES
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.roles.time_column import TIME_NAMES
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray

@@ -1,47 +1,73 @@
-"""The rows of a table that are used, checked: all that is known before anything is smoothed. Pure.
+"""The rows of a table that are used, checked, as trajectories: everything that is known before smoothing. Pure.
 
-Cheap enough for a client to meet every objection to its data before it uploads them.
+A trajectory is one continuous measurement. Times are centred over the whole data set, and made exactly even where they
+are even within their own precision, so that an offset of 1900 or of 10**9 costs no precision. Angles are unwrapped.
+Where a gap in the times is longer than the rows that are smoothed together, a trajectory is split: nothing tells what
+happened in between, and neither a slope nor a simulation should reach across.
+
+All of this is cheap enough for a client to see every objection to its data before it uploads them.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.trajectories.checks import (
+    MIN_ROWS,
+    check_no_turns,
     check_rates,
     check_searched_rows,
     check_sizes,
+    check_trajectory,
+    check_varies,
     select_usable_rows,
 )
-from atoll_coordinator.data.trajectories.trajectories import (
-    Range,
-    Trajectories,
-    called,
-    find_ranges,
-    name_groups,
-    select_held_out,
-    split_trajectories,
-    unwrap,
-)
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.data.table import Table
+from atoll_core.errors import DataError, UsageError
 
 RADIANS_PER_DEGREE: Final = math.pi / 180.0
+MANY: Final = 10
+"""So many values of a trajectory column are listed in a message."""
+MANY_SPLIT: Final = 5
+"""So many split trajectories are listed in a message."""
+LARGEST_PLAIN: Final = 1e15
+"""Whole numbers below this are written without an exponent."""
+_TIME_ROUNDING: Final = 4.0
+"""Times are even when they are so within this many units in the last place of the largest one; steps are longer than
+this many times that rounding."""
+Range = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """States along trajectories.
+
+    `names[i]` is what the user knows trajectory i by; `times[i]` are its times less `offset`, the centre of all times,
+    ascending strictly; `states[name][i]` is a state along it, angles unwrapped and in radians, NaN where it is missing.
+    """
+
+    names: tuple[str, ...]
+    times: tuple[FloatArray, ...]
+    offset: float
+    states: Mapping[str, Sequence[FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What was measured in the R rows of a table that are used.
+    """The used rows of a table: R rows, V columns.
 
-    `columns[name]` (R,) are the used columns, angles in radians, states not finite where they are missing; `ranges` are
-    half-open ranges of rows, one for each trajectory, and `held_out` says of each whether it is kept from the search;
-    `trajectories` is None where the left-hand sides are given; `warnings` are sentences for the user; `groups` has the
-    group of each trajectory where these may differ in constants, else nothing. Each row is the mean of about
+    `columns` are the used columns (R,) by name, angles in radians, states not finite where they are missing; `ranges`
+    are half-open ranges of rows, one for each trajectory, and `held_out` says of each whether it is kept from the
+    search; `trajectories` is None where the left-hand sides are given; `warnings` are sentences for the user; `groups`
+    has the group of each trajectory where groups may differ in constants, else nothing. Each row is the mean of about
     `rows_of_mean` rows of the table.
     """
 
@@ -61,18 +87,21 @@ class Measurements:
 
     @property
     def weights(self) -> FloatArray | None:
-        """The weight of each row as it was given, (R,); None without a column of weights."""
+        """The weight of each row from its column, (R,); None without a column of weights."""
         return None if self.roles.weights is None else self.columns[self.roles.weights]
 
     @property
     def searched_rows(self) -> list[int]:
         """The rows of trajectories that the search may see."""
-        return self._rows(held_out=False)
+        return [row for (first, last), out in self._places() if not out for row in range(first, last)]
 
     @property
     def held_out_rows(self) -> list[int]:
         """The rows of held-out trajectories."""
-        return self._rows(held_out=True)
+        return [row for (first, last), out in self._places() if out for row in range(first, last)]
+
+    def _places(self) -> list[tuple[Range, bool]]:
+        return [*zip(self.ranges, self.held_out, strict=True)]
 
     @property
     def group_names(self) -> tuple[str, ...]:
@@ -88,10 +117,6 @@ class Measurements:
         lengths = [last - first for first, last in self.ranges]
         return np.repeat(np.array([names.index(group) for group in self.groups], np.int64), lengths)
 
-    def _rows(self, *, held_out: bool) -> list[int]:
-        places = zip(self.ranges, self.held_out, strict=True)
-        return [row for (first, last), is_out in places if is_out == held_out for row in range(first, last)]
-
     @property
     def inputs(self) -> list[list[FloatArray]]:
         """Each input along each trajectory, unwrapped if it is an angle."""
@@ -103,28 +128,240 @@ class Measurements:
 def take_measurements(table: Table, roles: Roles, config: DataConfig) -> Measurements:
     """Select the rows that are used and check what was measured; `config` names columns as `table` does.
 
-    Raises UsageError where the column named does not tell the trajectories to hold out apart, DataError where the
+    Raises UsageError where the column of ``--holdout`` does not tell trajectories apart, DataError where the
     measurements cannot be used as they are: the message says where and what to do.
     """
     rows, warnings = select_usable_rows(table, roles, config)
     numbers = np.zeros(table.rows) if roles.trajectory is None else table.column(roles.trajectory)
     marks = [numbers] if roles.group is None else [numbers, table.column(roles.group)]
-    ranges = find_ranges(table.starts, rows, *marks)
+    segments = np.searchsorted(table.starts, rows, side="right")
+    is_break = segments[1:] != segments[:-1]
+    for values in marks:
+        is_break = is_break | (values[rows[1:]] != values[rows[:-1]])
+    ranges = tuple(pairwise([0, *(np.flatnonzero(is_break) + 1).tolist(), len(rows)]))
     first_rows = [rows[first] for first, _ in ranges]
-    values = ["" if roles.trajectory is None else called(table, roles.trajectory, row) for row in first_rows]
-    held_out = select_held_out(config.holdout, roles.trajectory, values)
+    labels = ["" if roles.trajectory is None else _label(table, roles.trajectory, row) for row in first_rows]
+    held_out = select_held_out(config.holdout, roles.trajectory, labels)
     searched = [row for (first, last), out in zip(ranges, held_out, strict=True) if not out for row in rows[first:last]]
     check_searched_rows(table, roles, searched)
     columns = {name: table.column(name)[rows] for name in roles.used}
     check_sizes({name: columns[name] for name in (*roles.states, *roles.inputs)})
-    in_degrees = {angle.column: angle.degrees for angle in roles.angles}
-    degrees = {name for name, is_so in in_degrees.items() if is_so}
+    degrees = {angle.column for angle in roles.angles if angle.degrees}
     rates = zip(roles.states, roles.derivatives, strict=False)
     for name in degrees | {rate for state, rate in rates if state in degrees}:
         columns[name] = columns[name] * RADIANS_PER_DEGREE
-    is_given = roles.target is not None or roles.derivatives
-    trajectories = None if is_given else split_trajectories(table, roles, rows, ranges, columns)
-    if trajectories is not None and roles.time is not None:
+    if roles.is_given:
+        return Measurements(roles, columns, ranges, held_out, None, tuple(warnings))
+    trajectories = _split_trajectories(table, roles, rows, ranges, columns)
+    if roles.time is not None:
         check_rates(roles.time, trajectories.times, trajectories.states, config.order)
-    groups = () if trajectories is None else name_groups(table, roles, trajectories.names, first_rows, held_out)
+    groups = _name_groups(table, roles, trajectories.names, first_rows, held_out)
     return Measurements(roles, columns, ranges, held_out, trajectories, tuple(warnings), groups)
+
+
+def _split_trajectories(
+    table: Table, roles: Roles, rows: list[int], ranges: Sequence[Range], columns: Mapping[str, FloatArray]
+) -> Trajectories:
+    """Return names, times and states along each trajectory.
+
+    `ranges` are half-open ranges into the `rows` of the table that are used; `columns` are at these rows, angles in
+    radians. Raises DataError where a trajectory is too short, its times do not ascend, or a state looks like a wrapped
+    angle.
+    """
+    assert roles.time is not None
+    times = table.column(roles.time)[rows]
+    for number, (first, last) in enumerate(ranges, start=1):
+        check_trajectory(table, roles.time, times[first:last], rows[first:last], number)
+    known = {name: np.where(np.isfinite(columns[name]), columns[name], np.nan) for name in roles.states}
+    states = {name: [values[first:last] for first, last in ranges] for name, values in known.items()}
+    for name, parts in states.items():
+        if name in {angle.column for angle in roles.angles}:
+            states[name] = [unwrap(part) for part in parts]
+            check_varies(table, name, np.concatenate(states[name]), "state")
+        else:
+            check_no_turns(name, parts)
+    names = tuple(str(number) for number, _ in enumerate(ranges, start=1))
+    if roles.trajectory is not None:
+        names = distinguish([_label(table, roles.trajectory, rows[first]) for first, _ in ranges])
+    centre = 0.5 * (float(np.min(times)) + float(np.max(times)))
+    centred = tuple(_center_times(times[first:last], centre) for first, last in ranges)
+    return Trajectories(names, centred, centre, states)
+
+
+def _name_groups(
+    table: Table, roles: Roles, names: Sequence[str], first_rows: Sequence[int], held_out: Sequence[bool]
+) -> tuple[str, ...]:
+    """Return the group of each trajectory, nothing where constants are the same for all.
+
+    `first_rows` are rows of the table. Raises DataError where there is one group only, or a group is all held out.
+    """
+    if roles.group is None and not roles.is_by_trajectory:
+        return ()
+    option = f"--group {roles.group}" if roles.group is not None else "--per-trajectory"
+    groups = tuple(names)
+    if roles.group is not None:
+        groups = tuple(_label(table, roles.group, row) for row in first_rows)
+    if len(set(groups)) < 2:
+        raise DataError(f"{option} needs constants of two groups at least, but there is one only; leave it out")
+    searched = {group for group, is_out in zip(groups, held_out, strict=True) if not is_out}
+    unseen = next((group for group in groups if group not in searched), None)
+    if unseen is not None:
+        raise DataError(f"--holdout keeps all trajectories of group {unseen}, so its constants are unknown; keep fewer")
+    return groups
+
+
+def select_held_out(holdout: int | str | None, trajectory: str | None, values: Sequence[str]) -> tuple[bool, ...]:
+    """Return for each trajectory whether it is held out: kept from every choice, so that equations can be judged by it.
+
+    `holdout` is how many of the last trajectories, or ``COLUMN=VALUE``; `values` has the value of the column
+    `trajectory` for each trajectory. Raises UsageError where COLUMN does not tell them apart, DataError where there are
+    too few, or none with that value.
+    """
+    count = len(values)
+    if isinstance(holdout, str):
+        name, _, text = holdout.rpartition("=")
+        if name != trajectory:
+            by = "blank rows or files" if trajectory is None else f"column '{trajectory}'"
+            advice = f"add --trajectory {name}, or give the number of trajectories to hold out"
+            raise UsageError(f"--holdout names column '{name}', but trajectories are told apart by {by}; {advice}")
+        try:
+            wanted = format_number(float(text) + 0.0)
+        except ValueError:
+            wanted = text.strip()
+        held_out = [value == wanted for value in values]
+        if not any(held_out):
+            distinct = [*dict.fromkeys(values)]
+            known = ", ".join(distinct[:MANY]) + (", …" if len(distinct) > MANY else "")
+            raise DataError(f"--holdout {holdout}: no trajectory has this value; there are {known}")
+    else:
+        held_out = [place >= count - (holdout or 0) for place in range(count)]
+    if all(held_out):
+        there = "is only one trajectory" if count == 1 else f"are {count} trajectories"
+        raise DataError(f"--holdout {holdout} would keep everything from the search: there {there}; leave at least one")
+    return tuple(held_out)
+
+
+def _label(table: Table, name: str, row: int) -> str:
+    """Return the value of a row in a column of trajectories or groups: a name, or a number."""
+    value = float(table.column(name)[row]) + 0.0
+    label = table.label(name, value)
+    return format_number(value) if label is None else label
+
+
+def format_number(value: float) -> str:
+    """Return a number as a person would write it: without a needless fraction."""
+    return f"{value:.0f}" if value.is_integer() and abs(value) < LARGEST_PLAIN else repr(value)
+
+
+def distinguish(names: Sequence[str]) -> tuple[str, ...]:
+    """Return `names`, repeated ones with a letter or a number: 2, 2b, 2c, …, 2z, 2aa, or a, a 2, a 3."""
+    distinct: list[str] = []
+    taken: set[str] = set()
+    for name in names:
+        number = 0
+        while (distinct_name := name + _suffix(name, number)) in taken:
+            number += 1
+        distinct.append(distinct_name)
+        taken.add(distinct_name)
+    return tuple(distinct)
+
+
+def _suffix(name: str, number: int) -> str:
+    """Return the end of a name that came `number` times before: nothing, b, c, …, z, aa, ab, …, or a number."""
+    if number and name[:1].isalpha():
+        return f" {number + 1}"
+    text, rest = "", number + 1 if number else 0
+    while rest:
+        rest, letter = divmod(rest - 1, 26)
+        text = chr(ord("a") + letter) + text
+    return text
+
+
+def _center_times(times: FloatArray, centre: float) -> FloatArray:
+    """Return times - centre, exactly even when they are even to within their last bits."""
+    precision = _TIME_ROUNDING * float(np.spacing(np.max(np.abs(times))))
+    length, count = float(times[-1]) - float(times[0]), len(times) - 1
+    step = length / count
+    rounded = (float(f"{step:.{digits}g}") for digits in range(1, 17))  # the fewest digits that span the length
+    step = next((candidate for candidate in rounded if abs(candidate * count - length) <= precision), step)
+    steps: FloatArray = step * np.arange(len(times), dtype=np.float64)
+    is_even = np.all(np.abs(times - (float(times[0]) + steps)) <= precision)
+    return (float(times[0]) - centre) + steps if is_even and _TIME_ROUNDING * precision < step else times - centre
+
+
+def unwrap(values: FloatArray) -> FloatArray:
+    """Return an angle (radians) of one trajectory with jumps of more than half a turn taken out, NaN passed over."""
+    turn = 2.0 * math.pi
+    result = values.copy()
+    turns = 0
+    for before, index in pairwise(np.flatnonzero(np.isfinite(values)).tolist()):
+        turns -= round((float(values[index]) - float(values[before])) / turn)
+        result[index] = float(values[index]) + turns * turn
+    return result
+
+
+# -------------------------------------------------------------------------------------------------- gaps in the times
+
+
+def find_pieces(times: FloatArray, span: int) -> list[Range]:
+    """Return the half-open ranges of rows between gaps longer than `span` median steps.
+
+    Times drawn at random are k median steps apart once in 2^k: gaps that may be chance are always bridged.
+    """
+    steps = np.diff(times)
+    by_chance = int(1.0 / SETTINGS.quantisation.improbable).bit_length()
+    longest = max(span, by_chance) * float(np.sort(steps)[len(steps) // 2])
+    return list(pairwise([0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(times)]))
+
+
+def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
+    """Return `measurements` with trajectories split at gaps longer than `span` rows; the same object without gaps.
+
+    Pieces that are too short to be differentiated are left out, unless too little would remain: then nothing is split.
+    """
+    whole = measurements.trajectories
+    assert whole is not None
+    pieces = [find_pieces(times, span) for times in whole.times]
+    gaps = sum(len(ranges) - 1 for ranges in pieces)
+    if gaps == 0:
+        return measurements
+    counted = f"{gaps} gap{'s' if gaps > 1 else ''} in the times {'are' if gaps > 1 else 'is'}"
+    long_enough = [[piece for piece in ranges if piece[1] - piece[0] >= MIN_ROWS] for ranges in pieces]
+    rows = sum(last - first for ranges in long_enough for first, last in ranges)
+    is_any_searched = any(ranges and not out for ranges, out in zip(long_enough, measurements.held_out, strict=True))
+    if rows < SETTINGS.rows.least_kept * measurements.row_count or not is_any_searched:
+        sentence = f"{counted} bridged although long, because the pieces between them are too short."
+        return replace(measurements, warnings=(*measurements.warnings, sentence))
+    split = take_pieces(measurements, long_enough)
+    assert split.trajectories is not None
+    names = iter(split.trajectories.names)
+    names_of = {whole.names[number]: [next(names) for _ in its] for number, its in enumerate(long_enough)}
+    texts = [f"{name} into {', '.join(its)}" for name, its in names_of.items() if len(its) > 1]
+    listed = "; ".join(texts[:MANY_SPLIT]) + ("; …" if len(texts) > MANY_SPLIT else "")
+    listed = f": {listed}" if listed else ""
+    warning = f"{counted} longer than what is smoothed at a time; trajectories are split there{listed}."
+    warnings = [*measurements.warnings, warning]
+    left_out = measurements.row_count - split.row_count
+    if left_out:
+        warnings.append(f"{left_out} rows in pieces of fewer than {MIN_ROWS} rows between gaps are left out.")
+    return replace(split, warnings=tuple(warnings))
+
+
+def take_pieces(measurements: Measurements, pieces: Sequence[Sequence[Range]]) -> Measurements:
+    """Return `measurements` with the `pieces` of each trajectory, ranges of its rows, as trajectories of their own."""
+    whole = measurements.trajectories
+    assert whole is not None
+    parts = [(number, slice(*piece)) for number, ranges in enumerate(pieces) for piece in ranges]
+    rows = [row for number, part in parts for row in range(*measurements.ranges[number])[part]]
+    ends = np.cumsum([0, *(part.stop - part.start for _, part in parts)]).tolist()
+    names = distinguish([whole.names[number] for number, _ in parts])
+    times = tuple(whole.times[number][part] for number, part in parts)
+    states = {name: [along[number][part] for number, part in parts] for name, along in whole.states.items()}
+    return replace(
+        measurements,
+        columns={name: values[rows] for name, values in measurements.columns.items()},
+        ranges=tuple(pairwise(ends)),
+        held_out=tuple(measurements.held_out[number] for number, _ in parts),
+        trajectories=Trajectories(names, times, whole.offset, states),
+        groups=tuple(measurements.groups[number] for number, _ in parts) if measurements.groups else (),
+    )

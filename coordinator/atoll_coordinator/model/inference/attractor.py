@@ -13,8 +13,9 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.refinement import Chaos
+from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, Unsimulated
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray

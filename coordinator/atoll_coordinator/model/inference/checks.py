@@ -23,7 +23,7 @@ from atoll_coordinator.model.inference.residuals import (
     residual_statistics,
 )
 from atoll_coordinator.model.refinement import Chaos, Check, CheckOutcome, Constant, JobKind, Prediction
-from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE
+from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
 

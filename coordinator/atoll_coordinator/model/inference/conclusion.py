@@ -34,10 +34,10 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     simulated,
 )
 from atoll_coordinator.model.inference.verdict import judge
+from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import (
     Alternative,
     Chaos,
-    Origin,
     Prediction,
     Refined,
     Refinement,
@@ -57,12 +57,10 @@ from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_row
 from atoll_coordinator.model.selection.rounding import RoundedSystem, ShownConstants, round_system
 from atoll_coordinator.model.selection.shortcut import predictable_rows
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
-from atoll_coordinator.model.shooting.error_growth import growth_rate, speed_growth
-from atoll_coordinator.model.shooting.independence import roughness
 from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.noise import estimate_variances, roughness
 from atoll_coordinator.model.shooting.system import SharedNumber
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.model.shooting.variance import estimate_variances
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, growth_rate, speed_growth
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray

@@ -48,8 +48,8 @@ from atoll_coordinator.model.selection.comparison import FittedModel, ModelCompa
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.rounding import RoundedSystem
 from atoll_coordinator.model.selection.task import SelectedModel
-from atoll_coordinator.model.shooting.covariance import bounded_covariance, covariance
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
+from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
 from atoll_coordinator.model.structure.one_sided import within_bounds
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray

@@ -25,8 +25,9 @@ import numpy as np
 
 from atoll_coordinator.model.inference.attractor import along
 from atoll_coordinator.model.refinement import Prediction
+from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, Unsimulated
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between, without_kept
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.thinning import thinned_places

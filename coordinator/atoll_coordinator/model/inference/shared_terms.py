@@ -17,8 +17,8 @@ import numpy as np
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.regression.rounding import find_simple
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
+from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places

@@ -14,8 +14,8 @@ from atoll_coordinator.model.inference.unknown_correlation import widening
 from atoll_coordinator.model.refinement import Constant, Correlation, Covariance
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints

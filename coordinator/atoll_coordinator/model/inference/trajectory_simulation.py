@@ -10,9 +10,8 @@ import numpy as np
 from atoll_coordinator.model.inference.standard_errors import Errors
 from atoll_coordinator.model.refinement import Simulated
 from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.expression.program import Program, constant_places

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.columns.neighbours import disagreement, neighbours
+from atoll_coordinator.data.columns.motion import disagreement, neighbours
 from atoll_coordinator.data.recording import Recording, Trajectory
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.settings import SETTINGS

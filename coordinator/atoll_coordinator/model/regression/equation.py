@@ -12,7 +12,8 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Alternative, Member, Refined, SimpleNumber, SimpleTogether, may_be_shown
+from atoll_coordinator.model.pools import Member, may_be_shown
+from atoll_coordinator.model.refinement import Alternative, Refined, SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares

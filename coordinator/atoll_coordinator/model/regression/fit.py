@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.least_squares import Solver, minimize, solver
+from atoll_coordinator.model.least_squares import Fitter, Solver, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem, Target
 from atoll_core.expression.evaluation import values_and_gradient, values_of
@@ -41,11 +41,15 @@ class LeastSquares:
     """Fits programs to the rows of one problem; `evaluations` counts the point evaluations, overhead included."""
 
     def __init__(self, problem: Problem, weights: FloatArray | None = None, restrictions: Restrictions = NONE) -> None:
-        """`weights` (R,) of the rows, 1 on average; None: all alike. Programs keep to the `restrictions`."""
+        """`weights` (R,) of the rows, 1 on average; None: all alike. Programs keep to the `restrictions`.
+
+        `half` is half the sum of squares over its mean.
+        """
         self.restrictions: Final = restrictions
         self._inputs = problem.inputs
         self._target = problem.target.values
         self._roots = None if weights is None else np.sqrt(weights)
+        self.half: Final = 0.5 * len(self._target)
         self.evaluations = 0
 
     def mse(self, program: Program) -> float:
@@ -78,34 +82,9 @@ class LeastSquares:
         if admitted is None or (fixed and admitted is not program):
             return Fitted(program, math.inf, np.zeros((0, 0)), np.zeros(0))
         program = admitted if self.restrictions.bounds is None else self.restrictions.bounds.clipped(admitted)
-        places = [place for place in constant_places(program) if place not in fixed]
-        lower, upper = self.restrictions.ranges(program, fixed)
-        begun = self._linearised(program, places, np.inf)
-        if not places or not math.isfinite(begun.mse):
-            return begun
-        half = 0.5 * len(self._target)  # half the sum of squares over the mean
+        return minimize(_TargetFit(self, program, fixed, enough, steps), steps)
 
-        def linearise(fitted: Fitted) -> Solver[FloatArray]:
-            values = fitted.program.constants[places]
-            return solver(fitted.normal, fitted.gradient, (lower - values, upper - values))
-
-        def move(fitted: Fitted, step: FloatArray) -> tuple[Fitted, float]:
-            constants = fitted.program.constants.copy()
-            constants[places] = np.clip(constants[places] + step, lower, upper)
-            moved = self._linearised(replace(program, constants=constants), places, fitted.mse)
-            return moved, half * (fitted.mse - moved.mse)
-
-        def is_hopeless(fitted: Fitted, promise: float, taken: int) -> bool:
-            """Tell whether steps that are all as good as the next one do not get there."""
-            if taken <= SETTINGS.effort.brief_steps or not enough > 0.0:
-                return False
-            return bool(fitted.mse * max(1.0 - promise / (half * fitted.mse), 0.0) ** (steps - taken) > enough)
-
-        return minimize(
-            begun, linearise, move, lambda fitted: SETTINGS.effort.settled * half * fitted.mse, steps, is_hopeless
-        )
-
-    def _linearised(self, program: Program, places: list[int], limit: float) -> Fitted:
+    def linearised(self, program: Program, places: Sequence[int], limit: float = math.inf) -> Fitted:
         """Return the program as it is, with its normal equations, which are empty beyond the error `limit`."""
         values, slopes = values_and_gradient(program, self._inputs, places)
         with np.errstate(all="ignore"):
@@ -120,6 +99,49 @@ class LeastSquares:
             gradient, normal = slopes @ errors, slopes @ slopes.T
         is_finite = bool(np.isfinite(gradient).all() and np.isfinite(normal).all())
         return Fitted(program, mse if is_finite else math.inf, normal, gradient)
+
+
+class _TargetFit(Fitter[Fitted, FloatArray, Fitted]):
+    """The fit of one program to the rows of a target; its cost is half the sum of squares."""
+
+    def __init__(
+        self, rows: LeastSquares, program: Program, fixed: Sequence[int], enough: float, steps: int
+    ) -> None:  # fmt: skip
+        self._rows, self._program, self._enough, self._steps = rows, program, enough, steps
+        self._places = [place for place in constant_places(program) if place not in fixed]
+        self._lower, self._upper = rows.restrictions.ranges(program, fixed)
+        self._begun = rows.linearised(program, self._places)
+
+    def init(self) -> Fitted | None:
+        """Return the program as it is; None where there is nothing to fit, or no finite error."""
+        return self._begun if self._places and math.isfinite(self._begun.mse) else None
+
+    def equations(self, point: Fitted) -> Solver[FloatArray]:
+        """Return the solver for steps of the constants within their bounds."""
+        values = point.program.constants[self._places]
+        return solver(point.normal, point.gradient, (self._lower - values, self._upper - values))
+
+    def step(self, point: Fitted, step: FloatArray) -> tuple[Fitted, float]:
+        """Return the program after a step."""
+        constants = point.program.constants.copy()
+        constants[self._places] = np.clip(constants[self._places] + step, self._lower, self._upper)
+        moved = self._rows.linearised(replace(self._program, constants=constants), self._places, point.mse)
+        return moved, self._rows.half * (point.mse - moved.mse)
+
+    def settled(self, point: Fitted) -> float:
+        """Return a share of the cost."""
+        return SETTINGS.effort.settled * self._rows.half * point.mse
+
+    def done(self, point: Fitted, promise: float, taken: int) -> bool:
+        """Tell whether steps that are all as good as the next one do not come near the error that is enough."""
+        if taken <= SETTINGS.effort.brief_steps or not self._enough > 0.0:
+            return False
+        left = max(1.0 - promise / (self._rows.half * point.mse), 0.0)
+        return bool(point.mse * left ** (self._steps - taken) > self._enough)
+
+    def result(self, point: Fitted | None) -> Fitted:
+        """Return the program with its constants fitted."""
+        return self._begun if point is None else point
 
 
 def _mse(errors: FloatArray) -> float:

@@ -13,7 +13,8 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
-from atoll_coordinator.model.refinement import Constant, Origin, Refined, Refinement, SimpleNumber, SimpleTogether
+from atoll_coordinator.model.pools import Origin
+from atoll_coordinator.model.refinement import Constant, Refined, Refinement, SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.result.diagnostics import noise, smoothing
 from atoll_coordinator.model.result.digest import result_digest

@@ -13,8 +13,8 @@ from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.result.findings import SharedTerm
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.builder import ProgramBuilder
 from atoll_core.expression.operators import VARIABLE
+from atoll_core.expression.program import ProgramBuilder
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.writing.expansion import inner_numbers, shape_of, terms_of
 from atoll_core.expression.writing.layout import written

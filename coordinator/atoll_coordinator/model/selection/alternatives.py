@@ -24,9 +24,8 @@ from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.model.structure.term_libraries import libraries, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.program import Program, constant_places, structure, with_constants
+from atoll_core.expression.program import Expression, Program, constant_places, structure, with_constants
 from atoll_core.expression.writing.expansion import form_of
 from atoll_core.expression.writing.shortest import shortest
 

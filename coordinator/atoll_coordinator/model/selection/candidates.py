@@ -12,15 +12,14 @@ from typing import Final
 
 from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.refinement import Member, Origin, Pools, decode_members
+from atoll_coordinator.model.pools import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.elimination import eliminate_all
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
-from atoll_core.expression.builder import Expression
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.program import Expression, Program, constant_places, structure
 from atoll_core.expression.restrictions import Restrictions
 from atoll_core.expression.writing.shortest import collected, shortened, shortest
 

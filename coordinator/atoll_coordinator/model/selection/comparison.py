@@ -33,13 +33,12 @@ from atoll_coordinator.model.selection.fit_batches import (
     SummarizedFit,
 )
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
-from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.shooting.independence import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting, fit_in_stages
+from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.points_between import points_beside
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
@@ -236,7 +235,7 @@ class ModelComparison:
             if system.sharing is not None and summary.by_group is not None:
                 system = replace(system, sharing=replace(system.sharing, constants=summary.by_group))
             stiff = summary.is_stiff
-            return self.estimator.whole(system, summary.length, summary.starts, summary.errors, is_stiff=stiff)
+            return self.estimator.complete(system, summary.length, summary.starts, summary.errors, is_stiff=stiff)
 
         fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
         return FittedModel(fitted, SummarizedFit(summary.squares, complete), summary.misfit, summary.nats)

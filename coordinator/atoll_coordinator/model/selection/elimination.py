@@ -16,14 +16,13 @@ from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.selection.fit_batches import ComparisonParts, FitOrder, FitSummary
-from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.model.structure.term_libraries import sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Expression, Program
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import least_term_length
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.model.structure.moves.reductions import multiply_out, reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program, constant_places, structure, with_constants

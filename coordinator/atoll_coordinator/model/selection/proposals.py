@@ -21,10 +21,9 @@ from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.model.structure.term_libraries import fractions, libraries, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import CONSTANT, POW
-from atoll_core.expression.program import Program, structure, with_constants
+from atoll_core.expression.program import Expression, Program, structure, with_constants
 from atoll_core.expression.writing.shortest import shortened
 
 Proposals = tuple[Iterable[Program], Iterable[list[Expression]]]

@@ -14,8 +14,8 @@ from typing import Final
 from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.rounding import Estimates, Rounding, find_simple, quadratic_form
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
-from atoll_coordinator.model.shooting.covariance import bounded_covariance
 from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants

@@ -15,14 +15,13 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import combine, compare_rivals, exchange, fit_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.piece_lengths import in_stretches
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
-from atoll_coordinator.model.shooting.error_growth import growth_rate
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, growth_rate
 from atoll_coordinator.model.sparse.product_laws import find_all_laws
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program

@@ -8,7 +8,8 @@ from functools import cached_property
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.refinement import Law, LawsByGroup, Refined, may_be_shown
+from atoll_coordinator.model.pools import Law, LawsByGroup, may_be_shown
+from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
@@ -165,7 +166,7 @@ class ModellingTask:
         restrictions = {index: self.restrictions(name) for index, name in enumerate(variables)}
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
-            MultipleShooting(measurements, tolerance, self.deadline, measured_rows, self.spread), self.dataset.names,
+            MultipleShooting(measurements, tolerance, self.deadline, measured_rows), self.dataset.names,
             fixed, self.leading(variables), self.spread, Constraints(restrictions, self.grouped_rows(variables)),
         )  # fmt: skip
 

@@ -1,16 +1,14 @@
 """Systems of equations fitted to measured trajectories by multiple shooting.
 
+- `multiple_shooting`: the fit of constants and initial states; its docstring says how all of this works together
 - `measurements`: the recording laid out for fits: all rows one after another, and the pieces that are simulated
 - `system`: several programs as one system whose constants can be fitted
-- `multiple_shooting`: the estimator of constants and initial states; `fit_cache` remembers fits
-- `segment_batches`: segments of one fit as they travel to other machines and back
-- `trajectory_fit`: what it returns
-- `error_growth`: how fast errors grow along a fitted system
-- `error_model`: errors that go together, as fits weigh them; `variance`: errors that grow with the value;
-  `independence`: how many independent numbers trajectories hold
-- `covariance`: how well a fit determines its constants
+- `integration`: states and sensitivities along segments; `kernels`: its compiled parts, and those of the fit's steps
+- `error_model`: errors of neighbouring rows that go together; `noise`: how large errors of measurement are, by
+  smoothing and by residuals
+- `trajectory_fit`: a fitted system, the covariance of its constants, the growth of its errors
 - `points_between`: points beside measured curves, from two measured ones
-- `kernels`: integration, sensitivities and normal equations, compiled; `warmup` makes them ready
+- `warmup`: makes the kernels ready
 
 A recording and programs go in, a `TrajectoryFit` comes out: states as simulated, residuals, normal equations.
 """

@@ -56,8 +56,10 @@ class ErrorModel:
 
     @property
     def lengths(self) -> FloatArray:
-        """Rows that count as one independent row each (O,): (1 + r) / (1 - r) where all errors go together, 1 where
-        none do; between them, the variance of a mean over that of independent rows."""
+        """Rows that count as one independent row each (O,): the variance of a mean over that of independent rows.
+
+        (1 + r) / (1 - r) where all errors go together, 1 where none do.
+        """
         return np.asarray(1.0 - self.shares + self.shares * (1.0 + self.decays) / (1.0 - self.decays))
 
 

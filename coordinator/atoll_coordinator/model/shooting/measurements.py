@@ -1,4 +1,4 @@
-"""The measured trajectories laid out for fits: all rows one after another, and what is simulated of them. Pure.
+"""The measured trajectories laid out for fits: all rows one after another, and the pieces that are simulated. Pure.
 
 Letters: N rows of all trajectories, S states, D of them with an equation here, O measured ones, K of these with an
 offset, U inputs, B pieces.
@@ -9,21 +9,21 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.recording import Recording, Trajectory
-from atoll_coordinator.model.shooting.variance import VarianceModel, estimate_variances
+from atoll_coordinator.model.shooting.noise import VarianceModel, estimate_variances
 from atoll_coordinator.model.thinning import lattice_step
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _LARGEST_SHARE: Final = 0.1
-"""Variance of normal errors over the squared reach of robustness weights, at most: beyond, what lies outside of the
-reach would count. Weights that reach to six median errors have 0.061."""
+"""Variance of normal errors over the squared reach of robustness weights, at most: beyond, errors outside of the reach
+would count. Weights that reach to six median errors have 0.061."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,16 +33,16 @@ class Measurements:
     `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
     trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), 0 leaves a number out;
     `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,) which of these up
-    to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the smoother's estimate of that of
-    the measurement errors; `has_smoothed_inputs` tells that states without an equation are inputs as smoothed.
-    `inverse_variances` (O, N) divide the variance of the errors of each
-    row, 1 on average over the recording; they are part of `weights`. `consistency` (O,) is the weighted mean square of
-    normal errors over their variance, less than one where robustness weights reduce the large ones; None: one for all
-    states. `resting` (O, N) tells along which trajectories a state was 0 throughout, as an absent species is: there it
-    has no weight and begins at 0; None: nowhere. `input_slopes` belong to `inputs` (U, N).
-    `variables` names the numbers of a point: D states, then U inputs. `groups` (T,) are the groups of trajectories that
-    have constants of their own, by owner; None: all share them. `input_error` is the error of input curves between
-    rows over their standard deviations: simulations err by about as much of those of the states.
+    to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the standard deviations of the
+    measurement errors as the smoother estimates them; `has_smoothed_inputs` tells that states without an equation are
+    inputs as smoothed. `inverse_variances` (O, N) divide the variance of the errors of each row, 1 on average over the
+    recording; they are part of `weights`. `consistency` (O,) is the weighted mean square of normal errors over their
+    variance, less than one where robustness weights reduce the large ones; None: one for all states. `resting` (O, N)
+    tells along which trajectories a state was 0 throughout, as an absent species is: there it has no weight and begins
+    at 0; None: nowhere. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers of a point: D states,
+    then U inputs. `groups` (T,) are the groups of trajectories that have constants of their own, by owner; None: all
+    share them. `input_error` is the error of input curves between rows over their standard deviations: simulated
+    states err by about the same share of their own.
     """
 
     bounds: Ints
@@ -100,12 +100,8 @@ class Measurements:
         """Range (D, 2) outside of which a simulated state has blown up."""
         low, high = self.smoothed.min(axis=1), self.smoothed.max(axis=1)
         width = np.maximum(high - low, 1e-12 * np.maximum(np.abs(high), np.abs(low)))
-        return np.ascontiguousarray(
-            np.stack(
-                [low - SETTINGS.shooting.blow_up_widths * width, high + SETTINGS.shooting.blow_up_widths * width],
-                axis=1,
-            )
-        )
+        beyond = SETTINGS.shooting.blow_up_widths * width
+        return np.ascontiguousarray(np.stack([low - beyond, high + beyond], axis=1))
 
     @cached_property
     def sizes(self) -> FloatArray:
@@ -123,7 +119,8 @@ class Measurements:
     def thinned(self, most: int) -> "Measurements":
         """Return pieces of the trajectories of at most about `most` rows together, early ones as well as late ones.
 
-        Where groups have constants of their own, as many as have so many rows, of each group at least one if they can.
+        Where groups have constants of their own, the number of pieces is such that they have so many rows; each group
+        has one at least if possible.
         """
         if self.rows <= most:
             return self
@@ -155,20 +152,15 @@ class Measurements:
     def _chosen(self, rows_by_piece: Sequence[Ints], owners: Sequence[int]) -> "Measurements":
         rows, lengths = np.concatenate(rows_by_piece), np.array([len(rows) for rows in rows_by_piece])
         ends = np.cumsum(lengths)
+        by_row = ("measured", "weights", "inverse_variances", "smoothed", "inputs", "input_slopes", "resting")
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in by_row}
+        arrays = {name: None if of is None else np.ascontiguousarray(of[:, rows]) for name, of in arrays.items()}
         return replace(
             self,
             bounds=np.stack([ends - lengths, ends], axis=1).astype(np.int64),
             owners=np.array(owners, dtype=np.int64),
             times=np.ascontiguousarray(self.times[rows]),
-            measured=np.ascontiguousarray(self.measured[:, rows]),
-            weights=np.ascontiguousarray(self.weights[:, rows]),
-            inverse_variances=None
-            if self.inverse_variances is None
-            else np.ascontiguousarray(self.inverse_variances[:, rows]),
-            smoothed=np.ascontiguousarray(self.smoothed[:, rows]),
-            inputs=np.ascontiguousarray(self.inputs[:, rows]),
-            resting=None if self.resting is None else np.ascontiguousarray(self.resting[:, rows]),
-            input_slopes=np.ascontiguousarray(self.input_slopes[:, rows]),
+            **arrays,
         )
 
 
@@ -228,17 +220,10 @@ def measurements_of(
         inverse_variances=inverse,
         consistency=_consistency(parts, chosen),
         resting=resting if resting.any() else None,
-        groups=_groups(recording, parts),
+        groups=np.array([recording.groups.index(part.group) for part in parts], np.int64) if recording.groups else None,
         input_error=recording.input_error,
     )
     return _where_inputs_are_known(whole, parts, others)
-
-
-def _groups(recording: Recording, parts: Sequence[Trajectory]) -> Ints | None:
-    """Return the group of each trajectory, None where there are none."""
-    if not recording.groups:
-        return None
-    return np.array([recording.groups.index(part.group) for part in parts], dtype=np.int64)
 
 
 def _where_inputs_are_known(whole: Measurements, parts: Sequence[Trajectory], others: Sequence[int]) -> Measurements:
@@ -280,7 +265,7 @@ def _resting(part: Trajectory, chosen: list[int], order: int) -> npt.NDArray[np.
 
 
 def _robustness_weights(part: Trajectory, chosen: list[int]) -> FloatArray:
-    """Return how much each measurement counts: nothing where it is missing, little where smoothing met an outlier."""
+    """Return the weight of each measurement: 0 where it is missing, little where it is an outlier for the smoother."""
     measured = np.isfinite(part.measured[chosen]).astype(np.float64)
     return measured if part.robustness_weights is None else measured * part.robustness_weights[chosen]
 
@@ -289,7 +274,7 @@ def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray |
     """Return for each state the weighted mean square of normal errors e over their variance, E[w e^2] / (E[w] var e).
 
     Weights w = (1 - (e/c)^2)^2 have the mean 1 - 2x + 3x^2 with x = (var e)/c^2, and E[w e^2] is
-    (1 - 6x + 15x^2) var e; what lies beyond c adds less than a thousandth where weights reach to six median errors. x
+    (1 - 6x + 15x^2) var e; errors beyond c add less than a thousandth where weights reach to six median errors. x
     follows from the mean weight of the measurements that have one.
     """
     if all(part.robustness_weights is None for part in parts):
@@ -311,7 +296,7 @@ def _consistency(parts: Sequence[Trajectory], chosen: list[int]) -> FloatArray |
 def _inverse_variances(
     parts: Sequence[Trajectory], chosen: list[int], variances: Sequence[VarianceModel]
 ) -> FloatArray | None:
-    """Return the inverse variances (O, N): weights that were given, or what smoothing shows; None where all are 1."""
+    """Return the inverse variances (O, N), by given weights and by smoothing; None where all are 1."""
     if all(part.weights is None for part in parts) and not any(variance.proportional for variance in variances):
         return None
     by_value = (
@@ -350,9 +335,9 @@ def _cut(first: int, end: int, count: int) -> list[tuple[int, int]]:
 def _spread(owners: Sequence[int], count: int) -> list[int]:
     """Return the places of `count` pieces, given the trajectory of each: as many of each, early ones and late ones.
 
-    Were it every n-th, it could be the first of each trajectory, and nobody would see what comes late in all of them,
-    such as an attractor or an input that is switched on. By a lattice every one of `count` equal parts of a trajectory
-    is met once, and neighbouring ones in distant parts.
+    Every n-th piece could be the first of each trajectory, without anything that comes late in all of them, such as an
+    attractor or an input that is switched on. A lattice meets each of `count` equal parts of a trajectory once, and
+    neighbouring trajectories in distant parts.
     """
     step = lattice_step(count)
     left: dict[int, list[int]] = {}

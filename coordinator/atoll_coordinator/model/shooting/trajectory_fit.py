@@ -1,9 +1,16 @@
-"""A system fitted to measured trajectories. Letters as in `atoll_coordinator.model.shooting.kernels.integrate`."""
+"""A system fitted to measured trajectories, and what its normal equations and sensitivities tell. Pure.
 
+`covariance` says how well the constants are determined, `growth_rate` and `speed_growth` how fast errors of a state
+grow. Letters as in `atoll_coordinator.model.shooting.multiple_shooting`.
+"""
+
+import math
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.system import System
@@ -20,6 +27,14 @@ Entries are sums over N rows, rounded by about eps*sqrt(N) each, and the largest
 eigenvalues are known to about eps*D*sqrt(N): 1e-13 at D = 7 and N = 4000. It is one number for all: with fewer rows
 some curvature that is known is raised, with more some rounding is kept.
 """
+_LEAST_EIGENVALUE: Final = 1e-11
+"""Smaller eigenvalues of the normal matrix with a unit diagonal are rounding errors."""
+_OPEN_LOADING: Final = 1e-6
+"""Squared component of a constant along a direction that is not determined, from which it is not determined itself."""
+_CANCELLED: Final = 1e-13
+"""Share of its diagonal that rounding leaves of the normal matrix where initial states stand in for a constant."""
+_HELD: Final = 1e-9
+"""Standard error of a constant on its bound, over its size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +43,7 @@ class TrajectoryFit:
 
     `starts` (G, D) are the fitted initial states of `segments` (G, 2), and behind them, where trajectories are fitted
     in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
-    `errors` what they were taken to be; `squares` (O,) their mean squares; `normal`,
+    `errors` the errors of measurement by which they were weighed; `squares` (O,) their mean squares; `normal`,
     `coupling` and `own` the blocks of the normal equations at the end, weighted; `estimator` fitted it; `is_stiff`
     tells whether the system was integrated as a stiff one; `gradient` (P,) is by how much more likely the data become
     where a constant grows, which is zero but for constants on their bounds.
@@ -49,7 +64,7 @@ class TrajectoryFit:
     gradient: FloatArray | None = field(default=None, repr=False)
 
     def integrated_sensitivities(self) -> FloatArray:
-        """Return the sensitivities (N, D, P + D + K) to the constants and to what each segment has its own.
+        """Return the sensitivities (N, D, P + D + K) to the constants and to the own numbers of each segment.
 
         They are integrated again at each call, since they would make a fit many times as large.
         """
@@ -57,17 +72,124 @@ class TrajectoryFit:
 
     @property
     def reduced(self) -> FloatArray:
-        """The normal matrix (P, P) of the constants, initial states eliminated."""
-        carried = self.coupling @ _inverse_roots(self.own)
+        """The normal matrix (P, P) of the constants, initial states eliminated.
+
+        States that trajectories forget at once have hardly any curvature. By the roots W (G, D, D) with WW' the
+        inverses of their blocks it is taken from the constants' without more than rounding errors; an inverse leaves
+        an indefinite matrix.
+        """
+        scale = np.sqrt(np.maximum(np.einsum("gdd->gd", self.own), 1e-200))
+        values, vectors = np.linalg.eigh(self.own / (scale[:, :, None] * scale[:, None, :]))
+        roots = vectors / scale[:, :, None] / np.sqrt(np.maximum(values, _LEAST_CURVATURE))[:, None, :]
+        carried = self.coupling @ roots
         return np.asarray(self.normal - np.tensordot(carried, carried, axes=([0, 2], [0, 2])))
 
 
-def _inverse_roots(own: FloatArray) -> FloatArray:
-    """Return W (G, D, D) with WW' the inverses of the blocks of the initial states.
+def covariance(fit: TrajectoryFit) -> FloatArray:
+    """Return the covariance (P, P) of the fitted constants, initial states eliminated.
 
-    What trajectories forget at once has hardly any curvature. By roots it is taken from that of the constants without
-    more than rounding; an inverse leaves an indefinite matrix.
+    The variance is infinite of a constant that the others, or the initial states, can stand in for.
     """
-    scale = np.sqrt(np.maximum(np.einsum("gdd->gd", own), 1e-200))
-    values, vectors = np.linalg.eigh(own / (scale[:, :, None] * scale[:, None, :]))
-    return np.asarray(vectors / scale[:, :, None] / np.sqrt(np.maximum(values, _LEAST_CURVATURE))[:, None, :])
+    covariances, is_open = _spread(fit)
+    covariances[np.diag_indices_from(covariances)] = np.where(is_open, math.inf, np.diag(covariances))
+    return covariances
+
+
+def bounded_covariance(fit: TrajectoryFit) -> FloatArray:
+    """Return the same with large variances in the place of infinite ones: a positive definite matrix."""
+    return _spread(fit)[0]
+
+
+def _spread(fit: TrajectoryFit) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return the bounded covariance, and which constants load on directions that the data do not determine.
+
+    Constants on their bounds are as good as given: the others are judged with these where they are.
+    """
+    held = fit.system.on_bounds
+    if not held.any():
+        return _inverse(np.diag(fit.normal), fit.reduced)
+    free, count = np.flatnonzero(~held), len(held)
+    covariances, is_open = np.zeros((count, count)), np.zeros(count, np.bool_)
+    if len(free):
+        normal, reduced = np.diag(fit.normal)[free], fit.reduced[np.ix_(free, free)]
+        covariances[np.ix_(free, free)], is_open[free] = _inverse(normal, reduced)
+    values = np.abs(fit.system.values[held])
+    covariances[held, held] = (_HELD * np.maximum(values, _HELD)) ** 2
+    return covariances, is_open
+
+
+def _inverse(normal: FloatArray, reduced: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return the inverse of the reduced normal matrix, and which constants are open."""
+    least = np.maximum(_CANCELLED * np.nan_to_num(normal), 1e-100)
+    scale = np.sqrt(np.clip(np.nan_to_num(np.diag(reduced)), least, 1e100))
+    with np.errstate(all="ignore"):
+        unit = np.nan_to_num(reduced / np.outer(scale, scale), posinf=0.0, neginf=0.0)
+    try:
+        values, vectors = np.linalg.eigh(unit)
+    except np.linalg.LinAlgError:
+        values, vectors = np.zeros(len(scale)), np.eye(len(scale))
+    is_open = (vectors[:, values < _LEAST_EIGENVALUE] ** 2 > _OPEN_LOADING).any(axis=1)
+    with np.errstate(all="ignore"):
+        inverse = (vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale)
+    return np.asarray(inverse), np.asarray(is_open)
+
+
+def growth_rate(fit: TrajectoryFit) -> float:
+    """Return the rate at which errors of a state grow, in e-folds per unit of time: the largest Lyapunov exponent.
+
+    The mean over all trajectories; negative where errors shrink, NaN without a segment of two rows. The sensitivities
+    to a segment's initial state tell how large a small error is at its end. An error is carried from segment to
+    segment of a trajectory and made small again at each, so that it turns into the direction of fastest growth
+    (Benettin et al. 1980). Of a trajectory of one segment there is only the growth of its own fastest direction, which
+    is an upper limit.
+    """
+    measurements = fit.estimator.measurements
+    fitted, states = fit.system.count, len(fit.system.outputs)
+    unit = measurements.scales[None, :] / measurements.scales[:, None]
+    sensitivities = fit.integrated_sensitivities()[:, :, fitted : fitted + states] * unit
+    long = [(first, end) for first, end in fit.segments.tolist() if end - first > 1]
+    logarithms = duration = 0.0
+    for _, group in groupby(long, key=lambda rows: int(measurements.owners_of_rows[rows[0]])):
+        segments = list(group)
+        growths = _growths(np.array([sensitivities[end - 1] for _, end in segments]))
+        times = [float(measurements.times[end - 1] - measurements.times[first]) for first, end in segments]
+        logarithms += sum(growths)
+        duration += sum(times[-len(growths) :])
+    return logarithms / duration if duration > 0.0 else math.nan
+
+
+def _growths(matrices: FloatArray) -> list[float]:
+    """Return the logarithms by which an error grows over each of these (S, D, D) but the first; of one, its largest."""
+    if len(matrices) == 1:
+        return [math.log(max(float(np.linalg.norm(matrices[0], 2)), 1e-300))]
+    error = np.linalg.svd(matrices[0])[0][:, 0]
+    growths = []
+    for matrix in matrices[1:]:
+        error = matrix @ error
+        size = max(float(np.linalg.norm(error)), 1e-300)
+        error = error / size
+        growths.append(math.log(size))
+    return growths
+
+
+def speed_growth(fit: TrajectoryFit) -> float:
+    """Return the rate at which trajectories get faster, in e-folds per unit of time, on average over those of `fit`.
+
+    An error of time grows like the speed, and so do all errors of a process that grows as a whole: compared with the
+    state they stay as small as they were. Speeds are means over the first and the second half of a trajectory, so that
+    a process that keeps coming back has a rate of about zero.
+    """
+    measurements = fit.estimator.measurements
+    owners, times = measurements.owners_of_rows, measurements.times
+    steps = np.diff(fit.simulated / measurements.scales[:, None], axis=1)
+    logarithms = duration = 0.0
+    for owner in np.unique(owners).tolist():
+        rows = np.flatnonzero((owners[1:] == owner) & (owners[:-1] == owner))
+        if len(rows) < 2:
+            continue
+        speeds = np.linalg.norm(steps[:, rows], axis=0) / (times[rows + 1] - times[rows])
+        middle = len(rows) // 2
+        slow, fast = (max(float(half.mean()), 1e-300) for half in (speeds[:middle], speeds[middle:]))
+        logarithms += math.log(fast / slow)
+        duration += 0.5 * float(times[rows[-1] + 1] - times[rows[0]])
+    return logarithms / duration if duration > 0.0 else 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, by_group
 from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length
-from atoll_coordinator.model.refinement import Law, LawsByGroup, may_be_shown
+from atoll_coordinator.model.pools import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.sparse.elimination import Elimination, eliminated
 from atoll_coordinator.model.sparse.products import Product, libraries, products_of, sum_of_products, values_of_products
 from atoll_coordinator.model.sparse.rates.rate_laws import find_rate_laws

@@ -8,9 +8,8 @@ import numpy as np
 from atoll_coordinator.model.structure.term_libraries import product_of, sum_of
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.operators import VARIABLE
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Expression, Program
 from atoll_core.expression.writing.expansion import terms_of
 from atoll_core.expression.writing.sums_of_products import UndefinedError
 

@@ -18,16 +18,15 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.least_squares import Solver, coefficients_of, inverse, minimize, solver
+from atoll_coordinator.model.least_squares import Descent, Solver, coefficients_of, inverse, minimize, solver
 from atoll_coordinator.model.sparse.elimination import on_the_way
 from atoll_coordinator.model.sparse.products import products
 from atoll_coordinator.model.sparse.shapes import Atom, Shape, powers, program_of, shapes
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Problem
-from atoll_core.expression.builder import operators_in
 from atoll_core.expression.operators import ADD, MULTIPLY
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, operators_in
 
 _DEGREE: Final = SETTINGS.sparse.degree - 1
 """Highest degree of the polynomial that functions are added to; products with functions have one less."""
@@ -342,7 +341,7 @@ class _Pursuit:
             following = self._solved(terms, moved)
             return None if following is None else (following, self._misfit(at) - self._misfit(following))
 
-        return minimize(begun, linearise, move)
+        return minimize(Descent(begun, linearise, move))
 
     def _solved(self, terms: tuple[int, ...], constants: FloatArray) -> _Sum | None:
         """Return the sum with the coefficients of least squares at these inner constants."""

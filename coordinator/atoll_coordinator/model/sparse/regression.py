@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from atoll_coordinator.model.criteria import constant_nats_of, log, structure_length
-from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.elimination import Elimination, eliminated, improved, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.elimination import sum_error_products
 from atoll_coordinator.model.sparse.products import Product, sum_of_products

@@ -15,7 +15,6 @@ from atoll_coordinator.model.criteria import constant_nats_of, structure_length
 from atoll_coordinator.model.sparse.products import Product, expression_of, values_of_products
 from atoll_coordinator.model.structure.term_libraries import scaled, sum_of
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import (
     ABS,
@@ -32,7 +31,7 @@ from atoll_core.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Expression, Program, ProgramBuilder, constant_places
 from atoll_core.expression.writing.shortest import collected
 
 _RATES: Final = (0.3, 0.6, 1.2, 2.4, 4.8, 9.6)

@@ -18,12 +18,12 @@ from atoll_coordinator.data.increments.steps import take_steps
 from atoll_coordinator.model.inference.checks import failures
 from atoll_coordinator.model.inference.residuals import residual_statistics
 from atoll_coordinator.model.inference.verdict import Verdict, sentence
+from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import (
     Alternative,
     Check,
     Constant,
     Covariance,
-    Origin,
     ProcessFindings,
     Refined,
     Refinement,

@@ -20,7 +20,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from atoll_coordinator.data.increments.steps import Steps
-from atoll_coordinator.model.least_squares import Solver, inverse, minimize, solver
+from atoll_coordinator.model.least_squares import Fitter, Solver, inverse, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.discretisation import Discretisation
 from atoll_coordinator.stochastic.moments import Pair, StepMoments, step_moments
@@ -216,35 +216,16 @@ class ProcessLikelihood:
         The fit ends where a step promises or gains less than `settled`, in nats, and where the misfit is not going to
         come below `limit`.
         """
-        begun = _Point(model, model.parameters(free), self.whitened(model))
-        if not math.isfinite(begun.whitened.misfit):
-            return FittedProcess(model, math.inf, lambda: np.zeros((len(begun.values), len(begun.values))))
-        lower, upper = self._ranges(model, free)
-        derivatives = cache(lambda at: self._derivatives(at, free))
+        return minimize(_LikelihoodFit(self, model, free, settled, limit))
 
-        def linearise(at: _Point) -> Solver[FloatArray]:
-            gradient, information = derivatives(at)
-            return solver(information, gradient, (lower - at.values, upper - at.values))
-
-        def move(at: _Point, step: FloatArray) -> tuple[_Point, float]:
-            tried = model.with_parameters(free, at.values + step)
-            moved = _Point(tried, at.values + step, self.whitened(tried))
-            return moved, at.whitened.misfit - moved.whitened.misfit
-
-        def is_over(at: _Point, promise: float, _: int) -> bool:
-            return at.whitened.misfit - promise > limit
-
-        end = minimize(begun, linearise, move, lambda _: settled, is_over=is_over)
-        return FittedProcess(end.model, end.whitened.misfit, lambda: derivatives(end)[1])
-
-    def _ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:
+    def ranges(self, model: ProcessModel, free: Sequence[int]) -> FloatArray:
         """Return the least and the largest values (2, K) that parameters may have."""
         restrictions = self._restrictions or [NONE] * len(model.programs)
         ranges = [restrictions[number].ranges(model.programs[number]) for number in free]
         noise = np.repeat([[-np.inf], [np.inf]], np.count_nonzero(model.noise), axis=1)
         return np.concatenate([*ranges, noise], axis=1)
 
-    def _derivatives(self, at: _Point, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    def derivatives(self, at: _Point, free: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Return the gradient (K,) of the misfit by the parameters and their information (K, K)."""
         residuals, logarithms, values = [], [], at.values
         for k, value in enumerate(values.tolist()):
@@ -258,6 +239,48 @@ class ProcessLikelihood:
         with np.errstate(all="ignore"):
             gradient = slopes[0] @ at.whitened.residuals.ravel() + slopes[1].sum(axis=1)
             return gradient, slopes[0] @ slopes[0].T + slopes[1] @ slopes[1].T
+
+
+class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
+    """The fit of one model to the steps of a process, by Fisher's information; its cost is the misfit in nats."""
+
+    def __init__(
+        self, likelihood: ProcessLikelihood, model: ProcessModel, free: Sequence[int], settled: float, limit: float
+    ) -> None:
+        self._likelihood, self._free, self._settled, self._limit = likelihood, free, settled, limit
+        self._begun = _Point(model, model.parameters(free), likelihood.whitened(model))
+        self._lower, self._upper = likelihood.ranges(model, free)
+        self._derivatives = cache(lambda point: likelihood.derivatives(point, free))
+
+    def init(self) -> _Point | None:
+        """Return the model as it is, None without a likelihood."""
+        return self._begun if math.isfinite(self._begun.whitened.misfit) else None
+
+    def equations(self, point: _Point) -> Solver[FloatArray]:
+        """Return the solver for steps of the parameters within their bounds."""
+        gradient, information = self._derivatives(point)
+        return solver(information, gradient, (self._lower - point.values, self._upper - point.values))
+
+    def step(self, point: _Point, step: FloatArray) -> tuple[_Point, float]:
+        """Return the model after a step."""
+        model = self._begun.model.with_parameters(self._free, point.values + step)
+        moved = _Point(model, point.values + step, self._likelihood.whitened(model))
+        return moved, point.whitened.misfit - moved.whitened.misfit
+
+    def settled(self, point: _Point) -> float:
+        """Return the nats that do not count."""
+        return self._settled
+
+    def done(self, point: _Point, promise: float, taken: int) -> bool:
+        """Tell whether the misfit will not come below its limit."""
+        return point.whitened.misfit - promise > self._limit
+
+    def result(self, point: _Point | None) -> FittedProcess:
+        """Return the fitted model."""
+        if point is None:
+            count = len(self._begun.values)
+            return FittedProcess(self._begun.model, math.inf, lambda: np.zeros((count, count)))
+        return FittedProcess(point.model, point.whitened.misfit, lambda: self._derivatives(point)[1])
 
 
 def _independent(residuals: FloatArray, covariance: FloatArray) -> Whitened:

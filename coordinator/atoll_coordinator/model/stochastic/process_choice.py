@@ -28,8 +28,7 @@ from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset
-from atoll_core.expression.builder import ProgramBuilder
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.program import Program, ProgramBuilder, constant_places, structure
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.expression.writing.expansion import form_of
 

@@ -12,9 +12,8 @@ from collections.abc import Collection, Iterator, Sequence
 from itertools import combinations, combinations_with_replacement
 
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.operators import ADD, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Expression, Program, ProgramBuilder
 from atoll_core.expression.simplification import simplify_program
 
 

@@ -22,7 +22,7 @@ from atoll_core.wire.messages.clients import (
     Submit,
 )
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.security.role_bindings import Role, RoleBindings
+from atoll_core.wire.security.roles import Role, RoleBindings
 
 _MAY: Final[dict[Role, str]] = {
     "coordinator": "serve",

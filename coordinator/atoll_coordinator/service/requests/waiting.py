@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
-from atoll_core.wire.bus.turns import Bounds
+from atoll_core.wire.bus.queues import Bounds
 from atoll_core.wire.messages.clients import Failure, JobStatus
 
 QUESTIONS: Final = Bounds(

@@ -32,7 +32,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from atoll_core.command_line import duration
 from atoll_core.config import Frozen, JobConfig
 from atoll_core.errors import RefusedError, UsageError
-from atoll_core.hints import did_you_mean
+from atoll_core.quoting import did_you_mean
 
 MAX_RUNNING: Final = 4
 """Default number of jobs under way: each holds its table and fronts in memory."""

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from atoll_coordinator.model.refinement import Pool
+from atoll_coordinator.model.pools import Pool
 from atoll_core.config import Frozen
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.search.pareto import FrontEntry

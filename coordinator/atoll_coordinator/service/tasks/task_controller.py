@@ -28,7 +28,7 @@ from atoll_coordinator.tasks.preparing import Prepared
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.tasks.frames import Failure
+from atoll_core.task_frames import Failure
 from atoll_core.wire.messages.clients import Analyse
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
 from atoll_core.wire.messages.tasks import (

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
 from atoll_core.errors import LocalProtocolError
-from atoll_core.tasks.frames import Failure
+from atoll_core.task_frames import Failure
 from atoll_core.wire.messages.tasks import AnalysisFunction, Lease, TaskFunction, TaskInput
 
 MAX_LOSSES: Final = 5

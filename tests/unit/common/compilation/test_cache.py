@@ -1,14 +1,30 @@
-"""The digests of kernels: what the fingerprint of a worker depends on, and what it does not."""
+"""Machine code is found by the text of its sources and compiled once per machine; progress is shown meanwhile."""
 
+import fcntl
+import io
 import shutil
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
+import numba.core.dispatcher
 import pytest
 
-from atoll_core.compilation import cache
-from atoll_core.compilation.cache import ALL, WORKER, kernel_files, source_digest
+from atoll_core.compilation import cache, jit
+from atoll_core.compilation.cache import (
+    ALL,
+    WORKER,
+    Report,
+    WarmUpDisplay,
+    compile_or_load,
+    count_of,
+    kernel_files,
+    sentence_of,
+    source_digest,
+)
+from atoll_core.errors import AtollError
 
 LOADED = """
 import sys
@@ -71,3 +87,159 @@ def test_without_docstrings_kernels_are_compiled_once_more_which_is_told() -> No
         for option in ((), ("-O",), ("-OO",))
     ]
     assert (said[0] == said[1], said[0] == said[2]) == (True, False)
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_sentence_gives_back_its_count() -> None:
+    assert count_of(sentence_of(3, 13)) == (3, 13)
+    assert count_of("waiting while another process of this machine compiles the kernels") is None
+
+
+def test_without_a_terminal_the_first_and_the_last_are_written(capsys: pytest.CaptureFixture[str]) -> None:
+    show = WarmUpDisplay()
+    for done in range(4):
+        show(sentence_of(done, 3), "for the worker")
+    show("waiting")
+    first, last = sentence_of(0, 3), sentence_of(3, 3)
+    assert capsys.readouterr().err == f"for the worker: {first}\nfor the worker: {last}\nwaiting\n"
+
+
+def test_on_a_terminal_there_is_a_bar_for_each_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    monkeypatch.setenv("TERM", "xterm")
+    show = WarmUpDisplay()
+    for done in range(3):
+        show(sentence_of(done, 2), "for the worker")
+        show(sentence_of(done, 2), "for the coordinator")
+    drawn = sys.stderr.getvalue()  # type: ignore[attr-defined]
+    assert all(text in drawn for text in ("for the worker", "for the coordinator", "50%", "100%"))
+
+
+PACKAGE = "atoll_island_worker"
+
+
+def warm_up(report: Report, exercise: Callable[[], None]) -> None:
+    compile_or_load(PACKAGE, exercise, 2, report)
+
+
+@pytest.fixture(autouse=True)
+def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path))
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    return cache.cache_directory(PACKAGE)
+
+
+class Exercise:
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __call__(self) -> None:
+        self.count += 1
+
+
+def test_the_first_time_is_announced_and_later_ones_are_not() -> None:
+    said: list[str] = []
+    exercise = Exercise()
+    warm_up(said.append, exercise)
+    assert said == [sentence_of(0, 2), sentence_of(2, 2)]
+    warm_up(said.append, exercise)
+    assert len(said) == 2
+    assert exercise.count == 2
+
+
+def test_a_compilation_that_failed_does_not_count() -> None:
+    def fail() -> None:
+        raise ValueError("no compiler")
+
+    said: list[str] = []
+    with pytest.raises(ValueError, match="no compiler"):
+        warm_up(said.append, fail)
+    warm_up(said.append, Exercise())
+    assert said == [sentence_of(0, 2), sentence_of(0, 2), sentence_of(2, 2)]
+
+
+def test_every_kernel_that_is_ready_is_counted() -> None:
+    said: list[str] = []
+    warm_up(said.append, lambda: jit.on_ready[-1]())
+    assert said == [sentence_of(done, 2) for done in (0, 1, 2)]
+    assert jit.on_ready == []
+
+
+def test_another_processor_is_another_first_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    warm_up(said.append, Exercise())
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    warm_up(said.append, Exercise())
+    assert len(said) == 4
+
+
+def test_kernels_for_a_chosen_processor_are_ready_on_every_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in an image, which is made on one machine and used on others."""
+    monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64-v3")
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", "")
+    said: list[str] = []
+    warm_up(said.append, Exercise())
+    monkeypatch.setattr(cache.platform, "processor", lambda: "another")
+    monkeypatch.setattr(cache, "_CPU_INFO", Path("/nowhere"))
+    warm_up(said.append, Exercise())
+    assert len(said) == 2
+    monkeypatch.delenv("NUMBA_CPU_FEATURES")
+    warm_up(said.append, Exercise())
+    assert len(said) == 4
+
+
+def test_who_comes_while_another_compiles_waits_and_then_loads(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    said: list[str] = []
+    waiting, events = threading.Event(), []
+
+    def report(sentence: str) -> None:
+        said.append(sentence)
+        waiting.set()
+
+    with (folder / "lock").open("w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        thread = threading.Thread(target=warm_up, args=(report, lambda: events.append("loaded")))
+        thread.start()
+        assert waiting.wait(30.0)
+        assert events == []
+        cache.marker(PACKAGE).touch()
+    thread.join(30.0)
+    assert events == ["loaded"]
+    assert said == ["waiting while another process of this machine compiles the kernels"]
+
+
+def test_a_cache_that_cannot_be_written_is_said_with_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ATOLL_KERNEL_CACHE", str(tmp_path / "file"))
+    with pytest.raises(AtollError, match="set ATOLL_KERNEL_CACHE"):
+        warm_up(lambda sentence: None, Exercise())
+
+
+def test_kernels_that_are_compiled_are_loaded_from_a_folder_that_can_only_be_read(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exercise = Exercise()
+    warm_up(lambda said: None, exercise)
+    folder.chmod(0o500)
+    monkeypatch.setattr("os.access", lambda place, mode: False)  # root may write everywhere
+    warm_up(lambda said: pytest.fail(said), exercise)
+    assert exercise.count == 2
+
+
+def test_without_a_compiler_there_is_nothing_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    exercise = Exercise()
+    warm_up(lambda sentence: None, exercise)
+    assert exercise.count == 0
+
+
+def test_a_numba_that_lacks_what_is_built_on_is_said_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "atoll_core.compilation.jit")
+    monkeypatch.delattr(numba.core.dispatcher, "_FunctionCompiler")
+    with pytest.raises(AtollError, match=r"with numba [0-9.]+ \(.*_FunctionCompiler.*\); install a version"):
+        warm_up(lambda sentence: None, Exercise())

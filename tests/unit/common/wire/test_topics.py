@@ -24,7 +24,7 @@ def test_every_key_that_is_built_is_parsed_back(
         (topics.control(cluster), topics.ControlKey(cluster)),
         (topics.control(cluster, name), topics.ControlKey(cluster, name)),
         (topics.job(cluster, name), topics.JobKey(cluster, name)),
-        (topics.placement(cluster, name), topics.PlacementKey(cluster, name)),
+        (topics.job(cluster, name, "placement"), topics.JobKey(cluster, name, "placement")),
         (topics.blob(cluster, digest, index), topics.BlobKey(cluster, digest, index)),
         (topics.worker(cluster, name, part), topics.WorkerKey(cluster, name, part)),
         (topics.mail(cluster, name, peer), topics.MailKey(cluster, name, peer)),
@@ -37,14 +37,14 @@ def test_every_key_that_is_built_is_parsed_back(
 @pytest.mark.slow
 @given(IDS, IDS, IDS, DIGESTS)
 def test_expressions_receive_the_keys_they_are_meant_for(cluster: str, name: str, peer: str, digest: str) -> None:
-    assert matches(topics.all_jobs(cluster), topics.placement(cluster, name))
+    assert matches(topics.all_jobs(cluster), topics.job(cluster, name, "placement"))
     assert matches(topics.all_jobs(cluster), topics.job(cluster, name))
     assert matches(topics.all_blobs(cluster), topics.blob(cluster, digest, 3))
     assert matches(topics.all_workers(cluster, "status"), topics.worker(cluster, name, "status"))
     assert not matches(topics.all_workers(cluster, "status"), topics.worker(cluster, name, "report"))
     assert matches(topics.all_clients(cluster), topics.client(cluster, name))
-    assert matches(topics.all_greetings(), topics.hello(name))
-    assert not matches(topics.all_greetings(), topics.HELLO)
+    assert matches(topics.ALL_GREETINGS, topics.hello(name))
+    assert not matches(topics.ALL_GREETINGS, topics.HELLO)
     assert matches(topics.inbox(cluster, peer), topics.mail(cluster, name, peer))
 
 

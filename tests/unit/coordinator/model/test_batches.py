@@ -1,11 +1,10 @@
 """Functions that anybody may compute: from values here, from bytes elsewhere, always the same."""
 
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from atoll_coordinator.model.batches import FUNCTIONS, BatchFunction, LocalBatches, Spread, spreading
+from atoll_coordinator.model.batches import FUNCTIONS, BatchFunction, Spread, spreading
 from atoll_coordinator.model.deadline import Deadline
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from tests.batches import ScatteredBatches
@@ -48,11 +47,7 @@ def test_work_is_the_same_wherever_it_is_spread(workers: int, size: int) -> None
     assert Spread(ScatteredBatches(workers)).map(SQUARE, lambda: 2, [], size) == []
 
 
-def test_threads_of_this_process_compute_batches_and_values_alike() -> None:
-    with ThreadPoolExecutor(3) as executor:
-        local = LocalBatches(executor)
-        made = local.map("test: power", b"\x03", [SQUARE.encoded([item]) for item in ITEMS])
-        assert [SQUARE.decoded(one)[0] for one in made] == [item**3 for item in ITEMS]
+def test_threads_of_this_process_compute_the_same() -> None:
     with spreading(None, 2, Deadline()) as spread:
         assert not spread.is_shared
         assert spread.map(SQUARE, lambda: 3, ITEMS) == [item**3 for item in ITEMS]

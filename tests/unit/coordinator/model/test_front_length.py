@@ -13,7 +13,7 @@ from atoll_coordinator.model.criteria import (
     log,
     select_member,
 )
-from atoll_coordinator.model.refinement import may_be_shown
+from atoll_coordinator.model.pools import may_be_shown
 from atoll_coordinator.model.sparse.products import products, sum_of_products
 from atoll_core.data.dataset import Target
 from atoll_core.expression.program import MAX_NODES

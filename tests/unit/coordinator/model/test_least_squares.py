@@ -5,67 +5,80 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.least_squares import coefficients_of, inverse, minimize, solver
+from atoll_coordinator.model.least_squares import Descent, Fitter, coefficients_of, inverse, minimize, solver
 
 START = np.array([-1.2, 1.0])
 
 
-def cost(at):
-    """Rosenbrock's function: half the sum of squares of what `left` returns."""
-    return 0.5 * float((left(at) ** 2).sum())
+class Valley(Fitter):
+    """Rosenbrock's function: half the sum of squares of `residuals`. Its steps are written down."""
 
+    def __init__(self, start=START, most=math.inf, settled=1e-20):
+        self.start, self.most, self.least, self.tried = start, most, settled, []
 
-def left(at):
-    return np.array([10.0 * (at[1] - at[0] ** 2), 1.0 - at[0]])
+    @staticmethod
+    def residuals(at):
+        return np.array([10.0 * (at[1] - at[0] ** 2), 1.0 - at[0]])
 
+    def cost(self, at):
+        return 0.5 * float((self.residuals(at) ** 2).sum())
 
-def fitted(start=START, most=math.inf, settled=1e-20, steps=60, is_over=lambda *_: False):
-    """Return where steps from `start` end, and how many were tried."""
-    tried = []
+    def init(self):
+        return self.start
 
-    def linearise(at):
+    def equations(self, at):
         jacobian = np.array([[-20.0 * at[0], 10.0], [-1.0, 0.0]])
-        reach = np.full(2, -math.inf), np.array([most - at[0], math.inf])
-        return solver(jacobian.T @ jacobian, jacobian.T @ left(at), reach)
+        reach = np.full(2, -math.inf), np.array([self.most - at[0], math.inf])
+        return solver(jacobian.T @ jacobian, jacobian.T @ self.residuals(at), reach)
 
-    def move(at, step):
-        tried.append(at + step)
-        return at + step, cost(at) - cost(at + step)
+    def step(self, at, step):
+        self.tried.append(at + step)
+        return at + step, self.cost(at) - self.cost(at + step)
 
-    return minimize(start, linearise, move, lambda _: settled, steps, is_over), len(tried)
+    def settled(self, at):
+        return self.least
+
+    def result(self, at):
+        return at
 
 
 def test_steps_lead_along_a_curved_valley_to_the_least_cost():
-    assert fitted()[0] == pytest.approx([1.0, 1.0])
+    assert minimize(Valley(), 60) == pytest.approx([1.0, 1.0])
 
 
 def test_a_bound_holds_and_the_other_number_fits_beside_it():
-    end, _ = fitted(most=0.5)
-    assert end == pytest.approx([0.5, 0.25])
+    assert minimize(Valley(most=0.5), 60) == pytest.approx([0.5, 0.25])
 
 
 def test_a_step_that_promises_nothing_is_not_tried():
-    end, tried = fitted(settled=1.001 * cost(START))
-    assert (end == START).all()
-    assert tried == 0
+    valley = Valley(settled=1.001 * Valley().cost(START))
+    assert (minimize(valley) == START).all()
+    assert not valley.tried
 
 
-def test_the_fit_ends_when_it_is_told_to_which_is_asked_once_at_a_point():
+def test_the_fit_ends_when_it_is_done_which_is_asked_once_at_a_point():
     points = []
 
-    def is_over(point, promise, taken):
-        points.append(tuple(point))
-        return taken >= 3
+    class Ending(Valley):
+        def done(self, at, promise, taken):
+            points.append(tuple(at))
+            return taken >= 3
 
-    _, tried = fitted(is_over=is_over)
-    assert tried >= 3
+    valley = Ending()
+    minimize(valley, 60)
+    assert len(valley.tried) >= 3
     assert len(set(points)) == len(points) > 1
+
+
+def test_a_fit_without_a_first_point_has_the_result_of_none():
+    assert minimize(Valley(start=None)) is None
 
 
 def test_steps_that_never_lower_the_cost_and_equations_without_solution_leave_the_point():
     one = np.ones((1, 1))
-    assert minimize(0.0, lambda _: solver(one, np.ones(1)), lambda at, _: (at, -1.0), lambda _: 0.0) == 0.0
-    assert minimize(0.0, lambda _: solver(-one, np.full(1, math.nan)), lambda at, _: (at, 1.0), lambda _: 0.0) == 0.0
+    assert minimize(Descent(0.0, lambda _: solver(one, np.ones(1)), lambda at, _: (at, -1.0), lambda _: 0.0)) == 0.0
+    unsolvable = Descent(0.0, lambda _: solver(-one, np.full(1, math.nan)), lambda at, _: (at, 1.0), lambda _: 0.0)
+    assert minimize(unsolvable) == 0.0
 
 
 def test_a_number_of_which_the_cost_does_not_depend_stays():

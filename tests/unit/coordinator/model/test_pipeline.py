@@ -9,7 +9,8 @@ import pytest
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Pool, Refined, decode_members
+from atoll_coordinator.model.pools import Pool, decode_members
+from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.regression import shortening as shorten
 from atoll_coordinator.model.regression.covariance import description_length, student_95
 from atoll_coordinator.model.regression.equation import fit_equation

@@ -12,7 +12,8 @@ from atoll_coordinator.data.recording import Preparation, ProcessRecording, Samp
 from atoll_coordinator.dimensions import EquationUnits
 from atoll_coordinator.model.criteria import TrajectoryMisfit
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Chaos, Law, LawsByGroup, Pools, Refinement, SharedTerm
+from atoll_coordinator.model.pools import Law, LawsByGroup, Pools
+from atoll_coordinator.model.refinement import Chaos, Refinement, SharedTerm
 from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements

@@ -8,7 +8,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Posted, Query
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import Jobs, Request
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
 
 ROLES = RoleBindings({"ann": "submitter", "bob": "submitter"})

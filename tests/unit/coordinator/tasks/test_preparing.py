@@ -5,7 +5,8 @@ import json
 import pytest
 
 from atoll_coordinator.model import pipeline
-from atoll_coordinator.model.refinement import Law, Pool, Refinement
+from atoll_coordinator.model.pools import Law, Pool
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.result import KNOWN, VariableOutcome
 from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.sparse import product_laws

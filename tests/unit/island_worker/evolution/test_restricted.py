@@ -32,7 +32,7 @@ def searched(bounds=(), required=(), truth=lambda x, y: 3.0 * x - 2.0 * x * y):
 
 
 def test_a_bound_that_excludes_the_best_constants_is_kept_by_all_that_is_reported():
-    from atoll_core.expression.bounds import EquationBounds, parse_bound
+    from atoll_core.expression.restrictions import EquationBounds, parse_bound
 
     texts = ("x < 2", "x*y > -1")
     bounds = EquationBounds(tuple(parse_bound(text, NAMES) for text in texts))

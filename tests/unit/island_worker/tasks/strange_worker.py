@@ -12,7 +12,7 @@ import queue
 import signal
 import sys
 
-from atoll_core.tasks.frames import Ended, Failed, Finished, Run, Said
+from atoll_core.task_frames import Ended, Failed, Finished, Run, Said
 from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.tasks import task_process
 from atoll_island_worker.tasks.task_server import TaskServer

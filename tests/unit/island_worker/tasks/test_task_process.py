@@ -14,7 +14,8 @@ import pytest
 
 from atoll_core.errors import AtollError
 from atoll_core.logs import JsonLines, TextLines
-from atoll_core.tasks.frames import (
+from atoll_core.task_frames import (
+    OTHER_VERSION,
     Ask,
     Batch,
     Begun,
@@ -29,7 +30,6 @@ from atoll_core.tasks.frames import (
     Said,
     Take,
 )
-from atoll_core.tasks.installation import OTHER_VERSION
 from atoll_island_worker.tasks import task_process as module
 from atoll_island_worker.tasks.task_process import IDLE_S, Interpreters, TaskProcess, cause_of
 from tests.unit.island_worker.tasks.processes import LIMIT_S, is_gone, path_bytes, pid_in, until

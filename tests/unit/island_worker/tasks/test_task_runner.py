@@ -5,7 +5,7 @@ import hashlib
 import pytest
 
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.tasks.frames import (
+from atoll_core.task_frames import (
     Ask,
     Batch,
     Begun,

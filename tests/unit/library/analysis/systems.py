@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from atoll.analysis.box import Box
-from atoll.analysis.flow import Flow
+from atoll.analysis.flow import Box, Flow
 from atoll.model.vector_field import VectorField
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from atoll.analysis.conserved import _Derivatives, _null_space, _reduced, conserved_quantities, is_volume_preserving
-from atoll.analysis.continuation import continuation, special_points
-from atoll.analysis.continuation_parameter import ContinuationParameter
+from atoll.analysis.continuation import ContinuationParameter, continuation, special_points
 from atoll.analysis.flow import Flow
 from atoll.analysis.nullclines import nullclines
 from atoll.model.vector_field import VectorField

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.analysis.continuation_parameter import Coefficients
+from atoll.analysis.continuation import Coefficients
 from atoll.analysis.flow import Flow
 from atoll.model.vector_field import VectorField
 from atoll_core.errors import UsageError

@@ -7,12 +7,10 @@ what is linear in them.
 import numpy as np
 import pytest
 
-from atoll.analysis.box import Box
-from atoll.analysis.continuation import continuation
-from atoll.analysis.continuation_parameter import Coefficients
+from atoll.analysis.continuation import Coefficients, continuation
 from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
 from atoll.analysis.fixed_points import fixed_points
-from atoll.analysis.flow import Flow
+from atoll.analysis.flow import Box, Flow
 from atoll.analysis.limit_cycles import LimitCycle, limit_cycles
 from atoll.model.vector_field import VectorField
 from tests.unit.library.analysis.systems import LORENZ, VAN_DER_POL, box, flow

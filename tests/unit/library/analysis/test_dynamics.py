@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.analysis.dynamics import Measured, compared, measured_trajectories, motion
+from atoll.analysis.dynamics import MeasuredTrajectory, compared, measured_trajectories, motion
 from atoll.model.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
@@ -86,7 +86,7 @@ def test_amplitudes_are_compared_over_the_measured_times() -> None:
     """Of a decay measured at times that grow tenfold, the second half has but its last row."""
     times = np.array([0.0, 0.01, 0.1, 0.3, 0.6, 1.0, 4.0])
     decay = flow(x="-x")
-    measured = Measured("1", times, np.exp(-times)[:, None])
+    measured = MeasuredTrajectory("1", times, np.exp(-times)[:, None])
     (comparison,) = compared(decay, box((0.0, 1.0)), (), [measured], 10.0, has_family=False)
     assert comparison.has_same_amplitudes
     assert comparison.end is not None

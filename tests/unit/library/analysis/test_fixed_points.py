@@ -10,8 +10,7 @@ trace 10, determinant 1.
 import numpy as np
 import pytest
 
-from atoll.analysis.fixed_points import fixed_points
-from atoll.analysis.stability import kind_of
+from atoll.analysis.fixed_points import fixed_points, kind_of
 from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
 
 PI = float(np.pi)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll.experiments.comparison import _most_errors, compare
-from atoll.experiments.odds import certainty_text, which_of_two
+from atoll.experiments.suggestion import certainty_text, which_of_two
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError

@@ -7,12 +7,19 @@ import numpy as np
 import pytest
 from scipy.special import lambertw, ndtr
 
-from atoll.experiments.design_search import suggest
-from atoll.experiments.designs import Foretold, certainties, discrepancy, distances_of, expected_gain, needed, precision
-from atoll.experiments.measured import measured_of
-from atoll.experiments.rivals import without_poles
-from atoll.experiments.space import Request
-from atoll.experiments.systems import equations_of
+from atoll.experiments.alternatives import without_poles
+from atoll.experiments.designs import (
+    DesignPrediction,
+    DesignRequest,
+    certainties,
+    discrepancy,
+    distances_of,
+    expected_gain,
+    needed,
+    precision,
+)
+from atoll.experiments.fits import equations_of, measured_of
+from atoll.experiments.suggestion import suggest
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -40,7 +47,7 @@ LINEAR = measured({"x": "-0.5*x"}, [(TIMES, {"x": 2.0 * np.exp(-0.5 * TIMES) + 0
 
 
 def test_candidates_are_told_apart_where_they_differ() -> None:
-    suggestions = suggest(Result.of(FOUND), Request(WIDE))
+    suggestions = suggest(Result.of(FOUND), DesignRequest(WIDE))
     assert suggestions.purpose == "discrimination"
     assert suggestions.measured == ()
     assert sorted(candidate.origin for candidate in suggestions.candidates) == ["candidate", "shown"]
@@ -62,19 +69,19 @@ def test_candidates_are_told_apart_where_they_differ() -> None:
 
 
 def test_an_experiment_that_begins_outside_of_the_data_is_warned_of() -> None:
-    suggestions = suggest(Result.of(FOUND), Request(WIDE))
+    suggestions = suggest(Result.of(FOUND), DesignRequest(WIDE))
     first = suggestions.experiments[0]
     assert first.remark.startswith(
         f"the initial state is outside of the measured range: x = {first.initial['x']:.4g} (measured"
     )
     assert f"  warning: {first.remark}" in str(suggestions).splitlines()
-    within = suggest(Result.of(FOUND), Request({}))
+    within = suggest(Result.of(FOUND), DesignRequest({}))
     assert [experiment.remark for experiment in within.experiments] == [""] * len(within.experiments)
 
 
 def test_numbers_of_models_far_from_their_data_are_bounded() -> None:
     along = np.zeros((1, 1, 1))
-    here, far = Foretold(np.array([[0.0]]), along, 1), Foretold(np.array([[1e41]]), along, 1)
+    here, far = DesignPrediction(np.array([[0.0]]), along, 1), DesignPrediction(np.array([[1e41]]), along, 1)
     distances = distances_of([here, far], [0.6, 0.4])
     assert distances.max() == 500.0
     assert expected_gain(distances, [0.6, 0.4], needed([0.0, 0.0])).evidence <= 2000.0
@@ -91,21 +98,21 @@ def test_certainties_are_those_of_two_gaussians_at_least() -> None:
 
 
 def test_the_same_seed_suggests_the_same_and_the_model_as_well() -> None:
-    first = suggest(Result.of(FOUND), Request(WIDE, count=2, seed=5)).as_dict()
+    first = suggest(Result.of(FOUND), DesignRequest(WIDE, count=2, seed=5)).as_dict()
     assert Model(FOUND).suggest(WIDE, count=2, seed=5).as_dict() == first
     assert len(first["experiments"]) <= 2
 
 
 def test_costs_make_experiments_shorter() -> None:
-    by_time = suggest(Result.of(FOUND), Request(WIDE, cost="duration", count=1)).experiments[0]
-    by_sample = suggest(Result.of(FOUND), Request(WIDE, cost="samples", count=1)).experiments[0]
+    by_time = suggest(Result.of(FOUND), DesignRequest(WIDE, cost="duration", count=1)).experiments[0]
+    by_sample = suggest(Result.of(FOUND), DesignRequest(WIDE, cost="samples", count=1)).experiments[0]
     assert by_time.cost == pytest.approx(by_time.times[-1])
     assert by_time.times[-1] < 2.0
     assert by_sample.cost == len(by_sample.times) < 12
 
 
 def test_a_linear_model_alone_is_measured_where_its_constant_shows_most() -> None:
-    suggestions = suggest(Result.of(LINEAR), Request({}))
+    suggestions = suggest(Result.of(LINEAR), DesignRequest({}))
     assert (suggestions.purpose, suggestions.reason) == ("precision", "there is only one candidate")
     assert suggestions.entropy == 0.0
     assert suggestions.measured == ("x",)
@@ -125,7 +132,7 @@ def test_a_candidate_that_the_data_have_excluded_is_said_to_be() -> None:
     times = np.linspace(0.0, 2.0, 150)
     x = 2.0 * np.exp(-0.5 * times) + 1e-5 * np.random.default_rng(3).standard_normal(150)
     data = measured({"x": "-0.5*x"}, [(times, {"x": x})], 1e-5)
-    suggestions = suggest(Result.of(data), Request({}, rivals=[{"x": "-0.2"}]))
+    suggestions = suggest(Result.of(data), DesignRequest({}, rivals=[{"x": "-0.2"}]))
     assert suggestions.purpose == "precision"
     assert suggestions.reason == "the data have excluded all but one of 2 candidates already"
 
@@ -134,17 +141,17 @@ def test_a_model_without_constants_and_candidates_is_refused() -> None:
     known = measured({"x": "-x"}, [(TIMES, {"x": 2.0 * np.exp(-TIMES) + 0.01 * NOISE})], 0.01)
     known["equations"][0]["origin"] = "known"
     with pytest.raises(UsageError, match="no experiment tells more"):
-        suggest(Result.of(known), Request({}))
+        suggest(Result.of(known), DesignRequest({}))
 
 
 def test_candidates_that_foretell_the_same_are_not_told_apart() -> None:
-    suggestions = suggest(Result.of(FOUND), Request({"x": (0.01, 0.02)}))
+    suggestions = suggest(Result.of(FOUND), DesignRequest({"x": (0.01, 0.02)}))
     assert suggestions.purpose == "precision"
     assert suggestions.reason == "all 2 candidates predict the same within the bounds"
 
 
 def test_rivals_that_are_given_are_candidates() -> None:
-    suggestions = suggest(Result.of(LINEAR), Request({"x": (0.5, 9.0)}, rivals=[{"dx/dt": "-0.7"}]))
+    suggestions = suggest(Result.of(LINEAR), DesignRequest({"x": (0.5, 9.0)}, rivals=[{"dx/dt": "-0.7"}]))
     assert sorted(candidate.origin for candidate in suggestions.candidates) == ["given", "shown"]
     assert suggestions.purpose == "discrimination"
 
@@ -153,14 +160,14 @@ def test_rivals_that_are_given_are_candidates() -> None:
 @pytest.mark.parametrize("rival", ["-0.5*x*(1 + 0.2)/(1 + 0.2*x)", "-0.4*x - x*0.1/(1 + x/3)"])
 def test_constants_of_a_rival_that_data_without_noise_do_not_tell_apart_are_no_error(rival: str) -> None:
     clean = measured({"x": "-0.5*x"}, [(TIMES, {"x": 2.0 * np.exp(-0.5 * TIMES)})], 1e-12)
-    suggestions = suggest(Result.of(clean), Request(WIDE, rivals=[{"x": rival}]))
+    suggestions = suggest(Result.of(clean), DesignRequest(WIDE, rivals=[{"x": rival}]))
     assert sorted(candidate.origin for candidate in suggestions.candidates) == ["given", "shown"]
 
 
 def test_a_quotient_has_rivals_without_its_pole() -> None:
     y = np.array([(4.0 + 2.0 * time) ** 0.5 for time in TIMES])  # dx/dt = 1/x
     suggestions = suggest(
-        Result.of(measured({"x": "1.02/x"}, [(TIMES, {"x": y + 0.01 * NOISE})], 0.01)), Request({"x": (0.2, 3.0)})
+        Result.of(measured({"x": "1.02/x"}, [(TIMES, {"x": y + 0.01 * NOISE})], 0.01)), DesignRequest({"x": (0.2, 3.0)})
     )
     origins = {candidate.origin for candidate in suggestions.candidates}
     assert origins <= {"shown", "denominator"}
@@ -183,7 +190,7 @@ def test_constant_inputs_are_chosen_within_their_bounds() -> None:
     x = 1.0 - 0.5 * np.exp(-0.5 * TIMES) + 0.01 * NOISE
     result = measured({"x": "u - 0.5*x"}, [(TIMES, {"x": x, "u": np.full(12, 0.5)})], 0.01, ("u",))
     bounds = {"x": (0.0, 3.0), "u": (0.0, 2.0)}
-    suggestions = suggest(Result.of(result), Request(bounds, rivals=[{"x": "0.5 - 0.5*x*u"}]))
+    suggestions = suggest(Result.of(result), DesignRequest(bounds, rivals=[{"x": "0.5 - 0.5*x*u"}]))
     assert all(0.0 <= experiment.inputs["u"] <= 2.0 for experiment in suggestions.experiments)
     assert suggestions.bounds == bounds
 
@@ -192,7 +199,7 @@ def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
     times = 3.0 + TIMES
     x = 2.0 - 0.3 * (times**2 - 9.0) / 2.0 + 0.01 * NOISE
     result = measured({"x": "-0.3*t"}, [(times, {"x": x, "t": times})], 0.01, ("t",))
-    suggestions = suggest(Result.of(result), Request({"x": (0.5, 2.0)}, rivals=[{"x": "-1.2 + 0*t"}]))
+    suggestions = suggest(Result.of(result), DesignRequest({"x": (0.5, 2.0)}, rivals=[{"x": "-1.2 + 0*t"}]))
     assert set(suggestions.bounds) == {"x"}
     first = suggestions.experiments[0]
     assert (first.times[0], first.times[-1]) == (3.0, pytest.approx(5.0))
@@ -213,17 +220,17 @@ def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
 )
 def test_what_does_not_fit_is_a_sentence(changes: dict[str, Any], sentence: str) -> None:
     with pytest.raises(UsageError, match=sentence):
-        suggest(Result.of(FOUND), Request(**({"bounds": WIDE} | changes)))
+        suggest(Result.of(FOUND), DesignRequest(**({"bounds": WIDE} | changes)))
 
 
 def test_the_discrepancy_is_that_of_a_difference_its_errors_cannot_explain() -> None:
     along = np.array([[[1.0]], [[0.0]]])
-    still = Foretold(np.array([[0.0], [0.0]]), 0.0 * along, 2)
-    sure = Foretold(np.array([[3.0], [4.0]]), 0.0 * along, 2)
-    unsure = Foretold(np.array([[3.0], [4.0]]), 1e6 * along, 2)
+    still = DesignPrediction(np.array([[0.0], [0.0]]), 0.0 * along, 2)
+    sure = DesignPrediction(np.array([[3.0], [4.0]]), 0.0 * along, 2)
+    unsure = DesignPrediction(np.array([[3.0], [4.0]]), 1e6 * along, 2)
     assert discrepancy(still, sure) == pytest.approx(25.0 / 2.0)
     assert discrepancy(still, unsure) == pytest.approx(16.0 / 2.0, rel=1e-6)
-    assert discrepancy(still, Foretold(sure.values, sure.spread, 1)) == pytest.approx(9.0 / 2.0)
+    assert discrepancy(still, DesignPrediction(sure.values, sure.spread, 1)) == pytest.approx(9.0 / 2.0)
 
 
 def test_information_is_none_of_the_same_and_all_of_what_is_far_apart() -> None:
@@ -238,6 +245,6 @@ def test_information_is_none_of_the_same_and_all_of_what_is_far_apart() -> None:
 
 def test_information_about_constants_leaves_out_what_an_initial_state_explains() -> None:
     spread = np.array([[[2.0, 0.0]], [[0.0, 1e6]]])  # the second row tells the initial state alone
-    gain, left = precision(Foretold(np.zeros((2, 1)), spread, 2), 1)
+    gain, left = precision(DesignPrediction(np.zeros((2, 1)), spread, 2), 1)
     assert gain.information == pytest.approx(0.5 * math.log(5.0))
     np.testing.assert_allclose(left, [[0.2]])

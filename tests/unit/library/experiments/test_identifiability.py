@@ -5,12 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.experiments.design_search import suggest
-from atoll.experiments.determination import Identifiability
-from atoll.experiments.identifiability import identify
-from atoll.experiments.measured import measured_of
-from atoll.experiments.relations import relation_of
-from atoll.experiments.space import Request
+from atoll.experiments.designs import DesignRequest
+from atoll.experiments.fits import measured_of
+from atoll.experiments.identifiability import Identifiability, identify, relation_of
+from atoll.experiments.suggestion import suggest
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -231,7 +229,7 @@ def test_a_trajectory_in_pieces_lasts_as_long_as_it_was_measured() -> None:
     x = 3.0 * np.exp(-0.6 * times) + 0.02 * np.random.default_rng(4).standard_normal(60)
     result = measured({"x": "-0.5*x"}, [(times, {"x": x})], 0.02) | {"noise": noise}
     assert identify(Result.of(result)).piece == 20
-    first = suggest(Result.of(result), Request({})).experiments[0]
+    first = suggest(Result.of(result), DesignRequest({})).experiments[0]
     assert (len(first.times), first.times[-1]) == (60, pytest.approx(5.0))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from atoll.cli.options.arguments import EXPORT_FORMATS
 from atoll.export.formats import LANGUAGES, NAMES
-from atoll.model.beginnings import times_of
+from atoll.model.arguments import times_of
 from atoll.model.model import Model
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import OPERATORS

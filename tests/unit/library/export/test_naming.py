@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.export.naming import Naming, harmless
+from atoll.export.language import Naming, harmless
 
 NAMING = Naming(frozenset({"end", "pi"}), ("row_",), longest=8)
 

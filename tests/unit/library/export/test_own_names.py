@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.export import c
 from atoll.export.formats import LANGUAGES
-from atoll.export.naming import Naming
+from atoll.export.language import Naming
+from atoll.export.languages import C
 from atoll.model.model import Model
 from atoll_core.expression.operators import OPERATORS
 from benchmarks.exports import programs, readers
@@ -118,7 +118,7 @@ def test_no_column_gets_the_name_of_a_macro_of_c(tmp_path: Path) -> None:
         said = subprocess.run(["cc", f"-std={standard}", "-dM", "-E", str(source)], capture_output=True, text=True)
         macros = re.findall(r"(?m)^#define ([A-Za-z]\w*) ", said.stdout)
         assert "NULL" in macros
-        assert [macro for macro in macros if not is_taken(c.LANGUAGE.naming, macro)] == []
+        assert [macro for macro in macros if not is_taken(C.naming, macro)] == []
 
 
 def hostile(name: str) -> Model:

@@ -1,5 +1,7 @@
 """What a notebook shows of values: a few lines of each, frames, bands by name, LaTeX as it is typeset."""
 
+import re
+import sys
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -96,14 +98,18 @@ def test_values_are_frames(model: Model) -> None:
     assert model.identifiability().to_frame()["verdict"].to_list() == ["determined", "determined"]
     assert {"x", "y", "until", "samples", "cost"} <= set(model.suggest().to_frame().columns)
     assert Model(process_result()).simulate([1.0], TIMES, paths=9).to_frame().columns[:3] == ["t", "x_mean", "x_lower"]
-    with pytest.raises(UsageError, match="frames are those of polars or pandas, but 'R' was given"):
+    with pytest.raises(UsageError, match="'R' was given"):
         run.to_frame("R")  # type: ignore[arg-type]
 
 
-def test_a_frame_of_pandas_where_it_is_installed(model: Model) -> None:
+def test_a_frame_is_of_pandas_too_and_a_missing_library_is_named(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     import pandas
 
     assert isinstance(model.simulate().to_frame("pandas"), pandas.DataFrame)
+    for name, other, install in (("polars", "pandas", "'atoll[parquet]'"), ("pandas", "polars", "pandas")):
+        monkeypatch.setitem(sys.modules, name, None)
+        with pytest.raises(UsageError, match=re.escape(f'pip install {install}, or call to_frame("{other}")')):
+            model.simulate().to_frame(name)  # type: ignore[arg-type]
 
 
 def test_bands_are_named_by_their_state(model: Model) -> None:

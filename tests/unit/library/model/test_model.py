@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import atoll
+from atoll.model.arguments import start_of_file
 from atoll.model.model import Model
 from atoll.model.simulation import EarlyEndWarning, ExtrapolationWarning
-from atoll.model.start import start_of_file
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.parsing import from_infix

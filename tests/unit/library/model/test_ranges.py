@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.model.ranges import names_outside, outside_sentence
+from atoll.model.equations import names_outside, outside_sentence
 
 RANGES = {"x": (0.123456, 98.7654), "y": (-1000.4, 0.0), "z": (3.0, 3.0)}
 

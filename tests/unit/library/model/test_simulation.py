@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from atoll.model import simulation
-from atoll.model.joint_errors import JointErrors
 from atoll.model.simulation import followed_sizes, simulate
-from atoll.model.vector_field import VectorField
+from atoll.model.vector_field import JointErrors, VectorField
 from atoll_core.errors import UsageError
 
 TIMES = np.linspace(0.0, 5.0, 11)

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll.report.chart import Axis, Chart, ticks
-from atoll.report.markup import Element, element, number, to_text
+from atoll.report.markup import Axis, Chart, Element, element, number, ticks, to_text
 
 
 @given(st.floats(-1e9, 1e9), st.floats(1e-6, 1e9))

@@ -6,20 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.analysis.sentences import Listing, describe
-from atoll.experiments.determination import Direction, Identifiability, ProfiledConstant
-from atoll.experiments.suggestion import Candidate, Suggestion, Suggestions
+from atoll.analysis.rendering import TextTable, describe
+from atoll.experiments.identifiability import Direction, Identifiability, ProfiledConstant
+from atoll.experiments.suggestion import CandidateSystem, Suggestion, Suggestions
 from atoll.model.model import Model
 from atoll.model.simulation import ExtrapolationWarning
-from atoll.report.choice import choice
-from atoll.report.constants import constants
-from atoll.report.dynamics import dynamics as section_of_dynamics
+from atoll.report.equations import choice, constants, origin, overview
 from atoll.report.findings import MOST_PROFILES, Findings
-from atoll.report.fit import trajectories
 from atoll.report.markup import Element, table, to_text
-from atoll.report.origin import origin
-from atoll.report.overview import overview
 from atoll.report.page import as_html
+from atoll.report.trajectories import dynamics as section_of_dynamics
+from atoll.report.trajectories import trajectories
 from atoll.text.conclusion import conclusion
 from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, process, regression
@@ -175,7 +172,7 @@ SURE = "which of the two is right is known then with more than 99.9 % certainty"
 
 
 def test_the_next_experiment_stands_with_the_candidates() -> None:
-    rivals = tuple(Candidate({"dx/dt": text}, "candidate", 0.5, 0.0) for text in ("x", "2*x"))
+    rivals = tuple(CandidateSystem({"dx/dt": text}, "candidate", 0.5, 0.0) for text in ("x", "2*x"))
     one = Suggestion({"x": 1.5}, {"u": 2.5}, (0.0, 4.0), 1.0, 3.0, 0.625, 7.5, None, (0.9996,))
     suggestions = Suggestions("discrimination", "2 candidates differ", 0.7, rivals, (one,), {}, (), "trajectory", "")
     page = read(choice(Findings(Result.of(dynamics()), None, suggestions=suggestions)))
@@ -255,7 +252,7 @@ def test_dynamics_of_equations_that_do_not_fit_are_said_to_be_so() -> None:
 
 def test_a_page_lists_of_the_dynamics_what_the_text_lists() -> None:
     analysis = Model(dynamics()).analyse()
-    listings = [part for part in describe(analysis) if isinstance(part, Listing)]
+    listings = [part for part in describe(analysis) if isinstance(part, TextTable)]
     page = read(section_of_dynamics(Findings(Result.of(dynamics()), Model(dynamics()), analysis)))
     assert {cell for part in listings for row in part.rows for cell in row.cells} <= set(page.texts)
     assert all(row.line in str(analysis) for part in listings for row in part.rows)
@@ -263,7 +260,7 @@ def test_a_page_lists_of_the_dynamics_what_the_text_lists() -> None:
 
 
 def test_constants_of_the_result_stand_beside_those_fitted_again() -> None:
-    shown = Candidate({"dx/dt": "2.5*x"}, "shown", 1.0, 0.0, written={"dx/dt": "2*x"})
+    shown = CandidateSystem({"dx/dt": "2.5*x"}, "shown", 1.0, 0.0, written={"dx/dt": "2*x"})
     suggestions = Suggestions("precision", "there is one", 0.0, (shown,), (), {}, (), "trajectory", "1 trajectory")
     lines = str(suggestions).splitlines()
     assert "fitted again" in lines[0]

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from atoll.experiments.space import Request
+from atoll.experiments.designs import DesignRequest
 from atoll.model.model import Model
 from atoll.tasks.analyses import FUNCTIONS, Analyse, Profile, Question, Report, Suggest, analyse, answer, answered
 from atoll_coordinator.model.batches import FUNCTIONS as BATCHES
@@ -38,7 +38,7 @@ class Helpers:
     [
         Analyse(box={"x": (0.0, 4.0)}),
         Profile(form="json"),
-        Suggest(request=Request({}, samples=9), form="json"),
+        Suggest(request=DesignRequest({}, samples=9), form="json"),
         Report(pictures=True),
     ],
     ids=lambda question: FUNCTIONS[type(question)],

@@ -9,8 +9,7 @@ import pytest
 from atoll.tasks import functions
 from atoll.tasks.functions import FUNCTIONS, Function
 from atoll.tasks.process import TaskProcess, main
-from atoll_core.tasks.frames import Begun, Finished, Run
-from atoll_core.tasks.installation import OTHER_VERSION
+from atoll_core.task_frames import OTHER_VERSION, Begun, Finished, Run
 
 
 @pytest.mark.parametrize(("seconds", "expected"), [(None, ["load", "call"]), (20.0, ["ready", "call"])])

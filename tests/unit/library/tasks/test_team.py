@@ -8,7 +8,7 @@ import pytest
 from atoll.tasks import team as module
 from atoll.tasks.team import HOLD_S, NOTED_S, Team, compute
 from atoll_coordinator.model.batches import CANCELLED, FUNCTIONS
-from atoll_core.tasks.frames import Ask, Batch, FromProcess, Give, Progressed
+from atoll_core.task_frames import Ask, Batch, FromProcess, Give, Progressed
 
 LIMIT_S = 60.0
 TASK = "t" * 64

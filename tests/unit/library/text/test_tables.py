@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from atoll.model.constants import plus_minus
-from atoll.model.parameters import r2_text
+from atoll.model.equations import plus_minus, r2_text
 from atoll.text.tables import (
     MOST_LINES,
     candidates_table,

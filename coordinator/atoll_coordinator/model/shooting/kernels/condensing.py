@@ -15,7 +15,7 @@ def condense(
     coupling: FloatArray, own: FloatArray, own_gradient: FloatArray, ends: FloatArray, gaps: FloatArray, pieces: Ints,
     normal: FloatArray, gradient: FloatArray, sums: FloatArray, moves: FloatArray,
 ) -> None:  # fmt: skip
-    """Write how segments move with the constants and their piece's initial state, and add up what that costs.
+    """Write how segments move with the constants and their piece's initial state, and add up the cost of that.
 
     The move of a segment's initial state is linear in those: S A, S B + T and S c + h follow from A, B and c of the
     segment before, with the sensitivities S and T of its end to its initial state and to the constants, and with the

@@ -1,7 +1,7 @@
 """Integrate stiff systems with their sensitivities: implicit Runge-Kutta steps whose stages are solved one by one.
 
 Every stage is solved by Newton's method; the sensitivities follow from differentiating the solved stages, so that they
-belong to the very numbers that were computed. Letters as in `kernels_integrate`.
+belong to the very numbers that were computed. Letters as in `kernels.integrate`.
 """
 
 import math
@@ -163,7 +163,7 @@ def advance_implicitly(table: Table, tape: Tape, owners: Ints, path: Path, row: 
                        limits: FloatArray, y: FloatArray, step: float, budget: int, sensitivity: FloatArray,
                        wants: bool, scratch: Scratch, matrix: FloatArray, column: FloatArray,
                        is_first: bool) -> tuple[float, int]:  # fmt: skip
-    """Carry the state `y` and its sensitivity from `row` to the next one, as `kernels_integrate.advance` does.
+    """Carry the state `y` and its sensitivity from `row` to the next one, as `kernels.integrate.advance` does.
 
     The first row of rates and of stages, see `Scratch`, hold the last ones; `is_first` tells that there are none yet.
     """

@@ -2,10 +2,10 @@
 
 The errors of a state are sigma (c + w) with c of variance `share` and w independent, of variance 1 - share. What goes
 together is rough, as errors of sensors are: an Ornstein-Uhlenbeck process, of correlation `decay`^s between rows s
-median steps apart (AR(1) where rows are even). Or it is smooth, as what a law leaves out: of correlation
+median steps apart (AR(1) where rows are even). Or it is smooth, as the errors of a law are: of correlation
 (1 + rate s + (rate s)^2/3) exp(-rate s), which has two derivatives (Matern 5/2; Hartikainen & Sarkka 2010, section 3).
 The filter gives the likelihood of all rows in one pass (Harvey 1989, Forecasting, Structural Time Series Models and
-the Kalman Filter, section 3.4). Letters: N rows, G segments; segments do not know of each other.
+the Kalman Filter, section 3.4). Letters: N rows, G segments; segments are independent.
 """
 
 import math
@@ -18,7 +18,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 LEAST_VARIANCE: Final = 1e-12
-"""Guard: what is left of a smooth process that is known to all digits is rounding."""
+"""Guard: the variance of a smooth process that is known to all digits is rounding errors."""
 
 _AT_REST: Final = np.array([[1.0, 0.0, -1.0 / 3.0], [0.0, 1.0 / 3.0, 0.0], [-1.0 / 3.0, 0.0, 1.0]])
 """Covariance of a smooth process and its derivatives, these over the rate and its square."""

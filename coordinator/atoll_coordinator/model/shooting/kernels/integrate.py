@@ -1,11 +1,11 @@
 """Integrate a system of equations with its sensitivities, and sum up what a fit to measured states needs.
 
-A system stands on a tape, see `kernels_rates`. Letters: D states with an equation, U inputs, Z = D + U numbers of a
+A system stands on a tape, see `kernels.rates`. Letters: D states with an equation, U inputs, Z = D + U numbers of a
 point, P fitted constants, Q = P + D columns of sensitivities (constants, then the initial state), N rows of all
 trajectories, G segments.
 
 Runge-Kutta steps with error control, clipped at the rows; the sensitivities follow the accepted steps of the states.
-Explicit ones here; implicit ones, for stiff systems, in `kernels_implicit`.
+Explicit ones here; implicit ones, for stiff systems, in `kernels.implicit`.
 """
 
 import math

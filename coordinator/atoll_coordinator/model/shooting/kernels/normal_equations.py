@@ -1,6 +1,6 @@
 """Sum up what a fit needs of sensitivities and residuals, and solve for its step, block by block.
 
-Letters as in `kernels_integrate`: P fitted constants, D states, G segments, N rows, O measured states; L = D + K
+Letters as in `kernels.integrate`: P fitted constants, D states, G segments, N rows, O measured states; L = D + K
 numbers belong to one segment alone, its initial state and K offsets. The matrix of the normal equations has an arrow's
 shape: the constants' block, and for each segment a block of its own numbers.
 """

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll_coordinator.model.least_squares import Solver, coefficients_of, minimize, solver
+from atoll_coordinator.model.least_squares import Descent, Solver, coefficients_of, minimize, solver
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
 from atoll_coordinator.model.sparse.rates.rate_sums import RateSum, fitted
 from atoll_coordinator.model.sparse.shapes import SCALED, Atom, Shape
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.operators import ADD, MULTIPLY, TANH, VARIABLE
+from atoll_core.expression.program import Expression
 
 _STEEPNESS = (1.0, 3.0, 10.0)
 """Standard deviations of the argument to begin with, each about the root of ten times the one before.
@@ -73,7 +73,7 @@ class _Node:
         def move(at: FloatArray, step: FloatArray) -> tuple[FloatArray, float]:
             return at + step, loss(at) - loss(at + step)
 
-        return minimize(numbers, linearise, move, lambda at: SETTINGS.effort.settled * loss(at))
+        return minimize(Descent(numbers, linearise, move, lambda at: SETTINGS.effort.settled * loss(at)))
 
 
 def with_network(rows: RateRows, begun: Sequence[Atom], columns: Sequence[int]) -> list[Atom]:

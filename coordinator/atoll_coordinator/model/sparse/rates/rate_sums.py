@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.least_squares import Solver, minimize, solver
+from atoll_coordinator.model.least_squares import Descent, Solver, minimize, solver
 from atoll_coordinator.model.sparse.elimination import eliminated, improved, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.robust import robust_fit
 from atoll_coordinator.model.sparse.rates.rate_rows import RateRows
@@ -102,4 +102,4 @@ def polished(rows: RateRows, rate_sum: RateSum) -> RateSum:
         following = fitted(rows, atoms, at.weights)
         return None if following is None else (following, at.nats - following.nats)
 
-    return minimize(rate_sum, linearise, move) if inner else rate_sum
+    return minimize(Descent(rate_sum, linearise, move)) if inner else rate_sum

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.sparse.elimination import shortest
 from atoll_coordinator.model.sparse.products import libraries
 from atoll_coordinator.model.sparse.rates.functions import Beside, dictionary
@@ -19,7 +19,7 @@ from atoll_coordinator.model.sparse.windows.terms import Terms, depends
 from atoll_coordinator.model.sparse.windows.window_rows import WindowRows
 from atoll_coordinator.model.sparse.windows.window_sums import WindowSum, eliminated, fitted, improved, polished
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.builder import operators_in
+from atoll_core.expression.program import operators_in
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from atoll_coordinator.model.criteria import log
-from atoll_coordinator.model.least_squares import Solver, inverse, minimize, solver
+from atoll_coordinator.model.least_squares import Descent, Solver, inverse, minimize, solver
 from atoll_coordinator.model.sparse import elimination
 from atoll_coordinator.model.sparse.elimination import on_the_way, shortest, without_one
 from atoll_coordinator.model.sparse.kernels.errors_in_variables import measure
@@ -150,7 +150,7 @@ def _moved(terms: Terms, places: Ints, begun: FloatArray, quadrature: FloatArray
         there = misfit(at.coefficients + step)
         return there, at.nats - there.nats
 
-    end = minimize(misfit(begun), lambda at: solver(at.normal, at.gradient), move, _settled, rounds)
+    end = minimize(Descent(misfit(begun), lambda at: solver(at.normal, at.gradient), move, _settled), rounds)
     price = math.fsum(terms.price(place) for place in places.tolist())
     nats = end.nats + rows.independent * _unresolved(terms, places, end.coefficients, quadrature) + price
     return WindowSum(terms, tuple(places.tolist()), end.coefficients, end.scaled, end.normal, quadrature, nats)
@@ -265,4 +265,4 @@ def polished(window_sum: WindowSum) -> WindowSum:
         following = fitted(terms, range(count), near)
         return None if following is None else (following, at.nats - following.nats)
 
-    return minimize(begun, linearise, move, _settled)
+    return minimize(Descent(begun, linearise, move, _settled))

@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterator, Sequence
 
 from atoll_coordinator.model.structure.moves.replacement import replace_each
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.builder import Expression, ProgramBuilder
 from atoll_core.expression.operators import (
     ABS,
     ADD,
@@ -22,7 +21,7 @@ from atoll_core.expression.operators import (
     SUBTRACT,
     VARIABLE,
 )
-from atoll_core.expression.program import Node, Program
+from atoll_core.expression.program import Expression, Node, Program, ProgramBuilder
 
 
 def extensions(program: Program, scales: Sequence[float], operators: Collection[int]) -> Iterator[Program]:

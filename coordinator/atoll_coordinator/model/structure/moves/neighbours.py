@@ -5,9 +5,8 @@ from typing import Final
 
 from atoll_coordinator.model.structure.moves.replacement import FRESH_CONSTANT, cofunctions, replace_each
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, SIN, SUBTRACT, VARIABLE
-from atoll_core.expression.program import Node, Program
+from atoll_core.expression.program import Expression, Node, Program
 
 _EXCHANGED: Final = {ADD: SUBTRACT, SUBTRACT: ADD, MULTIPLY: DIVIDE, DIVIDE: MULTIPLY, SIN: COS, COS: SIN}
 

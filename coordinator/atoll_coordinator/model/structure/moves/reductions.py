@@ -5,9 +5,8 @@ from itertools import chain
 from typing import Final
 
 from atoll_coordinator.model.structure.moves.replacement import FRESH_CONSTANT, cofunctions, replace_nodes
-from atoll_core.expression.builder import Expression
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, COS, DIVIDE, MULTIPLY, NEGATE, SIN, SUBTRACT
-from atoll_core.expression.program import Node, Program, structure
+from atoll_core.expression.program import Expression, Node, Program, structure
 
 _NEUTRAL: Final = (0.0, 1.0, -1.0)
 

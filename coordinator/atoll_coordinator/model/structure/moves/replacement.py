@@ -3,9 +3,8 @@
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Final
 
-from atoll_core.expression.builder import Expression, ProgramBuilder, operators_in
 from atoll_core.expression.operators import ADD, COS, MULTIPLY, NEGATE, SIN, SUBTRACT
-from atoll_core.expression.program import Node, Program, structure
+from atoll_core.expression.program import Expression, Node, Program, ProgramBuilder, operators_in, structure
 from atoll_core.expression.writing.shortest import collected
 
 FRESH_CONSTANT: Final = 1.5

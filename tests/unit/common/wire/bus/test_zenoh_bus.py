@@ -14,10 +14,9 @@ import pytest
 
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.wire.addresses import bindable, own_address, parse_address
-from atoll_core.wire.bus import outbox, zenoh_bus
+from atoll_core.wire.bus import queues, zenoh_bus
 from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Presence, Query, Reply
-from atoll_core.wire.bus.lingering import sockets_of
-from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
+from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router, sockets_of
 
 LIMIT_S = 30.0
 
@@ -282,7 +281,7 @@ def test_the_owner_sends_no_answer_itself(router: ZenohBus, monkeypatch: pytest.
 
     def reply(query: Query, payload: bytes | None) -> None:
         assert threading.get_ident() != owner
-        if payload is not None and len(payload) >= outbox.LARGE and query.key == "asked/stopped":
+        if payload is not None and len(payload) >= queues.LARGE and query.key == "asked/stopped":
             is_sent.set()
             is_taken.wait(LIMIT_S)
         send(query, payload)
@@ -301,28 +300,28 @@ def test_the_owner_sends_no_answer_itself(router: ZenohBus, monkeypatch: pytest.
             replies = [first(client, Reply) for _ in range(count)]
             return {reply.token: len(reply.payload) if reply.payload else None for reply in replies}  # type: ignore[attr-defined]
 
-        first_one = ask(stopped, "stopped", outbox.LARGE)
+        first_one = ask(stopped, "stopped", queues.LARGE)
         assert is_sent.wait(LIMIT_S)
-        waiting = [ask(stopped, "stopped", outbox.LARGE) for _ in range(outbox.MAX_LARGE_OF_PARTY + 1)]
+        waiting = [ask(stopped, "stopped", queues.LARGE) for _ in range(queues.MAX_LARGE_OF_PARTY + 1)]
         small = ask(stopped, "stopped", 5)
         assert answers(stopped, 2) == {waiting[-1]: None, small: 5}
-        for _ in range(2 * outbox.MAX_LARGE_OF_PARTY):
-            token = ask(other, "other", outbox.LARGE)
-            assert answers(other, 1) == {token: outbox.LARGE}
+        for _ in range(2 * queues.MAX_LARGE_OF_PARTY):
+            token = ask(other, "other", queues.LARGE)
+            assert answers(other, 1) == {token: queues.LARGE}
         is_taken.set()
-        assert answers(stopped, len(waiting)) == dict.fromkeys([first_one, *waiting[:-1]], outbox.LARGE)
+        assert answers(stopped, len(waiting)) == dict.fromkeys([first_one, *waiting[:-1]], queues.LARGE)
 
 
 def test_answers_that_wait_are_sent_before_a_bus_closes() -> None:
     with open_router("tcp/127.0.0.1:0") as router:
         router.serve("asked")
         with open_client(router.endpoint, wait_s=LIMIT_S) as client:
-            tokens = {client.get("asked", timeout_s=LIMIT_S) for _ in range(outbox.MAX_LARGE_OF_PARTY)}
+            tokens = {client.get("asked", timeout_s=LIMIT_S) for _ in range(queues.MAX_LARGE_OF_PARTY)}
             for _ in tokens:
-                router.reply(first(router, Query), bytes(outbox.LARGE))  # type: ignore[arg-type]
+                router.reply(first(router, Query), bytes(queues.LARGE))  # type: ignore[arg-type]
             router.close()
             replies = [first(client, Reply) for _ in tokens]
-    assert {(reply.token, len(reply.payload)) for reply in replies} == {(token, outbox.LARGE) for token in tokens}  # type: ignore[attr-defined]
+    assert {(reply.token, len(reply.payload)) for reply in replies} == {(token, queues.LARGE) for token in tokens}  # type: ignore[attr-defined]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there no socket is found by its descriptor")

@@ -5,14 +5,14 @@ import datetime
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.reading.dates import NANOSECONDS, dates_of_array, read_dates, times_of, with_clock
+from atoll_coordinator.data.reading.dates import NANOSECONDS, Dates, read_dates, times_of, with_clock
 from atoll_core.errors import DataError
 
 S, H, D = (NANOSECONDS[unit] for unit in ("s", "h", "d"))
 
 
 def dates_of(*cells, starts=(0,)):
-    return read_dates("column 't' of a.csv", cells, starts, lambda row: f"line {row + 2}")
+    return read_dates("column 't' of a.csv", cells, starts, range(2, 99))
 
 
 def since_1970(*date):
@@ -84,7 +84,7 @@ def test_a_clock_goes_on_past_midnight_within_a_trajectory():
 
 
 def test_missing_dates_stay_missing():
-    times, _, _ = times_of([dates_of("2020-01-01", "", "NA", "2020-01-04")], (0,), None)
+    times, *_ = times_of([dates_of("2020-01-01", "", "NA", "2020-01-04")], (0,), None)
     assert np.isnan(times).tolist() == [False, True, True, False]
     assert times[3] == 3.0
 
@@ -100,7 +100,7 @@ def test_missing_dates_stay_missing():
     ],
 )
 def test_the_unit_is_the_longest_that_a_usual_step_has(cells, unit, step):
-    times, time_unit, remark = times_of([dates_of(*cells)], (0,), None)
+    times, time_unit, remark, _ = times_of([dates_of(*cells)], (0,), None)
     assert (time_unit, times[1] - times[0], times[0]) == (unit, step, 0.0)
     assert remark.endswith(f"in {unit} since {'2020-01-01' if cells[0] == '2020-01-01' else '2020-01-01 00:00:00'}")
 
@@ -111,7 +111,7 @@ def test_steps_from_one_trajectory_to_the_next_do_not_count():
 
 
 def test_files_read_together_have_one_unit_and_one_beginning():
-    times, unit, _ = times_of(
+    times, unit, *_ = times_of(
         [dates_of("2020-01-01", "2020-01-02"), dates_of("2020-01-05", "2020-01-06")], (0, 2), None
     )
     assert (times.tolist(), unit) == ([0.0, 1.0, 4.0, 5.0], "d")
@@ -129,11 +129,6 @@ def test_a_column_of_dates_and_one_of_clock_times_are_one():
     assert [value - since_1970(2020, 1, 1) for value in dates.nanoseconds] == [23 * H, 25 * H]
 
 
-def test_arrays_of_dates_are_read():
-    dates = dates_of_array(np.array(["1969-12-31T23:00", "NaT", "2020-02-29T07:05:06.5"], dtype="M8[ms]"))
-    assert dates.nanoseconds == (-H, None, since_1970(2020, 2, 29, 7, 5, 6) + S // 2)
-
-
 def test_only_missing_dates_are_refused():
     with pytest.raises(DataError, match="holds none"):
-        times_of([dates_of_array(np.array(["NaT"], dtype="M8[s]"))], (0,), None)
+        times_of([Dates((None,), "dates", has_date=True)], (0,), None)

@@ -272,12 +272,19 @@ def test_files_that_programs_have_written_are_read_as_meant(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "name", "extra"), [("openpyxl", "a.xlsx", "xlsx"), ("h5py", "a.h5", "hdf5"), ("h5py", "b.mat", "hdf5")]
+    ("module", "name", "extra"),
+    [
+        ("openpyxl", "a.xlsx", "xlsx"),
+        ("h5py", "a.h5", "hdf5"),
+        ("h5py", "b.mat", "hdf5"),
+        ("polars", "a.parquet", "parquet"),
+    ],
 )
 def test_an_extra_that_is_not_installed_is_named(
     module: str, name: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    {"a.xlsx": workbook, "a.h5": hdf5, "b.mat": matlab_73}[name](tmp_path / name)
+    makers = {"a.xlsx": workbook, "a.h5": hdf5, "b.mat": matlab_73, "a.parquet": Path.touch}
+    makers[name](tmp_path / name)
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(DataError) as raised:
         read_table([tmp_path / name], DataConfig())

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import scipy.io
 
+from atoll_coordinator.data.reading.arrays import read_matlab
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.reading.matlab import read_matlab
 from atoll_coordinator.data.reading.matlab_child import flat
 from atoll_core.config import DataConfig
 from atoll_core.errors import DataError

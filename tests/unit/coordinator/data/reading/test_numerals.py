@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll_coordinator.data.reading.numerals import read_numbers
+from atoll_coordinator.data.reading.cells import read_numbers
 from atoll_core.errors import DataError
 
 

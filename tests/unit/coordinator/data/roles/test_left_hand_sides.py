@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll_coordinator.data.roles.left_hand_sides import LeftSides
+from atoll_coordinator.data.prior_knowledge import LeftSides
 from atoll_core.errors import UsageError
 
 SYMBOLS = {"x": "x", "v-x": "v_x", "dx": "dx", "u": "u"}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll_coordinator.data.roles.column_options import strip_units
+from atoll_coordinator.data.roles.columns import strip_units
 from atoll_coordinator.data.roles.roles import Roles, assign_roles
 from atoll_core.config import Angle, DataConfig
 from atoll_core.errors import DataError, UsageError

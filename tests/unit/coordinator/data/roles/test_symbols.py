@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy.parsing.sympy_parser import parse_expr
 
-from atoll_coordinator.data.roles.symbols import assign_symbols
+from atoll_coordinator.data.roles.roles import assign_symbols
 
 
 def assert_parsed_back(symbols):

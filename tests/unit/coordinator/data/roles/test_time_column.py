@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll_coordinator.data.roles.time_column import find_time_column
+from atoll_coordinator.data.roles.columns import find_time_column
 from atoll_core.config import DataConfig
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll_coordinator.data.roles.unit_texts import are_units
+from atoll_coordinator.data.roles.columns import are_units
 
 
 @pytest.mark.parametrize(

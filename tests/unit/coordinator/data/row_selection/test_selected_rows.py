@@ -9,8 +9,7 @@ from atoll_coordinator.data.differentiation.derivatives import StateEstimate
 from atoll_coordinator.data.differentiation.smoothing import Smoother
 from atoll_coordinator.data.roles.roles import Roles
 from atoll_coordinator.data.row_selection.selected_rows import FAR_OUT, select_rows
-from atoll_coordinator.data.trajectories.measurements import Measurements
-from atoll_coordinator.data.trajectories.trajectories import Trajectories
+from atoll_coordinator.data.trajectories.measurements import Measurements, Trajectories
 
 SMOOTHER = Smoother(11, 3, 0.1)
 

@@ -7,7 +7,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.row_selection.selected_rows import normalize_weights, select_weighty_rows
 from atoll_coordinator.data.table_summary import describe
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Pool
+from atoll_coordinator.model.pools import Pool
 from atoll_core.config import DataConfig, JobConfig, SpaceConfig
 from atoll_core.errors import DataError, UsageError
 from tests.unit.coordinator.data.tables import oscillator, table_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.trajectories.gaps import find_pieces, split_at_gaps
+from atoll_coordinator.data.trajectories.measurements import find_pieces, split_at_gaps
 from atoll_core.config import Angle, DataConfig, JobConfig
 from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
 

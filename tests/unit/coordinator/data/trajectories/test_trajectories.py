@@ -3,26 +3,13 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.trajectories.trajectories import (
-    distinguish,
-    find_ranges,
-    format_number,
-    split_trajectories,
-    unwrap,
-)
-from tests.unit.coordinator.data.tables import oscillator, table_of
-
-ROLES = Roles("t", None, ("x", "y"), ())
+from atoll_coordinator.data.trajectories.measurements import distinguish, format_number, unwrap
+from atoll_core.config import DataConfig
+from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
 
 
-def times_of(columns, starts=(0,), left_out=()):
-    table = table_of(columns, starts)
-    rows = [row for row in range(table.rows) if row not in left_out]
-    raw = dict(zip(table.names, table.columns, strict=True))
-    used = {name: raw[name][rows] for name in ROLES.states}
-    ranges = find_ranges(starts, rows, np.zeros(table.rows))
-    return split_trajectories(table, ROLES, rows, ranges, used).times
+def times_of(columns, starts=(0,)):
+    return measurements_of(table_of(columns, starts), DataConfig(states=("x", "y"), missing="drop")).trajectories.times
 
 
 @pytest.mark.parametrize("start", [0.0, 1900.0, -3.0, 1e9])
@@ -47,7 +34,9 @@ def test_uneven_steps_stay_as_they_are():
 
 
 def test_dropped_rows_leave_an_uneven_step():
-    (times,) = times_of(oscillator(20), left_out=[7])
+    columns = oscillator(20)
+    columns["x"][7] = columns["y"][7] = np.nan
+    (times,) = times_of(columns)
     assert times[7] - times[6] == pytest.approx(0.2)
 
 

@@ -26,7 +26,8 @@ from atoll_coordinator.model.inference.conclusion import (
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
-from atoll_coordinator.model.refinement import Alternative, Pool
+from atoll_coordinator.model.pools import Pool
+from atoll_coordinator.model.refinement import Alternative
 from atoll_coordinator.model.selection import joint_search, piece_lengths
 from atoll_coordinator.model.selection.candidates import collect_candidates, form
 from atoll_coordinator.model.selection.comparison import FittedModel

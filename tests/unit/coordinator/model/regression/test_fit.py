@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
-from atoll_coordinator.model.refinement import decode_members
+from atoll_coordinator.model.pools import decode_members
 from atoll_coordinator.model.regression.covariance import description_length, estimate_constants, standard_errors
 from atoll_coordinator.model.regression.equation import _spread, _spread_weights, fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
-from atoll_core.expression.bounds import EquationBounds, parse_bound
 from atoll_core.expression.program import constant_places
-from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.restrictions import EquationBounds, Restrictions, parse_bound
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.fitting import entry, parsed, problem
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.refinement import Member
+from atoll_coordinator.model.pools import Member
 from atoll_coordinator.model.regression.equation import fit_equation
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
 from atoll_core.config import JobConfig, SpaceConfig

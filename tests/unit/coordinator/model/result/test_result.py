@@ -11,14 +11,7 @@ import pytest
 
 from atoll.text.render import parse_picks
 from atoll_coordinator.data.recording import Preparation, Source
-from atoll_coordinator.model.refinement import (
-    Constant,
-    Correlation,
-    Refined,
-    Refinement,
-    Simulated,
-    Simulation,
-)
+from atoll_coordinator.model.refinement import Constant, Correlation, Refined, Refinement, Simulated, Simulation
 from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
 from atoll_coordinator.result.equations import Equation

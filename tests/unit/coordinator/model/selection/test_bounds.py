@@ -6,8 +6,7 @@ from scipy.optimize import minimize_scalar
 
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
 from atoll_coordinator.model.selection.comparison import Constraints
-from atoll_core.expression.bounds import EquationBounds, parse_bound
-from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.restrictions import EquationBounds, Restrictions, parse_bound
 from atoll_core.expression.unit_coefficients import as_written
 from tests.unit.coordinator.model.shooting.made import DECAY, LOTKA, LOTKA_TEXT, compare, measurements
 

@@ -11,9 +11,8 @@ from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_core.data.dataset import Problem, Target
-from atoll_core.expression.bounds import EquationBounds, parse_bound
 from atoll_core.expression.program import constant_places
-from atoll_core.expression.restrictions import Restrictions
+from atoll_core.expression.restrictions import EquationBounds, Restrictions, parse_bound
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.model.shooting.made import Known, recording
 

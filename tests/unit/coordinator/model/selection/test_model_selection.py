@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.refinement import Law, Refined
+from atoll_coordinator.model.pools import Law
+from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import model_selection
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.model_selection import collect_pool

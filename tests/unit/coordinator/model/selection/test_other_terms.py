@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.refinement import Law
+from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.model_selection import with_other_terms

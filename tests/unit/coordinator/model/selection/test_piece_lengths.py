@@ -12,8 +12,8 @@ from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.model_selection import select_model
 from atoll_coordinator.model.selection.piece_lengths import on_all_rows, remarks
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
-from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig, SpaceConfig
 from tests.unit.coordinator.model.fitting import settings

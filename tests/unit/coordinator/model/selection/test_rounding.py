@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.selection.rounding import ShownConstants, round_system
-from atoll_coordinator.model.shooting.covariance import covariance
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import constant_places, structure
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, Known, compare, measurements

@@ -8,7 +8,8 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.inference.conclusion import summarize
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.refinement import Law, Member, Pool, Refined
+from atoll_coordinator.model.pools import Law, Member, Pool
+from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import proposals
 from atoll_coordinator.model.selection.candidates import CandidateSet
 from atoll_coordinator.model.selection.model_selection import select_model

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Trajectory
-from atoll_coordinator.model.refinement import Pool
+from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting

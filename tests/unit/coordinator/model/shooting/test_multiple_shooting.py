@@ -7,19 +7,14 @@ import pytest
 
 from atoll_coordinator.data.differentiation.robust import fit_robustly
 from atoll_coordinator.data.differentiation.smoothing import Signal
-from atoll_coordinator.model.batches import Spread
-from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.shooting import multiple_shooting
-from atoll_coordinator.model.shooting.covariance import covariance
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.system import system_of, variable_program
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.expression.program import constant_places
 from atoll_core.expression.text.parsing import from_infix
-from tests.batches import ScatteredBatches
-from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import (
     DECAY,
     DRIVEN,
@@ -404,67 +399,6 @@ def test_a_fit_ends_where_it_cannot_come_to_its_goal():
     assert ended(start, least + 3.0) == (least, work)
 
 
-ALONE = Spread()
-
-
-def shared(monkeypatch, workers=3, batch=1_000, **options):
-    """Return what gives segments away that are so little work."""
-    monkeypatch.setattr(multiple_shooting, "SETTINGS", settings("spread", batch=batch))
-    return ScatteredBatches(workers, **options)
-
-
-def numbers(fit):
-    """Return all numbers of a fit."""
-    named = ("starts", "simulated", "residuals", "squares", "normal", "coupling", "own", "gradient")
-    return [fit.system.constants.tobytes(), fit.errors.to_bytes(), *(getattr(fit, name).tobytes() for name in named)]
-
-
-@pytest.mark.parametrize("workers", [1, 3, 7])
-def test_a_fit_whose_segments_others_integrate_is_the_same_to_the_bit(monkeypatch, workers):
-    rows, batches = lotka(noise=0.02, seed=7), shared(monkeypatch, workers)
-    alone, spread = (MultipleShooting(rows, 1e-8, spread=one) for one in (ALONE, Spread(batches)))
-    stages = [fit_in_stages(estimator, system(LOTKA, *FAR), (8, 25, None), 40) for estimator in (alone, spread)]
-    assert numbers(stages[0]) == numbers(stages[1])
-    assert alone.work == spread.work
-    assert {name for name, _ in batches.calls} == {"segments"}
-
-
-def test_shared_numbers_and_bounds_are_those_of_segments_elsewhere(monkeypatch):
-    rows, batches = lotka(noise=0.02, seed=7), shared(monkeypatch)
-    one = system(LOTKA, *FAR)
-    first, second = (int(nodes[0]) for nodes in map(constant_places, one.equations))
-    one = one.sharing_numbers(one.constants[None], [(((0, first), 1.0), ((1, second), 1.0))])
-    one = replace(one, lower=np.full(one.count, -0.8), upper=np.full(one.count, 9.0))
-    fits = [MultipleShooting(rows, 1e-8, spread=spread).fit(one, 10, 40) for spread in (ALONE, Spread(batches))]
-    assert numbers(fits[0]) == numbers(fits[1])
-    assert batches.calls
-
-
-@pytest.mark.parametrize("text", ["8*x*x", "-4000*x"])
-def test_a_system_that_runs_away_or_is_stiff_does_so_wherever_its_segments_are_integrated(monkeypatch, text):
-    rows, batches = measurements(DECAY, [[2.0], [1.0]], TIMES), shared(monkeypatch, batch=100)
-    estimators = [MultipleShooting(rows, 1e-8, spread=spread) for spread in (ALONE, Spread(batches))]
-    fits = [estimator.fit(system(DECAY, text), 10, 40, is_stiff=True) for estimator in estimators]
-    assert estimators[0].work == estimators[1].work
-    assert batches.calls
-    assert (fits[0] is None) == (fits[1] is None)
-    assert fits[0] is None or numbers(fits[0]) == numbers(fits[1])
-
-
-def test_segments_that_do_not_come_back_in_time_are_integrated_here(monkeypatch):
-    rows, batches = lotka(noise=0.02, seed=7), shared(monkeypatch, is_over=True)
-    spreads = (ALONE, Spread(batches, deadline=Deadline(3600.0)))
-    fits = [MultipleShooting(rows, 1e-8, spread=spread).fit(system(LOTKA, *FAR), 10, 40) for spread in spreads]
-    assert numbers(fits[0]) == numbers(fits[1])
-    assert batches.calls
-
-
-def test_little_work_is_not_given_away():
-    batches = ScatteredBatches(3)
-    MultipleShooting(lotka(), 1e-4, spread=Spread(batches)).fit(system(LOTKA, *FAR), 10, 40)
-    assert not batches.calls
-
-
 GROWTH = Known(("x",), lambda _, z: [0.8 * z[0] - 0.1 * z[0] ** 2])
 BELOW = {0: -0.35, 1: -0.05}
 """Values of the first rows as noise may leave them; the law runs away from there."""
@@ -494,3 +428,38 @@ def test_a_state_that_may_be_of_either_sign_begins_where_it_was_measured():
         system_of([SWING.parsed(text) for text in ("y", "-2.0*x - 0.3*y")], SWING.names, SWING.states), None, 40
     )
     assert fit.starts[0] == pytest.approx([-0.3, 1.0], abs=0.05)
+
+
+def test_the_same_fit_again_is_the_same_object_and_counts_the_same_work():
+    estimator = MultipleShooting(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-6)
+    start = system(DECAY, "-0.4*x")
+    first = estimator.fit(start, 5, 4)
+    work = estimator.work
+    assert estimator.fit(system(DECAY, "-0.4*x"), 5, 4) is first
+    assert estimator.work == 2 * work
+    others = (start.with_values(np.nextafter(start.values, 1.0)), 5, 4), (start, 5, 3), (start, None, 4)
+    assert all(estimator.fit(*other) is not first for other in others)
+    assert estimator.fit(start, 5, 4, errors=ErrorModel.independent(np.ones(1))) is not first
+    given = estimator.fit(start, None, 4, np.array([[3.0], [2.0]]))
+    assert estimator.fit(start, None, 4, np.nextafter([[3.0], [2.0]], 4.0)) is not given
+
+
+def test_a_system_that_cannot_be_integrated_is_remembered_as_such():
+    estimator = MultipleShooting(measurements(DECAY, [[3.0], [2.0]], TIMES), 1e-6)
+    assert estimator.fit(system(DECAY, "x*x*x"), None, 4) is None
+    work = estimator.work
+    assert estimator.fit(system(DECAY, "x*x*x"), None, 4) is None
+    assert estimator.work == 2 * work > 0
+
+
+def test_sensitivities_are_those_of_finite_differences():
+    estimator = MultipleShooting(measurements(DECAY, [[3.0], [2.0]], TIMES, noise=0.05), 1e-9)
+    fit = estimator.fit(system(DECAY, "-0.4*x"), None, 10)
+    little = 1e-5
+
+    def moved(by: float) -> np.ndarray:
+        near = fit.system.with_values(fit.system.values + by)
+        return estimator.fit(near, None, 0, fit.starts, fit.errors).simulated[0]
+
+    expected = (moved(little) - moved(-little)) / (2.0 * little)
+    assert np.abs(fit.integrated_sensitivities()[:, 0, 0] - expected).max() < 1e-4 * np.abs(expected).max()

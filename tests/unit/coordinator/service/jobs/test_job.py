@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.refinement import Pool
+from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.service.jobs.job import (
     CommitCuts,
     CommitResult,

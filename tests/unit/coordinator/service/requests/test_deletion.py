@@ -15,7 +15,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError
 from atoll_core.wire.messages.clients import Cancel, Delete, Request, Submit
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings
 from tests.blobs import put_blob
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 

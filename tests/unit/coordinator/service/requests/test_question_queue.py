@@ -1,7 +1,7 @@
 """Parties take turns, whatever one of them asks, and under how many names."""
 
 from atoll_coordinator.service.requests.waiting import QUESTIONS
-from atoll_core.wire.bus.turns import Turns
+from atoll_core.wire.bus.queues import Turns
 
 
 def test_parties_take_turns_and_within_them_their_clients() -> None:

@@ -26,7 +26,7 @@ from atoll_core.wire.messages.clients import Change, Deleted, EventList, Failure
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.views import CoordinatorView, Counters, UserView, Workforce
-from atoll_core.wire.security.role_bindings import RoleBindings
+from atoll_core.wire.security.roles import RoleBindings
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
 ROLES = RoleBindings({

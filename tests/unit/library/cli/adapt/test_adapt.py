@@ -19,7 +19,7 @@ from atoll.cli.adapt.batch_systems import SYSTEMS, BatchError
 from atoll.cli.main import main
 from atoll.cli.options.parser import parse
 from atoll_core.errors import UnreachableError, UsageError
-from atoll_core.machine.batch_jobs import job_of
+from atoll_core.machine import job_of
 from atoll_core.wire.addresses import destination
 from atoll_core.wire.messages.clients import QueueDepth
 from atoll_core.wire.messages.views import WorkerState, WorkerView

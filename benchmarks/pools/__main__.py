@@ -1,0 +1,77 @@
+"""About a hundred stored pools refined again, beside the reference: ``python -m benchmarks.pools judge``, `make judge`.
+
+Each pool of ``pools/`` is refined alone (its table is prepared, the equations are chosen, fitted and judged; nothing is
+searched), and forms, grades and processor seconds are printed beside those of ``reference.json``, with each equation
+that changed and the probability of as large a difference by chance. ``--accept`` writes the reference anew. Tables of
+listed cases and of real measurements are read from folders (``--cases``, ``--real``); pools without their table are
+named and not judged. ``keep`` searches the pools that are missing: of the titles of ``titles.txt``, one a line.
+Exit code 1: fewer right equations or more false grades than chance allows (p below 0.05), or a pool failed.
+"""
+
+import os
+import sys
+from argparse import Namespace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from atoll.terminal.output import note, say
+from benchmarks.harness.command_line import option, positive, program, verb, verbs, workers
+from benchmarks.harness.parallel import in_parallel
+from benchmarks.pools.campaign import POOLS, REFERENCE, has_table, judge_pool, requests, titles
+from benchmarks.pools.cases import LISTED_VARIABLE, REAL_VARIABLE, Folders
+from benchmarks.pools.outcomes import read_reference, report, seconds_of, write_reference
+from benchmarks.pools.stored import keep_pools
+
+
+def _folder(variable: str) -> Path | None:
+    return Path(os.environ[variable]) if os.environ.get(variable) else None
+
+
+FOLDERS: Final = (
+    option("--cases", type=Path, default=_folder(LISTED_VARIABLE), metavar="DIR", help="tables with cases.json"),
+    option("--real", type=Path, default=_folder(REAL_VARIABLE), metavar="DIR", help="real measurements"),
+    option("--only", nargs="+", default=[], metavar="WORD", help="parts of titles; default: all"),
+)
+
+
+@program(
+    "benchmarks.pools",
+    __doc__,
+    verbs(
+        verb(
+            "judge", "refine stored pools and compare", *FOLDERS, workers(),
+            option("--accept", action="store_true", help="write what is found as the new reference"),
+        ),
+        verb(
+            "keep", "search the pools that are missing", *FOLDERS, workers(),
+            option("--max-time", type=positive, default=20.0, help="end of a search in seconds (%(default)g)"),
+        ),
+    ),
+)  # fmt: skip
+def main(options: Namespace) -> int:
+    """Do what the options ask for."""
+    folders = Folders(options.cases, options.real)
+    wanted = [title for title in titles() if not options.only or any(word in title for word in options.only)]
+    for title in wanted:
+        if not has_table(title, folders):
+            note(f"not judged: {title}: its table is read from a folder that was not named (--cases, --real)")
+    wanted = [title for title in wanted if has_table(title, folders)]
+    if options.verb == "keep":
+        keep_pools(requests(wanted, folders, options.max_time), POOLS, options.workers)
+        return 0
+    outcomes, reference = {}, read_reference(REFERENCE)
+    longest_first = sorted(wanted, key=lambda title: -seconds_of(reference.get(title)))
+    for outcome in in_parallel(partial(judge_pool, folders=folders), longest_first, options.workers):
+        outcomes[outcome.title] = outcome
+        note(f"{len(outcomes)} of {len(wanted)}: {outcome.line}")
+    judged = [outcomes[title] for title in wanted]
+    text, is_as_good = report(judged, reference)
+    say(text)
+    if options.accept:
+        write_reference(REFERENCE, judged)
+    return 0 if is_as_good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,479 @@
+"""The trajectories that a model was fitted to, laid out for fits again: those of a result, or of data files.
+
+The equations of a result as systems that can be fitted, with all their constants free.
+
+Letters: P fitted constants, G segments, D states.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, get_args
+
+import numpy as np
+
+from atoll.model.equations import differing_groups, program_of
+from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
+from atoll_coordinator.data.trajectories.measurements import format_number
+from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
+from atoll_coordinator.model.shooting.system import System, system_of, variable_program
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
+from atoll_coordinator.result.base import Curve
+from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.findings import Errors, Noise
+from atoll_coordinator.result.listed_trajectories import Recorded, Smoothed
+from atoll_coordinator.result.result import Result
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError, UsageError
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.unit_coefficients import ExplicitCoefficients, as_written, make_coefficients_explicit
+
+_FEWEST_ROWS: Final = 5
+_OTHER_KINDS: Final = {"regression": "a regression without time", "process": "a stochastic process"}
+
+
+@dataclass(frozen=True, eq=False)
+class FitData:
+    """Measured trajectories: the `measurements` for fits of the equations of a result, of the `modelled` states.
+
+    `rows` counts all rows that were measured, those of `measurements` being some of them, spread evenly; `independent`
+    (O,) are the rows of each state that decide, as errors may go together; `source` says in words where the data come
+    from.
+    """
+
+    recording: Recording
+    measurements: Measurements
+    modelled: Sequence[int]
+    rows: int
+    independent: FloatArray
+    source: str
+
+    @property
+    def share(self) -> FloatArray:
+        """Independent rows (O,) over the rows that a fit counts."""
+        return np.asarray(self.independent / np.maximum(self.measurements.weights.sum(axis=1), 1.0))
+
+    @property
+    def longest(self) -> int:
+        """The most rows that are simulated at a stretch."""
+        return int(np.diff(self.measurements.bounds, axis=1).max())
+
+    def shortened(self, piece: int) -> "FitData":
+        """Return the same with at most so many rows simulated at a stretch."""
+        return replace(self, measurements=measurements_of(self.recording, self.modelled, piece=piece))
+
+
+def measured_of(result: Result, table: Table | None = None) -> FitData:
+    """Return the measurements behind the model of a result, or those of a table, read as the job did.
+
+    Raises:
+        UsageError: the states of the result were not measured in time, or it does not have the measurements.
+        DataError: the data cannot be used as they are.
+    """
+    kind = result.columns.kind
+    if kind != "dynamics":
+        what = _OTHER_KINDS.get(str(kind), "an unknown kind")
+        raise UsageError(f"the result is of {what}; only models of measured trajectories can be profiled")
+    recording = _stored(result) if table is None else _prepared(result, table)
+    rows = kept = sum(len(trajectory.times) for trajectory in recording.trajectories if not trajectory.held_out)
+    source = "the data that were given"
+    if table is None:
+        searched = [part for part in result.recorded if not part.held_out]
+        rows = sum(part.rows or len(part.times) for part in searched)
+        of = f"{kept} of {rows} rows" if kept < rows else f"{rows} rows"
+        source = f"{len(searched)} {'trajectories' if len(searched) > 1 else 'trajectory'} of the result, {of}"
+    groups = {trajectory.group for trajectory in recording.trajectories}
+    if differing_groups(result) and (table is None or len(groups) > 1):
+        raise UsageError(
+            "constants of the model differ between groups of trajectories, which cannot be fitted again together",
+            python="give the data of one group as data",
+            command="give the data of one group with --data",
+        )
+    names = [str(equation.variable) for equation in result.equations]
+    modelled = [recording.states.index(name) for name in names]
+    errors = [result.noise.get(name, Noise()).errors or Errors() for name in names]
+    share = kept / max(rows, 1)
+    pieces = [known.piece for known in errors if known.piece]
+    piece = max(_FEWEST_ROWS, int(min(pieces) * share)) if pieces else SETTINGS.shooting.piece
+    measurements = measurements_of(recording, modelled, piece=piece)
+    independent = measurements.weights.sum(axis=1)
+    if table is None:  # rows that were left out of the stored ones count as much as those that are there
+        independent = independent / max(share, 1e-300)
+    fitted = sum(part.rows or 0 for part in result.recorded if not part.held_out)
+    ratios = [min(1.0, (known.independent_rows or fitted) / fitted) if fitted else 1.0 for known in errors]
+    independent = independent * np.array(ratios)
+    return FitData(recording, measurements, modelled, rows, independent, source)
+
+
+def _stored(result: Result) -> Recording:
+    """Return what a result has of its measurements."""
+    trajectories = result.recorded
+    if not trajectories:
+        raise UsageError(
+            "the result has no measurements", python="give them as data", command="give the data file with --data"
+        )
+    columns, symbols = result.columns, result.symbols
+    states, inputs = columns.states, columns.inputs
+    smoothing = []
+    for name in states:
+        noise = result.noise.get(name, Noise())
+        method: Method = next((method for method in get_args(Method) if method == noise.method), "interpolation")
+        smoothing.append(Smoothing(name, method, noise.sd or 0.0, noise.relative or 0.0))
+    smoothed = {part.name: part for part in result.smoothed}
+    parts = [_trajectory(part, smoothed.get(part.name), states, inputs) for part in trajectories]
+    return Recording(
+        states,
+        tuple(symbols[name] for name in states),
+        tuple(symbols[name] for name in columns.velocities),
+        inputs,
+        tuple(symbols[name] for name in inputs),
+        2 if columns.order == 2 else 1,
+        0.0,
+        tuple(smoothing),
+        tuple(parts),
+        tuple(config_of(result).data.offsets),
+    )
+
+
+def _trajectory(
+    recorded: Recorded, smoothed: Smoothed | None, states: Sequence[str], inputs: Sequence[str]
+) -> Trajectory:
+    times = np.array(recorded.times, dtype=np.float64)
+    measured = _stacked([recorded.measured[name] for name in states], len(times))
+    curves = [_curve(times, row, name, smoothed) for name, row in zip(states, measured, strict=True)]
+    positions = _stacked(curves, len(times))
+    robust, weights = recorded.robustness_weights, recorded.weights
+    return Trajectory(
+        recorded.name,
+        times,
+        measured,
+        positions,
+        np.gradient(positions, times, axis=1) if len(times) > 1 else np.zeros_like(positions),
+        _stacked([recorded.inputs[name] for name in inputs], len(times)),
+        _stacked([(recorded.input_slopes or {})[name] for name in inputs], len(times)),
+        recorded.held_out,
+        None if robust is None else _stacked([robust[name] for name in states], len(times)),
+        None if weights is None else np.array(weights, dtype=np.float64),
+    )
+
+
+def _curve(times: FloatArray, measured: FloatArray, name: str, smoothed: Smoothed | None) -> FloatArray:
+    """Return the smoothed state at these times; of a state that was interpolated what was measured."""
+    if smoothed is not None and name in smoothed.smoothed:
+        known, values = np.array(smoothed.times), np.array(smoothed.smoothed[name], dtype=np.float64)
+    else:
+        known, values = times, measured
+    is_known = np.isfinite(values)
+    return np.interp(times, known[is_known], values[is_known]) if is_known.any() else np.zeros(len(times))
+
+
+def _stacked(rows: Sequence[FloatArray | Curve], count: int) -> FloatArray:
+    return np.ascontiguousarray(np.array(rows, dtype=np.float64).reshape(len(rows), count))
+
+
+def starts_of(result: Result, measured: FitData) -> FloatArray | None:
+    """Return the initial states (G, D) that a result has fitted to its trajectories; None where they are others."""
+    known = {part.name: part.start for part in result.simulated}
+    measurements, columns = measured.measurements, result.columns_by_symbol
+    rows = [known.get(measurements.names[owner]) for owner in measurements.owners.tolist()]
+    names = [columns[name] for name in measurements.variables[: len(measurements.scales)]]
+    is_whole = len(set(measurements.owners.tolist())) == len(rows)
+    if not is_whole or not all(row and all(name in row for name in names) for row in rows):
+        return None
+    starts = np.array([[row[name] for name in names] for row in rows if row], dtype=np.float64)
+    return starts if np.isfinite(starts).all() else None
+
+
+def config_of(result: Result) -> JobConfig:
+    """Return the configuration of the job that a result is of."""
+    return JobConfig.model_validate({"preset": result.preset or "default", **result.config})
+
+
+def _prepared(result: Result, table: Table) -> Recording:
+    """Return the recording of another table, read and smoothed as the job did; of one group where the result is."""
+    from atoll_coordinator.data.prepare import prepare
+
+    config, group = config_of(result), result.group
+    column = config.data.group
+    if group is not None:
+        table = table if column is None else _rows_of_group(table, column, group, config.data.trajectory)
+        settings = config.data.model_copy(update={"group": None, "per_trajectory": False})
+        config = config.model_copy(update={"data": settings})
+    recording = prepare(table, config).recording
+    if recording is None or set(recording.states) != set(result.columns.states):
+        raise UsageError(f"the data do not have the states {', '.join(result.columns.states)} measured in time")
+    return recording if group is None or column is not None else _trajectory_of_group(recording, group)
+
+
+def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None) -> Table:
+    """Return the rows of one group, without the `column` of groups unless it tells trajectories apart as well."""
+    if column not in table.names:
+        raise UsageError(f"the data have no column {column!r}, which says what is of group {group!r}; add it")
+    values = table.column(column)
+    names = {value: table.label(column, value) or format_number(value) for value in dict.fromkeys(values.tolist())}
+    rows = np.flatnonzero([names[value] == group for value in values.tolist()])
+    if not len(rows):
+        raise _lacking(group, list(names.values()))
+    begins = np.diff(rows, prepend=-2) > 1
+    begins |= np.isin(rows, table.starts)
+    kept = [place for place, name in enumerate(table.names) if name != column or name == trajectory]
+    return replace(
+        table,
+        names=tuple(table.names[place] for place in kept),
+        units=tuple(table.units[place] for place in kept),
+        columns=np.ascontiguousarray(table.columns[kept][:, rows]),
+        starts=tuple(np.flatnonzero(begins).tolist()),
+        file_of_row=table.file_of_row[rows],
+        line_of_row=table.line_of_row[rows],
+    )
+
+
+def _trajectory_of_group(recording: Recording, group: str) -> Recording:
+    """Return the trajectory that is the group; a single one is taken for it."""
+    names = [trajectory.name for trajectory in recording.trajectories]
+    if len(names) == 1:
+        return recording
+    if group not in names:
+        raise _lacking(group, names)
+    return replace(recording, trajectories=(recording.trajectories[names.index(group)],))
+
+
+def _lacking(group: str, names: Sequence[str]) -> UsageError:
+    return UsageError(f"the data have nothing of group {group!r}, only of {', '.join(names)}; give data of that group")
+
+
+_FINEST: Final = 1e-9
+_COARSEST: Final = 1e-5
+_TOLERANCE_OF_NOISE: Final = 1e-3
+"""Errors of a step of the integration over those of the measurements: below what a deviance shows."""
+
+
+@dataclass(frozen=True)
+class FreeConstant:
+    """A constant that is fitted.
+
+    `name` is that of `atoll.Model.params` (c1, c2, …), of a factor of one that nobody writes `1 of` its term;
+    `variable` is the state whose equation it stands in, `sign` whether the text has a minus before it, and `is_written`
+    whether it is in the text.
+    """
+
+    name: str
+    variable: str
+    sign: float
+    is_written: bool
+
+
+@dataclass(frozen=True, eq=False)
+class EquationSet:
+    """Right-hand sides of the states that have an equation: `programs` over `names`, the symbols of the result.
+
+    `explicit` are the same with factors of one as constants, unless they are taken as they are written; `fixed` are
+    those (by index) whose constants are given, `bounds` are on all constants of an equation (by index), where the user
+    has set some.
+    """
+
+    names: tuple[str, ...]
+    variables: tuple[str, ...]
+    programs: tuple[Program, ...]
+    fixed: frozenset[int]
+    bounds: Mapping[int, tuple[tuple[float, float], ...]]
+    are_as_written: bool = False
+
+    @cached_property
+    def explicit(self) -> tuple[ExplicitCoefficients, ...]:
+        """The programs with their factors of one as constants, but those that are given or bounded."""
+        kept = range(len(self.programs)) if self.are_as_written else {*self.fixed, *self.bounds}
+        return tuple(
+            as_written(program) if place in kept else make_coefficients_explicit(program)
+            for place, program in enumerate(self.programs)
+        )
+
+    def exchanged(self, place: int, program: Program) -> "EquationSet":
+        """Return the same with another equation, which has no bounds."""
+        bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
+        programs = (*self.programs[:place], program, *self.programs[place + 1 :])
+        return replace(self, programs=programs, bounds=bounds, are_as_written=False)
+
+    def system(self, measurements: Measurements, order: int) -> System:
+        """Return the system of the explicit programs; with order 2, positions change by the velocities."""
+        programs = [explicit.program for explicit in self.explicit]
+        count = len(programs) if order == 2 else 0
+        velocities = measurements.variables[count : 2 * count]
+        leading = [variable_program(self.names.index(name)) for name in velocities]
+        fixed = [set[int]() for _ in range(count + len(programs))]
+        for place in self.fixed:
+            fixed[count + place].update(constant_places(programs[place]))
+        system = system_of([*leading, *programs], self.names, measurements.variables, fixed)
+        if not self.bounds:
+            return system
+        ends = [
+            (-math.inf, math.inf) if place not in self.bounds else self.bounds[place][number]
+            for place, explicit in enumerate(self.explicit)
+            for number in range(len(explicit.origins) if place not in self.fixed else 0)
+        ]
+        lower, upper = np.array(ends).reshape(-1, 2).T.copy()
+        return replace(system, lower=lower, upper=upper)
+
+
+def equations_of(result: Result) -> EquationSet:
+    """Return the equations that a result shows."""
+    names, entries = result.names, result.equations
+    programs = tuple(program_of(equation, names) for equation in entries)
+    fixed = frozenset(place for place, equation in enumerate(entries) if equation.origin == "known")
+    ends = {place: _bounds(equation) for place, equation in enumerate(entries)}
+    bounds = {place: pairs for place, pairs in ends.items() if pairs and place not in fixed}
+    return EquationSet(names, tuple(equation.variable for equation in entries), programs, fixed, bounds)
+
+
+def _bounds(equation: Equation) -> tuple[tuple[float, float], ...]:
+    """Return the bounds of all constants of an equation; none where no constant has any."""
+    ends = [constant.bounds or (None, None) for constant in equation.constants]
+    if not any(end is not None for pair in ends for end in pair):
+        return ()
+    return tuple((-math.inf if low is None else low, math.inf if high is None else high) for low, high in ends)
+
+
+def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, ...]:
+    """Return the fitted constants in the order of the system; names are those of the text of the result's equations."""
+    constants: list[FreeConstant] = []
+    taken = 0
+    for place, (variable, explicit) in enumerate(zip(equations.variables, equations.explicit, strict=True)):
+        program = equations.programs[place]
+        values = program.constants[constant_places(program)].tolist()
+        text = from_infix(result.equations[place].expression or "", equations.names)
+        shown = text.constants[constant_places(text)].tolist()
+        numbers = _matched(values, shown)
+        terms = iter(explicit.terms)
+        for origin in explicit.origins if place not in equations.fixed else ():
+            if origin is None:
+                of = to_infix(next(terms), equations.names, digits=4)
+                constants.append(FreeConstant(f"1 of {of} (d{variable})", variable, 1.0, False))
+                continue
+            number = numbers[origin]
+            name = f"c{taken + number + 1}" if number is not None else f"{values[origin]:.4g} (d{variable})"
+            sign = 1.0 if number is None or values[origin] * shown[number] >= 0.0 else -1.0
+            constants.append(FreeConstant(name, variable, sign, True))
+        taken += len(shown)
+    return tuple(constants)
+
+
+def _matched(values: Sequence[float], shown: Sequence[float]) -> list[int | None]:
+    """Return for each constant of a program its place in the text, as `atoll.model.equations` numbers them."""
+    left = list(range(len(values)))
+    numbers: list[int | None] = [None] * len(values)
+    for number, value in enumerate(shown):
+        place = next((index for index in left if abs(values[index]) == abs(value)), None)
+        if place is not None:
+            numbers[place] = number
+            left.remove(place)
+    return numbers
+
+
+@dataclass(frozen=True, eq=False)
+class FittedEquations:
+    """Equations fitted to measured trajectories in whole, or in pieces of at most `piece` rows.
+
+    `errors` are those of the measurements by the residuals, corrected for the numbers fitted; they are held from now
+    on. `degrees_of_freedom` are those that are left, `misfit` is minus the log-likelihood with fitted variances,
+    up to a constant. Rows count as `share` (O,) of a row each, as errors go together.
+    """
+
+    equations: EquationSet
+    measured: FitData
+    fit: TrajectoryFit
+    errors: ErrorModel
+    degrees_of_freedom: float
+    misfit: float
+
+    @property
+    def values(self) -> FloatArray:
+        """The fitted constants (P,)."""
+        return self.fit.system.values
+
+    @cached_property
+    def bounded_covariance(self) -> FloatArray:
+        """The covariance (P, P) of the constants, with large variances of those that the data leave open."""
+        return bounded_covariance(self.fit)
+
+    def deviance(self, fit: TrajectoryFit) -> float:
+        """Return the squared residuals of a fit with these errors over their variances, beyond those of this fit."""
+        return self.fit.estimator.cost(fit) - self.fit.estimator.cost(self.fit)
+
+    def again(self, system: System, starts: FloatArray) -> TrajectoryFit | None:
+        """Return a system fitted to the same trajectories with the same errors; None where it cannot be simulated."""
+        steps, is_stiff = SETTINGS.effort.steps, self.fit.is_stiff
+        return self.fit.estimator.fit(system, None, steps, starts, self.errors, is_stiff=is_stiff)
+
+
+def fit_equations(
+    measured: FitData, equations: EquationSet, starts: FloatArray | None = None
+) -> FittedEquations | None:
+    """Return the equations fitted with all their constants free; None where they cannot be simulated.
+
+    Where trajectories cannot be fitted in whole, shorter pieces are, of which the errors are those of the smoother.
+    """
+    written = replace(equations, are_as_written=True)
+    return _fitted(measured, equations, starts) or _fitted(measured, written, starts)
+
+
+def fit_shown(measured: FitData, result: Result) -> FittedEquations:
+    """Return the equations of a result fitted again; raises AtollError where they cannot be simulated.
+
+    In shorter pieces where whole trajectories leave more than the noise.
+    """
+    equations, measurements = equations_of(result), measured.measurements
+    negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
+    most = SETTINGS.inference.excess * np.maximum(measurements.noise, negligible)
+    first = None
+    for rows in (None, *reversed(SETTINGS.shooting.lengths[1:])):
+        if rows is not None and 2 * rows > measured.longest:
+            continue
+        data = measured if rows is None else measured.shortened(rows)
+        fitted = fit_equations(data, equations, starts_of(result, data))
+        if fitted is not None and np.all(fitted.errors.sigmas <= most):
+            return fitted
+        first = first or fitted
+    if first is None:
+        raise AtollError("the equations cannot be simulated along the measured trajectories, so nothing can be fitted")
+    return first
+
+
+def _fitted(measured: FitData, equations: EquationSet, starts: FloatArray | None) -> FittedEquations | None:
+    measurements = measured.measurements
+    precise = _TOLERANCE_OF_NOISE * float(measurements.relative_noise.min())
+    estimator = MultipleShooting(measurements, min(max(precise, _FINEST), _COARSEST * 0.1))
+    system = equations.system(measurements, measured.recording.order)
+    fit = estimator.fit(system, None, SETTINGS.effort.steps, starts)
+    staged = fit_in_stages(estimator, system, (*SETTINGS.shooting.lengths[1:2], None), SETTINGS.effort.steps)
+    fits = [candidate for candidate in (fit, staged) if candidate is not None]
+    counts = measurements.weights.sum(axis=1)
+    best = min(fits, key=lambda fit: float(counts @ np.log(np.maximum(fit.squares, 1e-300))), default=None)
+    if best is None:
+        return None
+    decided = float(np.minimum(counts * measured.share, measured.independent).sum())
+    left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
+    degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
+    # with all rows that decide, and as many numbers fitted, the variance of a row that a fit counts
+    widened = np.sqrt(counts.sum() / left / measured.share)
+    least = SETTINGS.interpolation.smallest_noise * measurements.scales[measurements.observed]
+    sigmas = np.maximum(np.sqrt(best.squares), least) * widened
+    errors = replace(best.errors, sigmas=sigmas, is_known=True)
+    held = estimator.fit(best.system, None, SETTINGS.effort.steps, best.starts, errors, is_stiff=best.is_stiff)
+    if held is None:
+        return None
+    return FittedEquations(equations, measured, held, errors, degrees_of_freedom, _misfit(measured, best))
+
+
+def _misfit(measured: FitData, fit: TrajectoryFit) -> float:
+    """Return n/2 ln s, summed over the measured states: n independent rows of mean square s."""
+    floor = (SETTINGS.shooting.exact * measured.measurements.scales[measured.measurements.observed]) ** 2
+    terms = 0.5 * measured.independent * np.log(np.maximum(fit.squares, floor))
+    return math.fsum(terms.tolist())

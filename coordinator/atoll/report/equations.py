@@ -1,0 +1,419 @@
+"""What was asked and what was found, in one screen.
+
+The constants with their errors, and which of them the data hardly tell apart.
+
+Why this equation: the front of each search, and the candidates that were compared.
+
+How the islands converged, and what the search cost.
+
+How to repeat the run: command, seed, digests, versions.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+from atoll.display.curves import front
+from atoll.display.notation import equation_mathml
+from atoll.experiments.suggestion import equations_text
+from atoll.model.equations import constant_names, differing_groups, interval_text, r2_text, remark_on_groups, rounded
+from atoll.report.findings import MOST_PROFILES, Findings, count_constants
+from atoll.report.markup import (
+    COLORS,
+    Axis,
+    Chart,
+    Child,
+    Element,
+    element,
+    facts,
+    figure,
+    number,
+    paragraph,
+    parse_mathml,
+    pictures,
+    r2_cell,
+    scrolling,
+    section,
+    table,
+)
+from atoll.text.conclusion import conclusion
+from atoll.text.tables import checks_text, constants_line
+from atoll_coordinator.result.equations import Check, Equation, Estimate, SimpleNumber
+from atoll_coordinator.result.findings import Correlation
+from atoll_core.redaction import without_secrets
+
+if TYPE_CHECKING:
+    from atoll.experiments.identifiability import Identifiability, ProfiledConstant
+    from atoll.experiments.suggestion import Suggestions
+
+MEANINGS: Final = {
+    "exact": "the data single this equation out, to all of their digits",
+    "good": "within the measured range, predictions of this equation can be trusted",
+    "doubtful": "another equation may be the right one, or that was not tested; the reason says why",
+    "no model": "nothing was found that describes the data",
+}
+
+
+def overview(findings: Findings) -> Element:
+    """Return the section: equations with verdicts, then what was asked."""
+    result = findings.result
+    equations = [_equation(equation, findings) for equation in result.equations]
+    warned = _list("Warnings", result.proper_warnings)
+    noted = _list("Notes", result.notes)
+    of_noise = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time." if result.process else ""
+    remarks = map(paragraph, filter(None, [remark_on_groups(result), of_noise]))
+    verdicts = dict.fromkeys(equation.verdict or "" for equation in result.equations)
+    meanings = [f"{verdict.capitalize()}: {MEANINGS[verdict]}." for verdict in verdicts if verdict in MEANINGS]
+    explained = paragraph(element("small", " ".join(meanings)))
+    opening = paragraph(conclusion(result))
+    return section("found", "Found", opening, *equations, explained, *remarks, *warned, facts(_facts(findings)), *noted)
+
+
+def _list(title: str, texts: Sequence[str]) -> list[Element]:
+    """Return a list with its heading; nothing of no texts."""
+    return [element("h3", title), element("ul", *(element("li", text) for text in texts))] if texts else []
+
+
+def _equation(equation: Equation, findings: Findings) -> Element:
+    lhs, verdict = equation.lhs, equation.verdict
+    if equation.expression is None:
+        parts = [paragraph(f"{lhs}: no equation")]
+    else:
+        formula = equation_mathml(lhs, equation.variable, equation.expression, findings.result.names)
+        parts = [scrolling(f"equation {lhs}", parse_mathml(formula))]
+    errors = constants_line(equation.constants)
+    if errors:
+        parts.append(paragraph(errors[:1].upper() + errors[1:]))
+    if verdict is not None:
+        badge = element("strong", verdict, class_=f"verdict {verdict.replace(' ', '-')}")
+        parts.append(paragraph(badge, f" {equation.reason or ''}"))
+    if equation.checks:
+        parts += _checks(equation.checks)
+    return element("div", *parts, class_="equation")
+
+
+def _checks(checks: Sequence[Check]) -> list[Element]:
+    """Return how many checks have passed, a list of those that have not, and the others behind it."""
+    text = checks_text(checks).partition(";")[0]
+    listed = [check for check in checks if check.outcome in ("failed", "not made")]
+    others = [check for check in checks if check.outcome not in ("failed", "not made")]
+    parts = [paragraph(text[:1].upper() + text[1:] + ("." if not listed else ":"))]
+    parts += [element("ul", *_items(listed))] if listed else []
+    if others:
+        parts.append(element("details", element("summary", "The other checks"), element("ul", *_items(others))))
+    return parts
+
+
+def _items(checks: Sequence[Check]) -> list[Element]:
+    """Return an item for each reason: checks that say the same stand together."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for check in checks:
+        names.setdefault((check.outcome, check.reason), []).append(check.name)
+    return [
+        element("li", element("b", f"{', '.join(named)}: {outcome}."), f" {reason}")
+        for (outcome, reason), named in names.items()
+    ]
+
+
+def _facts(findings: Findings) -> list[tuple[str, str]]:
+    result, system, data = findings.result, findings.result.columns, findings.result.data
+    entries = [] if data is None else [("Data", f"{', '.join(data.files)}: {data.rows} rows")]
+    if result.group is not None:
+        entries.append(("Group", result.group))
+    lists = (("States", system.states), ("Inputs", system.inputs))
+    entries += [(name, ", ".join(map(findings.label, columns))) for name, columns in lists if columns]
+    if system.target:
+        entries.append(("Target", findings.label(system.target)))
+    if system.time:
+        entries.append(("Time", findings.label(system.time)))
+    if system.ranges:
+        ranges = (f"{name} {number(low)} to {number(high)}" for name, (low, high) in system.ranges.items())
+        entries.append(("Range searched", ", ".join(ranges)))
+    values = [value for part in result.simulated for value in part.r2.values() if value is not None]
+    if values:
+        on = f" on {len(result.simulated)} trajectories" if len(result.simulated) > 1 else ""
+        entries.append(("Simulation", f"R² at least {r2_text(min(values))}{on}"))
+    if result.state not in (None, "done"):
+        entries.append(("Job", f"{result.state}: {result.reason or 'ended early'}"))
+    return entries
+
+
+def constants(findings: Findings) -> list[Element]:
+    """Return the section, none where no equation has a constant."""
+    names = constant_names(findings.result)
+    rows = [row for equation in findings.result.equations for row in _rows(equation, names[equation.variable])]
+    if not rows:
+        return []
+    heads = ["equation", "constant", "shown", "fitted", "standard error", "95 % interval", "simple number near it"]
+    equations = findings.result.equations
+    notes = [paragraph(text) for equation in equations for text in _together(equation, names[equation.variable])]
+    notes += [paragraph(_correlation(pair, names)) for pair in findings.result.correlations]
+    profiles = [] if findings.identifiability is None else _profiles(findings.identifiability)
+    if count_constants(findings.result) > MOST_PROFILES:
+        profiles.append(paragraph("coordinator analyse --identifiability says what the data determine of so many."))
+    listed = table("Constants", [*heads, "determined"], rows, is_stacked=True)
+    return [section("constants", "Constants", listed, *_groups(findings, names), *notes, *profiles)]
+
+
+def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:
+    """Return a table of the constants that differ between groups of trajectories, none where there are none."""
+    if not differing_groups(findings.result):
+        return []
+    heads = ["equation", "constant", "group", "value", "standard error", "95 % interval"]
+    rows: list[list[Child]] = [
+        [
+            equation.lhs,
+            element("span", names[equation.variable][place]),
+            element("span", group.group),
+            number(constant.value, 6),
+            number(constant.std_error, 2),
+            interval_text(constant.interval) if constant.interval else "",
+        ]
+        for equation in findings.result.equations
+        for place, mean in enumerate(equation.constants)
+        if not mean.shared
+        for group in equation.groups
+        for constant in group.constants[place : place + 1]
+    ]
+    return [table("Constants that differ between groups; those above are means", heads, rows)]
+
+
+def _profiles(identifiability: "Identifiability") -> list[Element]:
+    """Return what the data determine of each constant, by profile likelihood, with the profiles drawn."""
+    text = paragraph(
+        "A constant is held at each value of a range while all others are fitted again. Where the deviance stays below "
+        "the line, the data allow the value."
+    )
+    listed = [element("li", f"{constant.name} = {constant.sentence}") for constant in identifiability.constants]
+    listed += [element("li", direction.words) for direction in identifiability.sloppy]
+    drawn = [_profile(constant, identifiability.quantile**2) for constant in identifiability.constants]
+    return [element("h3", "What the data determine"), text, element("ul", *listed), pictures(drawn)]
+
+
+def _profile(constant: "ProfiledConstant", most: float) -> Element:
+    values, deviances = constant.values.tolist(), constant.deviances.tolist()
+    drawn = Chart(f"profile of {constant.name}", Axis(constant.name), Axis("deviance", bounds=(0.0, 2.0 * most)))
+    drawn.add_line([min(values), max(values)], [most, most], "rule")
+    drawn.add_line(values, deviances, "c0")
+    drawn.add_points([constant.estimate], [0.0], "c0")
+    rows = [[number(value, 6), number(deviance)] for value, deviance in zip(values, deviances, strict=True)]
+    return figure(drawn.svg(), constant.name, table(f"profile of {constant.name}", ["value", "deviance"], rows))
+
+
+def _rows(equation: Equation, names: Sequence[str]) -> list[list[Child]]:
+    listed: list[tuple[str, Estimate]] = [*zip(names, equation.constants, strict=True)]
+    listed += [(f"1 of {factor.of}", factor) for factor in equation.implied]
+    return [
+        [
+            equation.lhs,
+            element("span", name),
+            number(estimate.value, 6),
+            number(estimate.fitted, 6),
+            number(estimate.std_error, 2),
+            interval_text(estimate.interval) if estimate.interval else "",
+            _simple(estimate.simple),
+            "" if estimate.std_error is None else "yes" if estimate.identifiable else "not by these data",
+        ]
+        for name, estimate in listed
+    ]
+
+
+def _simple(simple: SimpleNumber | None) -> str:
+    if not simple or simple.odds is None:
+        return ""
+    return f"{number(simple.value, 6)}, odds {number(simple.odds, 2)}, {number(simple.standard_errors, 2)} se off"
+
+
+def _together(equation: Equation, names: Sequence[str]) -> list[str]:
+    """Return a sentence on simple numbers of several constants together; nothing where others are likelier."""
+    together = equation.simple_together
+    if not together or together.odds is None:
+        return []
+    pairs = zip(together.constants, together.values, strict=True)
+    simple = " and ".join(f"{names[place]} = {number(value, 6)}" for place, value in pairs)
+    return [
+        f"{simple}, judged together: odds {number(together.odds, 2)} against all other numbers "
+        f"(chi-square {number(together.chi_square, 2)})."
+    ]
+
+
+def _correlation(correlation: Correlation, names: Mapping[str, Sequence[str]]) -> str:
+    places = (correlation.first, correlation.second)
+    first, second = (names[place.variable][place.constant or 0] for place in places)
+    return f"{first} and {second} are hardly told apart: correlation {number(correlation.value, 3)}."
+
+
+def choice(findings: Findings) -> list[Element]:
+    """Return the sections of fronts and of candidates."""
+    equations = findings.result.equations
+    fronts = [_front(equation, findings) for equation in equations if front(equation.front)[0]]
+    compared = [part for equation in equations for part in _candidates(equation, findings)]
+    sections = []
+    if compared:
+        text = paragraph(
+            "Δ description length: how much longer the data are to describe with another equation than with the one "
+            "shown, in nats. Below about 3 the data hardly decide."
+        )
+        if findings.result.groups or findings.result.group is not None:
+            compared.append(paragraph("Constants of candidates are of all groups of trajectories together."))
+        following = () if findings.suggestions is None else _next_experiment(findings.suggestions)
+        sections.append(section("candidates", "Candidates", text, *compared, *following))
+    if fronts:
+        text = paragraph(
+            "The best expression of each complexity that the search found, by its error over the target's deviation. A "
+            "ring marks the one that the equation is made of, if it comes from the front; the line is how uncertain "
+            "the target itself is."
+        )
+        sections.append(section("front", "Accuracy and complexity", text, pictures(fronts)))
+    return sections
+
+
+def _next_experiment(suggestions: "Suggestions") -> list[Element]:
+    """Return the experiments that would tell most, and which systems they tell apart."""
+    told_apart = suggestions.purpose == "discrimination"
+    systems: list[list[Child]] = [
+        [number(weight, 2), origin, element("code", equations_text(equations))]
+        for candidate in suggestions.candidates
+        for weight, origin, equations in (
+            (candidate.weight, candidate.origin_text, candidate.equations),
+            (None, f"{candidate.origin}, with the constants of the result", candidate.written),
+        )
+        if equations
+    ]
+    rows: list[list[Child]] = [
+        [
+            element("span", experiment.initial_text),
+            experiment.samples_text,
+            experiment.certainty_text if told_apart else f"{number(experiment.information, 3)} nats",
+            experiment.remark,
+        ]
+        for experiment in suggestions.experiments
+    ]
+    heads = ["initial state", "samples", "what it tells" if told_apart else "about the constants", "warning"]
+    if not any(experiment.remark for experiment in suggestions.experiments):
+        heads, rows = heads[:-1], [row[:-1] for row in rows]
+    return [
+        element("h3", "The next experiment"),
+        paragraph(" ".join(filter(None, [f"Purpose: {suggestions.purpose_text}.", suggestions.verdict]))),
+        table("Systems, their constants fitted again", ["weight", "origin", "equations"], systems),
+        table("Experiments", heads, rows),
+    ]
+
+
+def _front(equation: Equation, findings: Findings) -> Element:
+    drawn = Chart(f"error over complexity of {equation.lhs}", Axis("complexity"), Axis("error", is_logarithmic=True))
+    sizes, errors = front(equation.front)
+    if equation.derivative_floor:
+        drawn.add_line((min(sizes), max(sizes)), (equation.derivative_floor,) * 2, "rule")
+    drawn.add_line(sizes, errors, "c0")
+    drawn.add_points(sizes, errors, "c0")
+    drawn.add_points(*front(equation.front, is_selected=True), "chosen c1")
+    rows = [
+        [str(member.complexity), number(member.normalized_error, 3), "yes" if member.selected else "",
+         element("code", rounded(member.expression, findings.result.names))]
+        for member in equation.front
+    ]  # fmt: skip
+    numbers = table(f"front of {equation.lhs}", ["complexity", "error", "chosen", "expression"], rows)
+    return figure(drawn.svg(), equation.lhs, numbers)
+
+
+def _candidates(equation: Equation, findings: Findings) -> list[Element]:
+    if not equation.candidates:
+        return []
+    rows: list[list[Child]] = [
+        [
+            element("code", rounded(candidate.expression, findings.result.names)),
+            "shown" if candidate.selected else number(candidate.nats, 3),
+            r2_cell(candidate.r2),
+            r2_cell(candidate.held_out_r2) + (" (left out in turn)" if candidate.cross_validated else ""),
+            str(candidate.complexity),
+            candidate.origin or "",
+        ]
+        for candidate in equation.candidates
+    ]
+    heads = ["expression", "Δ description length", "R²", "held-out R²", "complexity", "origin"]
+    return [table(f"Candidates of {equation.lhs}", heads, rows), *_decision(equation)]
+
+
+def _decision(equation: Equation) -> list[Element]:
+    """Return what would decide between the candidates, where that is known."""
+    prediction = equation.prediction
+    if prediction is None or not prediction.measure_from:
+        return []
+    start = ", ".join(f"{name} = {number(value)}" for name, value in prediction.measure_from.items())
+    disputed = "The candidates predict different courses from other initial states. " if prediction.is_disputed else ""
+    return [paragraph(f"{disputed}A measurement from the initial state {start} would tell most between them.")]
+
+
+ENDS: Final = {
+    "target": "the target error was met",
+    "law": "regression has found laws that leave noise alone",
+    "stagnation": "no better equation was found for long",
+    "max-epochs": "the last epoch was reached",
+    "max-time": "the time was up",
+    "cancelled": "it was cancelled",
+    "known": "it was given",
+}
+
+
+def search(findings: Findings) -> list[Element]:
+    """Return the section."""
+    equations = findings.result.equations
+    rows = [
+        [equation.lhs, ENDS.get(equation.why or "", equation.why or ""), str(equation.epoch),
+         f"{equation.point_evaluations or 0:.3g}",
+         number(equation.seconds, 3), equation.origin or ""]
+        for equation in equations
+    ]  # fmt: skip
+    heads = ["equation", "the search ended because", "epochs", "point evaluations", "seconds", "shown comes from"]
+    drawn = [_convergence(equation) for equation in equations if equation.convergence]
+    text = paragraph("The best error of each island over generations, relative to the target's deviation.")
+    explained = [text] if drawn else []
+    return [section("search", "Search", table("Searches", heads, rows), *explained, pictures(drawn))]
+
+
+def _convergence(equation: Equation) -> Element:
+    drawn = Chart(
+        f"convergence of the islands of {equation.lhs}", Axis("generation"), Axis("error", is_logarithmic=True)
+    )
+    last = max(course.generations[-1] for course in equation.convergence)
+    for course in equation.convergence:
+        generations, errors = [*course.generations, last], [*course.errors, course.errors[-1]]
+        x = [value for pair in pairwise(generations) for value in pair]
+        y = [value for value in errors[:-1] for _ in range(2)]
+        drawn.add_line(x, y, f"c{course.island % COLORS}")
+    rows = [
+        [str(course.island), str(course.generations[-1]), number(course.errors[-1], 3)]
+        for course in equation.convergence
+    ]
+    numbers = table(f"islands of {equation.lhs}", ["island", "last improvement", "error"], rows)
+    return figure(drawn.svg(), equation.lhs, numbers)
+
+
+def origin(findings: Findings) -> Element:
+    """Return the section."""
+    result = findings.result
+    entries: list[tuple[str, Child]] = [("Job", str(result.job)), ("Seed", str(result.seed))]
+    if result.command:
+        entries.append(("Command", element("code", without_secrets(result.command))))
+    entries.append(("Digest of the search", element("code", result.digest or "")))
+    if result.data is not None:
+        entries.append(("Digest of the data (sha256)", element("code", result.data.digest or "")))
+    if result.config:
+        entries.append(("Settings", element("code", json.dumps(result.config, ensure_ascii=False))))
+    versions = ", ".join(f"{name} {version}" for name, version in result.versions.items())
+    entries.append(("Versions", versions))
+    return section("origin", "How to repeat this", paragraph(_promise(findings)), facts(entries))
+
+
+def _promise(findings: Findings) -> str:
+    """Return what gives the same digest again: not the clock."""
+    cut = [equation for equation in findings.result.equations if equation.why in ("max-time", "cancelled")]
+    if not cut:
+        return "The same data, settings and seed give the same digest on any number of workers and machines."
+    epochs = ",".join(f"{equation.variable}={equation.epoch}" for equation in cut)
+    return (
+        "The clock ended a search, so that another run need not end there. The same data, settings and seed with "
+        f"--max-epochs {epochs} in the place of --max-time give the same digest on any number of workers and machines."
+    )

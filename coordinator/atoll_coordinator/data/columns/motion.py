@@ -1,0 +1,252 @@
+"""Checks of the motion of states: are equations of second order needed, or are the rows steps of a map? Pure.
+
+Where a law holds between coordinates and a response, rows with nearly the same coordinates have nearly the same
+response, whenever they were measured. So nearest neighbours of different passes are compared (false nearest neighbours,
+Kennel et al. 1992; Gamma test, Evans & Jones 2002). Slopes and curvatures are taken over short windows of rows.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.data.columns.finding import (
+    ExaminedColumns,
+    Finding,
+    Parts,
+    dot,
+    mean,
+    quoted,
+    roughness,
+    upper_median,
+    variance,
+)
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray, IntArray
+
+LIMITS = SETTINGS.columns
+_ROOT_70: Final = math.sqrt(70.0)
+"""Size of the fourth difference of white noise of size one."""
+
+
+# --------------------------------------------------------------------------------------------------------- the checks
+
+
+def check_second_order(columns: ExaminedColumns) -> Iterator[Finding]:
+    """Yield a finding where velocities are no function of the states, but accelerations are one of both."""
+    roles = columns.roles
+    is_first = columns.is_in_time and roles.order == 1 and not columns.config.data.stochastic
+    if not is_first or len(roles.states) > LIMITS.most_positions:
+        return
+    slopes = local_slopes(columns.times, columns.values, roles.states)
+    if slopes is None:
+        return
+    first, second = disagreements(slopes, columns)
+    is_closed = all(one is not None and one.share < LIMITS.closed_share for one in second)
+    if not is_closed or any(one is None for one in first) or not any(one is not None and one.is_open for one in first):
+        return
+    passes, its = ("passes", "its acceleration follows") if len(roles.states) == 1 else (
+        "pass", "their accelerations follow"
+    )  # fmt: skip
+    yield Finding(
+        f"{quoted(roles.states)} {passes} the same values with different velocities, and {its} from both",
+        "to seek equations of second order, add --order 2",
+    )
+
+
+def check_map(columns: ExaminedColumns) -> Iterator[Finding]:
+    """Yield a finding where states jump from row to row, and yet each row determines the next: x(n + 1) = f(x(n))."""
+    states = columns.roles.states
+    if not columns.is_in_time or columns.config.data.stochastic or not 0 < len(states) <= LIMITS.most_positions:
+        return
+    is_jumping = all(roughness(columns.values[name]) > LIMITS.jumps for name in states)
+    if is_jumping and all(_determines_next(columns, name) for name in states):
+        yield Finding(
+            f"{quoted(states)} jump{'s' if len(states) == 1 else ''} from row to row, yet each row decides the next, "
+            "as in steps of a map x(n + 1) = f(x(n)) or where a period has few rows",
+            "sample more often, or, if it is a map, write the next row's value into each row, as "
+            f"'{states[0]}_next', and use --target {states[0]}_next",
+        )
+
+
+def _determines_next(columns: ExaminedColumns, name: str) -> bool:
+    """Tell whether rows with nearly the same states have nearly the same next row."""
+    values, roles = columns.values, columns.roles
+    part = np.concatenate([np.full(len(along) - 1, place, np.int64) for place, along in enumerate(columns.times)])
+    now = [np.concatenate([along[:-1] for along in values[other]]) for other in (*roles.states, *roles.inputs)]
+    after = np.concatenate([along[1:] for along in values[name]])
+    is_known = np.logical_and.reduce([np.isfinite(array) for array in (*now, after)])
+    rows = np.flatnonzero(is_known)[: LIMITS.most_windows]
+    if len(rows) < LIMITS.least_rows:
+        return False
+    pairs = neighbours([array[rows] for array in now], part[rows], 1)
+    found = None if pairs is None else disagreement(pairs, after[rows])
+    return found is not None and found.share < LIMITS.followed
+
+
+# --------------------------------------------------------------------------------------------------------- neighbours
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """How much neighbours differ in a response.
+
+    `share` is the mean square of half the difference over the variance of the response in these rows: near 0 where the
+    coordinates determine it, near 1 where they do not. `size` is the same over the variance in all rows.
+    """
+
+    share: float
+    size: float
+
+    @property
+    def is_open(self) -> bool:
+        """Whether something else determines at least half of the response, and the difference is not negligible."""
+        return self.share > LIMITS.open_share and self.size > LIMITS.open_share**2
+
+
+def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) -> tuple[list[int], list[int]] | None:
+    """Return rows and their nearest neighbours in other passes, the nearer half; None where too few rows have one.
+
+    `coordinates` are (n,), rows in order, `part` (n,) the trajectory of each. Rows fewer than `apart` from each other,
+    or between which the states stay near, belong to the same pass.
+    """
+    scaled = [values / math.sqrt(variance(values)) for values in coordinates if variance(values) > 0.0]
+    pairs = [pair for row in range(len(part)) if (pair := _neighbour(scaled, part, row, apart)) is not None]
+    pairs.sort()
+    pairs = pairs[: max(LIMITS.least_pairs, len(pairs) // 2)]
+    if len(pairs) < LIMITS.least_pairs or not scaled:
+        return None
+    return [one for _, one, _ in pairs], [other for _, _, other in pairs]
+
+
+def _neighbour(
+    coordinates: Sequence[FloatArray], part: IntArray, row: int, apart: int
+) -> tuple[float, int, int] | None:
+    """Return the squared distance, the row and its nearest neighbour in another pass, if it is near enough."""
+    distance = np.zeros(len(part))
+    for values in coordinates:
+        away = values - values[row]
+        distance = distance + away * away
+    limit = LIMITS.near * LIMITS.near * len(coordinates)
+    left = np.flatnonzero((distance > limit) | (part != part[row]))
+    place = int(np.searchsorted(left, row))
+    first = int(left[place - 1]) if place else -1
+    last = int(left[place]) if place < len(left) else len(part)
+    distance[max(0, min(first + 1, row - apart)) : max(last, row + apart + 1)] = math.inf
+    nearest = int(np.argmin(distance))
+    return (float(distance[nearest]), row, nearest) if distance[nearest] <= limit else None
+
+
+def disagreement(pairs: tuple[list[int], list[int]], response: FloatArray) -> Disagreement | None:
+    """Return how much `neighbours` differ in a response (n,), None where it is constant."""
+    ones, others = response[pairs[0]], response[pairs[1]]
+    both = np.concatenate([ones, others])
+    about = both - mean(both)
+    among, square = dot(about, about), dot(ones - others, ones - others)
+    whole = 2.0 * len(ones) * variance(response)
+    return Disagreement(square / among, square / whole) if among > 0.0 and whole > 0.0 else None
+
+
+def disagreements(
+    slopes: "LocalSlopes", columns: ExaminedColumns
+) -> tuple[list[Disagreement | None], list[Disagreement | None]]:
+    """Return how much neighbours differ in each slope, and neighbours with the same slopes in each curvature."""
+    states = columns.roles.states
+    positions = [slopes.means[name] for name in (*states, *columns.roles.inputs)]
+    velocities = [slopes.slopes[name] for name in states]
+    found = []
+    for coordinates, responses in (
+        (positions, velocities),
+        ([*positions, *velocities], [slopes.curvatures[name] for name in states]),
+    ):
+        pairs = neighbours(coordinates, slopes.part, slopes.apart)
+        found.append([None if pairs is None else disagreement(pairs, response) for response in responses])
+    return found[0], found[1]
+
+
+# ------------------------------------------------------------------------------------------------------- local slopes
+
+
+@dataclass(frozen=True, eq=False)
+class LocalSlopes:
+    """Of n windows: the mean of each column, slopes and curvatures of states, all (n,); `part` the trajectory.
+
+    `bends` are the sizes of curvatures by the row instead of by the time; windows fewer than `apart` places apart share
+    rows.
+    """
+
+    means: Mapping[str, FloatArray]
+    slopes: Mapping[str, FloatArray]
+    curvatures: Mapping[str, FloatArray]
+    bends: Mapping[str, FloatArray]
+    part: IntArray
+    apart: int
+
+
+def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str]) -> LocalSlopes | None:
+    """Return slopes over the shortest windows in which noise does not hide curvatures; None where there are none.
+
+    Slopes are least-squares slopes in the number of the row; steps of the times are taken as even within a window.
+    """
+    width = LIMITS.least_window
+    noises = {name: _noise(values[name]) for name in states}
+    while all(len(part) > width for part in times):
+        slopes = _slopes_over(times, values, states, width)
+        if slopes is None:
+            return None
+        gain = math.sqrt(720.0 / (width * (width**2 - 1.0) * (width**2 - 4.0)))  # of a curvature for noise of size one
+        if all(noises[name] * gain < LIMITS.clear * upper_median(slopes.bends[name]) for name in states):
+            return slopes
+        width = 2 * width + 1
+    return None
+
+
+def _slopes_over(times: Parts, values: Mapping[str, Parts], states: Sequence[str], width: int) -> LocalSlopes | None:
+    half = width // 2
+    offsets = np.arange(-half, half + 1, dtype=np.float64)
+    squares = dot(offsets, offsets)
+    bent = offsets * offsets - squares / width
+    means: dict[str, list[FloatArray]] = {name: [] for name in values}
+    slopes: dict[str, list[FloatArray]] = {name: [] for name in states}
+    curvatures: dict[str, list[FloatArray]] = {name: [] for name in states}
+    bends: dict[str, list[FloatArray]] = {name: [] for name in states}
+    numbers: list[IntArray] = []
+    rows = sum(len(part) - width + 1 for part in times)
+    every = max(1, rows // LIMITS.most_windows)
+    for number, part in enumerate(times):
+        firsts = np.arange(0, len(part) - width + 1, every)
+        steps = (part[firsts + width - 1] - part[firsts]) / (width - 1)
+        numbers.append(np.full(len(firsts), number, np.int64))
+        for name, parts in values.items():
+            along = parts[number]
+            means[name].append(_weighted(along, firsts, np.full(width, 1.0 / width)))
+            if name in slopes:
+                slopes[name].append(_weighted(along, firsts, offsets / squares) / steps)
+                curvature = _weighted(along, firsts, 2.0 * bent / dot(bent, bent))
+                bends[name].append(np.abs(curvature))
+                curvatures[name].append(curvature / (steps * steps))
+    kinds = (means, slopes, curvatures, bends)
+    joined = [{name: np.concatenate(parts) for name, parts in kind.items()} for kind in kinds]
+    is_known = np.logical_and.reduce([np.isfinite(array) for kind in joined for array in kind.values()])
+    kept = np.flatnonzero(is_known)
+    if len(kept) < LIMITS.least_rows:
+        return None
+    a, b, c, d = ({name: array[kept] for name, array in kind.items()} for kind in joined)
+    return LocalSlopes(a, b, c, d, np.concatenate(numbers)[kept], max(1, width // every))
+
+
+def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> FloatArray:
+    """Return the weighted sum over each window, whose rows begin at `firsts`, added from the first row on."""
+    total = np.zeros(len(firsts))
+    for place, weight in enumerate(weights.tolist()):
+        total = total + weight * values[firsts + place]
+    return total
+
+
+def _noise(parts: Parts) -> float:
+    """Return the size of the noise of a state by its fourth differences, infinite where there are none."""
+    differences = np.concatenate([np.diff(part[: LIMITS.most_rows], 4) for part in parts])
+    differences = differences[np.isfinite(differences)]
+    return math.sqrt(dot(differences, differences) / len(differences)) / _ROOT_70 if len(differences) else math.inf

@@ -1,0 +1,250 @@
+"""Checks of the values of single columns: fill values, clipping, few levels, held inputs, counters of rows. Pure."""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.data.columns.finding import (
+    ExaminedColumns,
+    Finding,
+    Parts,
+    dot,
+    listed,
+    mean,
+    quoted,
+    upper_median,
+    variance,
+)
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+
+LIMITS = SETTINGS.columns
+_ROUNDING: Final = 1e-12
+"""Guard: values that differ by less than this share of their size are one value."""
+
+# -------------------------------------------------------------------------------------------------------- fill values
+
+
+def check_fill_values(columns: ExaminedColumns) -> Iterator[Finding]:
+    """Yield a finding for each value that looks as if it were written where nothing was measured, such as -9999."""
+    for name, value in fill_values(columns).items():
+        values = columns.finite(name)
+        others, count = values[values != value], int(np.count_nonzero(values == value))
+        rows = "1 row holds" if count == 1 else f"{count} rows hold"
+        yield Finding(
+            f"{rows} {value:.15g} in '{name}', whose other values lie between {float(np.min(others)):.4g} and "
+            f"{float(np.max(others)):.4g}",
+            f"if it stands for a missing value, add --missing-value {value:.15g}",
+        )
+
+
+def fill_values(columns: ExaminedColumns) -> dict[str, float]:
+    """Return for each column, if there is one, the value that looks like one of a missing measurement."""
+    found = {name: _fill_value(columns.finite(name)) for name in columns.values if name not in columns.angles}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _fill_value(values: FloatArray) -> float | None:
+    """Return the least or the largest value if it is repeated and further from all others than these are apart.
+
+    A moving quantity would have passed through values in between. There are several other values, so that it is no
+    switch; they are most of the rows. One row is enough for a number that is written in nines, as fill values are.
+    """
+    unique, counts = np.unique(values, return_counts=True)
+    if len(unique) <= LIMITS.few_values:
+        return None
+    gaps = np.diff(unique)
+    for end, gap, rest in ((0, gaps[0], unique[1:]), (-1, gaps[-1], unique[:-1])):
+        others, size = float(rest[-1] - rest[0]), float(np.max(np.abs(rest)))
+        value, count = float(unique[end]), int(counts[end])
+        digits = f"{abs(value):.15g}".replace(".", "")
+        is_nines = len(digits) > 1 and set(digits) == {"9"}
+        enough = 1 if is_nines else LIMITS.least_repeats
+        if gap > others > _ROUNDING * size and enough <= count < len(values) // 2:
+            return value
+    return None
+
+
+# ----------------------------------------------------------------------------------------------------------- clipping
+
+
+def check_clipping(columns: ExaminedColumns) -> Iterator[Finding]:
+    """Yield a finding for each state that was clipped: a sensor was at the end of its range for several rows."""
+    if not columns.is_in_time or columns.config.data.stochastic:
+        return
+    for name in columns.roles.states:
+        if name in columns.angles:
+            continue
+        clipped = _clipped(columns.values[name])
+        rows = sum(int(np.count_nonzero(columns.whole[name] == value)) for value in clipped)
+        if not clipped or len(columns.finite(name)) - rows < rows // LIMITS.most_clipped:
+            continue
+        bounds = " and ".join(f"{value:.6g}" for value in clipped)
+        yield Finding(
+            f"{rows} values of '{name}' are exactly {bounds}, as of a sensor at the end of its range",
+            "they are taken as missing, since they only bound what was measured",
+            missing=tuple((name, value) for value in clipped),
+        )
+
+
+def _clipped(parts: Parts) -> list[float]:
+    """Return the largest value, the least one, or both, where a state that moves fast stops there at once.
+
+    A state that comes to rest does so gradually: the steps next to a rounded turn are a few of its rounding steps. A
+    held state stays at other values as well.
+    """
+    values = np.concatenate(list(parts))
+    unique = np.unique(values[np.isfinite(values)])
+    if len(unique) <= LIMITS.few_values:
+        return []
+    steep = LIMITS.steep_steps * float(np.min(np.diff(unique)))
+    abrupt = {float(unique[-1]): False, float(unique[0]): False}
+    for part in parts:
+        begins = np.flatnonzero(np.concatenate([[True], part[1:] != part[:-1]]))
+        ends = np.append(begins[1:], len(part))
+        is_long = ends - begins >= LIMITS.least_run
+        for first, last in zip(begins[is_long].tolist(), ends[is_long].tolist(), strict=True):
+            value = float(part[first])
+            if value not in abrupt:
+                return []
+            if first >= 2 and last <= len(part) - 2:
+                steps = abs(float(part[first - 1] - part[first - 2])), abs(float(part[last + 1] - part[last]))
+                abrupt[value] = abrupt[value] or all(step > steep for step in steps)
+    return [value for value, is_abrupt in abrupt.items() if is_abrupt]
+
+
+# ----------------------------------------------------------------------------------------------------------- counters
+
+
+def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
+    """Yield a finding for the states that count the rows; they are not sought, unless nothing else would be."""
+    states = columns.roles.states
+    counters = tuple(name for name in states if columns.may_leave_out(name) and _counts_rows(columns.values[name]))
+    if counters and len(counters) < len(states):
+        counts, them, are = ("counts", "it", "is") if len(counters) == 1 else ("count", "them", "are")
+        yield Finding(
+            f"{quoted(counters)} {counts} the rows and {are} no quantity of the system",
+            f"no equation is sought for {them} (--states {listed(states)} keeps {them})",
+            left_out=counters,
+        )
+
+
+def _counts_rows(parts: Parts) -> bool:
+    """Tell whether a column has whole numbers that rise by one from each row to the next."""
+    return all(bool(np.all(part == np.floor(part))) and bool(np.all(np.diff(part) == 1.0)) for part in parts)
+
+
+# ------------------------------------------------------------------------------------------- few levels and held inputs
+
+
+def check_held_inputs(columns: ExaminedColumns) -> Iterator[Finding]:
+    """Yield a finding for the inputs that seem to be constant from row to row; between rows other inputs are curves."""
+    data = columns.config.data
+    if not columns.is_in_time or data.stochastic:
+        return
+    held = [
+        name
+        for name in columns.roles.inputs
+        if name not in (*data.hold, *columns.angles)
+        and (is_held(columns.values[name]) or _is_white(columns.values[name]))
+    ]
+    if held:
+        jump = "jumps, as an input that is" if len(held) == 1 else "jump, as inputs that are"
+        yield Finding(
+            f"{quoted(held)} {jump} constant from each row to the next",
+            f"if so, add --hold {listed((*data.hold, *held))}, since inputs are smooth curves between rows otherwise",
+        )
+
+
+def check_few_levels(columns: ExaminedColumns) -> Iterator[Finding]:
+    """Yield a finding for each state of a few values: it was rounded, or it is switched."""
+    if not columns.is_in_time:
+        return
+    for name in columns.roles.states:
+        values = columns.finite(name)
+        as_input = f"add --inputs {listed((*columns.roles.inputs, name))}"
+        if has_few_levels(columns.values[name]):
+            levels = np.unique(values)
+            error = float(np.min(np.diff(levels))) / math.sqrt(12.0)
+            share = error / math.sqrt(variance(values))
+            yield Finding(
+                f"'{name}' takes {len(levels)} values only; if it was rounded to them, its errors are {error:.2g} at "
+                f"least ({100.0 * share:.2g} % of its standard deviation)",
+                f"record it in finer steps, or, if it is switched, {as_input}",
+            )
+        elif is_held(columns.values[name]):
+            yield Finding(
+                f"'{name}' keeps its value for several rows and then jumps, so that it has no derivative",
+                f"if it acts on the others from outside, {as_input}",
+            )
+
+
+def has_few_levels(parts: Parts) -> bool:
+    """Tell whether values are repeated so often that a quantity in finer steps would have shown other values.
+
+    A quantity recorded in half of these steps, or finer, takes one of the observed values by chance in every second
+    row. A wave in step with the rows repeats its values, too, each of them once or twice a period.
+    """
+    values = _finite(parts)
+    levels = len(np.unique(values))
+    by_chance = math.log2(1.0 / SETTINGS.quantisation.improbable)
+    if not 1 < levels < SETTINGS.quantisation.fewest_values or len(values) - levels < by_chance:
+        return False
+    return levels == 2 or not repeats_in_step(parts)
+
+
+def repeats_in_step(parts: Parts) -> bool:
+    """Tell whether a column is a wave in step with the rows, which repeats each value once or twice a period."""
+    levels = len(np.unique(_finite(parts)))
+    return any(_has_period(parts, period) for period in range(levels, 2 * levels + 1))
+
+
+def _has_period(parts: Parts, period: int) -> bool:
+    repeated = 0
+    for part in parts:
+        later, earlier = part[period:], part[:-period]
+        both = np.isfinite(later) & np.isfinite(earlier)
+        if not np.array_equal(later[both], earlier[both]):
+            return False
+        repeated += int(np.count_nonzero(both))
+    return repeated >= period
+
+
+def _finite(parts: Parts) -> FloatArray:
+    values: FloatArray = np.concatenate(list(parts))
+    return values[np.isfinite(values)]
+
+
+def is_held(parts: Parts) -> bool:
+    """Tell whether a column is constant from most rows to the next and then jumps; few values are always switched.
+
+    A rounded quantity that moves smoothly goes to the next of its values; jumps are larger.
+    """
+    if has_few_levels(parts):
+        return True
+    steps = np.abs(np.concatenate([np.diff(part) for part in parts]))
+    steps, levels = steps[np.isfinite(steps)], np.unique(_finite(parts))
+    jumps = steps[steps > 0.0]
+    if len(jumps) < LIMITS.least_repeats or 2 * len(jumps) > len(steps):
+        return False
+    typical, least = upper_median(jumps), 1.5 * upper_median(np.diff(levels))
+    return typical > SETTINGS.inference.part * float(levels[-1] - levels[0]) and typical > least
+
+
+def _is_white(parts: Parts) -> bool:
+    """Tell whether a column is as if drawn anew in each row: neighbouring rows predict nothing of a row.
+
+    The rows of a wave are predicted, however few there are in a period: their correlation with the sum of both
+    neighbours is 1 or -1.
+    """
+    rows = np.concatenate([part[1:-1] for part in parts if len(part) > 2] or [np.zeros(0)])
+    around = np.concatenate([part[2:] + part[:-2] for part in parts if len(part) > 2] or [np.zeros(0)])
+    is_known = np.isfinite(rows) & np.isfinite(around)
+    rows, around = rows[is_known], around[is_known]
+    if len(rows) < LIMITS.least_rows:
+        return False
+    product = variance(rows) * variance(around)
+    covariance = dot(rows - mean(rows), around - mean(around)) / len(rows)
+    return product > 0.0 and covariance * covariance < LIMITS.significant**2 * product / len(rows)

@@ -1,0 +1,186 @@
+"""Columns by their names and the options alone: units in names, which columns options name, contradictions. Pure.
+
+A unit is a product of powers of known symbols, such as ``m s^-2``, ``mol/(L h)`` or ``µg/mL``; here it is only told
+from data and from remarks in a header.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from atoll_core.config import DataConfig
+from atoll_core.errors import UsageError
+
+TIME_NAMES: Final = ("t", "time", "Time", "TIME")
+"""Names of the time unless options name it, in this order."""
+TRAJECTORY_NAME: Final = "trajectory"
+"""Name of the trajectory column unless options name it."""
+
+_SINGLE: Final = ("time", "trajectory", "group", "target", "weights")
+_SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets", "hold")
+"""Options that name one column, and several."""
+_EXCLUSIONS: Final = (
+    ("--target", "--derivatives", "give the one column set that is sought"),
+    ("--step", "--target", "rows of an explicit regression have no time"),
+    ("--step", "--derivatives", "given derivatives need no time"),
+    ("--order 2", "--target", "explicit regression has no time derivative"),
+    ("--holdout", "--target", "rows of an explicit regression are no trajectories"),
+    ("--order 2", "--derivatives", "the velocity has to be derived from the data"),
+    ("--offsets", "--target", "offsets belong to states measured in time"),
+    ("--offsets", "--derivatives", "offsets belong to states measured in time"),
+    ("--hold", "--target", "rows of an explicit regression do not follow one another"),
+    ("--hold", "--derivatives", "nothing is differentiated, and rows need not follow one another"),
+    ("--hold", "--stochastic", "a step of a process takes the mean of an input over its ends"),
+    ("--stochastic", "--target", "an explicit regression has no process"),
+    ("--stochastic", "--derivatives", "a process is described by the steps of its states"),
+    ("--stochastic", "--order 2", "name the velocities among the states instead"),
+    ("--stochastic", "--only", "the likelihood of a step needs the equations of all states"),
+    ("--stochastic", "--robust", "nothing is smoothed"),
+    ("--stochastic", "--weights", "the diffusion says how much each step counts"),
+    ("--stochastic", "--offsets", "increments know nothing of offsets"),
+    ("--stochastic", "--group", "the likelihood of a step has one set of constants"),
+    ("--stochastic", "--per-trajectory", "the likelihood of a step has one set of constants"),
+    ("--group", "--per-trajectory", "name the column, or let all differ"),
+    ("--group", "--target", "constants by group need states measured in time"),
+    ("--group", "--derivatives", "constants by group need states measured in time"),
+    ("--per-trajectory", "--target", "constants by group need states measured in time"),
+    ("--per-trajectory", "--derivatives", "constants by group need states measured in time"),
+    ("--per-trajectory", "--holdout", "constants of held-out trajectories are unknown"),
+)
+"""Options that mean nothing together, and why."""
+_WITH_UNIT: Final = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
+_IN_PARENTHESES: Final = re.compile(r"^(?P<name>.*?)\s+\((?P<unit>[^()]*)\)$", re.DOTALL)
+
+_PREFIXES: Final = ("da", *"YZEPTGMkhdcmuµμnpfazy")
+_WITH_PREFIX_TEXT: Final = (
+    "s sec m g A K mol cd rad sr Hz N Pa J W C V F S Wb T H lm lx Bq Gy Sv kat L l M eV B bit b bar Ω Ohm ohm cal Da U "
+    "Wh Torr pixel"
+)
+_PLAIN_TEXT: Final = (
+    "min h hr hrs d a y yrs secs second seconds minute minutes mins hour hours day days week weeks wk month months "
+    "year years ° deg degree degrees °C °F degC degF ℃ ℉ celsius kelvin fahrenheit % ‰ ppm ppb ppt counts count "
+    "cts individuals ind cells cell thousands millions dBm pH psi atm torr mmHg inch in ft mi yd lb lbs oz gal mph "
+    "kph kn knots kt t ha au AU a.u. arb OD RFU CFU rpm px pixels frame frames step steps cycle cycles rev turns "
+    "radians grams meter meters metre metres volt volts amp amps watt watts newton joule kmh dimensionless unitless"
+)
+_WITH_PREFIX: Final = frozenset(_WITH_PREFIX_TEXT.split())
+_PLAIN: Final = frozenset(_PLAIN_TEXT.split())
+_SYMBOL: Final = re.compile(r"[^\W\d_⁰¹²³⁴⁵⁶⁷⁸⁹]+|[°℃℉%‰][^\W\d_]*")
+_BETWEEN: Final = re.compile(r"[\d\s*/·⋅×.()^⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺−+-]*")
+_LONGEST: Final = 30
+
+
+def find_time_column(names: Sequence[str], config: DataConfig) -> str | None:
+    """Return the column that options name as the time, else one that is called so and has no role but an input's."""
+    other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
+    return config.time or next((name for name in TIME_NAMES if name in names and name not in other), None)
+
+
+def find_trajectory_column(names: Iterable[str], config: DataConfig) -> str | None:
+    """Return the trajectory column: the one named, else one called ``trajectory`` that has no other role."""
+    if config.trajectory is not None:
+        return config.trajectory
+    return TRAJECTORY_NAME if TRAJECTORY_NAME in names and TRAJECTORY_NAME not in named_columns(config) else None
+
+
+def named_columns(config: DataConfig) -> frozenset[str]:
+    """Return every column that the options name."""
+    single = {getattr(config, role) for role in _SINGLE} - {None}
+    several = [name for role in _SEVERAL for name in getattr(config, role) or ()]
+    return frozenset((*single, *several, *(angle.column for angle in config.angles)))
+
+
+def split_unit(header: str) -> tuple[str, str]:
+    """Split ``name [unit]``, and ``name (unit)`` if the unit is known; a header that is only a unit stays whole."""
+    match = _WITH_UNIT.match(header.strip()) or _IN_PARENTHESES.match(header.strip())
+    if match is None or not match["name"] or (header.strip()[-1] == ")" and not are_units([match["unit"].strip()])):
+        return header.strip(), ""
+    return match["name"], match["unit"].strip()
+
+
+def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
+    """Return `config` with ``name [unit]`` shortened to ``name`` wherever only that is among `names`."""
+    known = set(names)
+
+    def plain(name: str) -> str:
+        return name if name in known or split_unit(name)[0] not in known else split_unit(name)[0]
+
+    changes: dict[str, object] = {}
+    for role in (*_SINGLE, *_SEVERAL):
+        named = getattr(config, role)
+        if named is not None:
+            changes[role] = plain(named) if role in _SINGLE else tuple(map(plain, named))
+    if isinstance(config.holdout, str):
+        name, _, value = config.holdout.rpartition("=")
+        changes["holdout"] = f"{plain(name.strip())}={value.strip()}"
+    changes["units"] = {plain(name): unit for name, unit in config.units.items()}
+    changes["angles"] = tuple(angle.model_copy(update={"column": plain(angle.column)}) for angle in config.angles)
+    return config.model_copy(update=changes)
+
+
+def check_options(config: DataConfig) -> None:
+    """Raise UsageError when options contradict each other, whatever the data."""
+    is_set = {
+        "--order 2": config.order == 2,
+        **{f"--{name}": bool(getattr(config, name)) for name in ("stochastic", "robust", "offsets", "hold")},
+        **{
+            f"--{name}": getattr(config, name) is not None
+            for name in ("target", "derivatives", "step", "holdout", "only", "weights", "group")
+        },
+        "--per-trajectory": config.per_trajectory,
+    }
+    for one, other, reason in _EXCLUSIONS:
+        if is_set[one] and is_set[other]:
+            raise UsageError(f"{one} and {other} exclude each other; {reason}")
+    if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
+        counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
+        raise UsageError(f"{counts} were named; give one derivative per state, in the same order")
+    columns: dict[str, Sequence[str | None]] = {
+        "a state": config.states or (),
+        "an input": config.inputs,
+        "a derivative": config.derivatives or (),
+        "the target": [config.target],
+        "the trajectory column": [config.trajectory],
+        "the group": [config.group] if config.group != config.trajectory else [],
+        "the time": [config.time],
+        "the weights": [config.weights],
+    }
+    role_of: dict[str, str] = {}
+    for role, names in columns.items():
+        for name in names:
+            if name is None:
+                continue
+            if role_of.get(name, role) != role and {role_of[name], role} != {"an input", "the time"}:
+                raise UsageError(f"column '{name}' cannot be both {role_of[name]} and {role}; name it once")
+            if list(names).count(name) > 1:
+                raise UsageError(f"column '{name}' is named twice as {role}; name it once")
+            role_of[name] = role
+
+
+def are_units(texts: Sequence[str]) -> bool:
+    """Tell whether `texts` are units: one of them is known, and none is a number or too long to be one."""
+    if any(len(text) > _LONGEST or _SYMBOL.search(text) is None or _is_number(text) for text in texts):
+        return False
+    return any(map(_is_known_unit, texts))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_known_unit(text: str) -> bool:
+    """Tell whether `text` is a product of powers of known symbols."""
+    if text in _PLAIN:
+        return True
+    if text[0].isdigit() and not text.startswith("1/"):
+        return False
+    return _BETWEEN.fullmatch(_SYMBOL.sub("", text)) is not None and all(
+        symbol in _PLAIN
+        or symbol in _WITH_PREFIX
+        or any(symbol.startswith(prefix) and symbol[len(prefix) :] in _WITH_PREFIX for prefix in _PREFIXES)
+        for symbol in _SYMBOL.findall(text)
+    )

@@ -1,0 +1,168 @@
+"""Systems integrated along the rows of measurements, with the sensitivities that a fit needs.
+
+Every segment of rows is integrated from an initial state of its own. Two Runge-Kutta methods share the work: an
+explicit one, and an implicit one for stiff systems, which a caller tries when the explicit one used up its steps.
+Letters: D states, P fitted numbers, L numbers of one segment (D initial states, then offsets), G segments, N rows, O
+measured states.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from atoll_coordinator.model.shooting.kernels.implicit import STIFF
+from atoll_coordinator.model.shooting.kernels.integrate import PRECISE, QUICK, integrate_segments
+from atoll_coordinator.model.shooting.kernels.rates import Table
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.system import System
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.kernels.tape import Ints
+
+OVERHEAD_NUMBERS: Final = 10
+"""Numbers that could be carried along in the time that everything else about a row takes."""
+STEEPEST: Final = 1e60
+"""Guard: larger sensitivities, of a state in its scale to a constant in its size, have no finite squares."""
+_FREE_STEPS: Final = (4.0, 12.0, 1.0)
+"""Steps for each row that do not count as more work, by the quick, the precise and the implicit method."""
+_QUICK_STEPS: Final = 8
+"""Steps for each row beyond which implicit ones take less time than quick ones."""
+_FINEST_IMPLICIT: Final = 1e-6
+"""Least error of an implicit step, over a state's standard deviation: a method of low order needs too many steps for
+less."""
+
+Unsimulated = Literal["ran away", "out of steps"]
+"""Why there is no simulation: states left their range, or all steps were used before that was known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """How to integrate: most steps for each row, how many of them are free, the error (D,) allowed in one."""
+
+    table: Table
+    steps: int
+    free: float
+    tolerance: FloatArray
+
+    def work(self, steps: int, rows: int) -> int:
+        """Return the work of so many steps along so many rows: one for each row or more."""
+        return max(rows, int(steps / self.free))
+
+
+@dataclass(frozen=True, eq=False)
+class Integration:
+    """States (D, N) along segments and their sensitivities (N, D, P + L), no rows of these unless they were wanted.
+
+    So many segments are `done`; `done` is below zero where all `steps` that were allowed are used up.
+    """
+
+    done: int
+    steps: int
+    states: FloatArray
+    sensitivities: FloatArray
+
+
+class Integrator:
+    """Integrates systems along the segments of `measurements`."""
+
+    def __init__(self, measurements: Measurements, tolerance: float, measured_rows: int = 0) -> None:
+        """`tolerance` is the error of a step over a state's standard deviation.
+
+        Steps are allowed for each row; where rows stand for more `measured_rows` of the same time altogether, for each
+        of these.
+        """
+        self.measurements: Final = measurements
+        self.tolerance: Final = tolerance
+        self.measured_rows: Final = measured_rows
+        self._rows_in_row: Final = max(1.0, measured_rows / measurements.rows)
+        quick, precise, implicit = _FREE_STEPS
+        most, scales = SETTINGS.shooting.steps_per_row, measurements.scales
+        is_quick = tolerance >= SETTINGS.common.clean
+        explicit = (QUICK, _QUICK_STEPS, quick) if is_quick else (PRECISE, most, precise)
+        self.methods: Final = (
+            Method(*explicit, tolerance * scales),
+            Method(STIFF, most, implicit, max(tolerance, _FINEST_IMPLICIT) * scales),
+        )
+
+    def integrate(
+        self, method: Method, system: System, segments: Ints, starts: FloatArray, *, has_sensitivities: bool = True
+    ) -> Integration:
+        """Integrate `segments` (G, 2) from their `starts` (G, L)."""
+        measurements = self.measurements
+        states, fitted, local = len(system.outputs), system.count, starts.shape[1]
+        simulated = np.full((states, measurements.rows), np.nan)
+        sensitivities = np.zeros((measurements.rows if has_sensitivities else 0, states, fitted + local))
+        integrate = self._integrate if system.sharing is None else self._integrate_groups
+        done, steps = integrate(method, system, segments, starts, simulated, sensitivities)
+        if has_sensitivities:
+            for place, state in enumerate(measurements.offset.tolist() if local > states else []):
+                sensitivities[:, measurements.observed[state], fitted + states + place] = 1.0
+            if measurements.resting is not None:
+                for resting, state in zip(measurements.resting, measurements.observed.tolist(), strict=True):
+                    sensitivities[resting, :, fitted + state] = 0.0
+        return Integration(done, steps, simulated, sensitivities)
+
+    def _integrate(
+        self, method: Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
+        sensitivities: FloatArray,
+    ) -> tuple[int, int]:  # fmt: skip
+        """Write states and sensitivities; return what `integrate_segments` does, and the steps."""
+        measurements, taken = self.measurements, np.zeros(1, dtype=np.int64)
+        rows = int((segments[:, 1] - segments[:, 0]).sum())
+        budget = 200 + int(method.steps * (self._rows_in_row * rows))
+        done = integrate_segments(
+            method.table, system.tape, system.owners,
+            (measurements.times, measurements.inputs, measurements.input_slopes), segments, starts,
+            method.tolerance, measurements.limits, budget, len(sensitivities) > 0, simulated, sensitivities, taken,
+        )  # fmt: skip
+        return done, int(taken[0])
+
+    def _integrate_groups(
+        self, method: Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
+        sensitivities: FloatArray,
+    ) -> tuple[int, int]:  # fmt: skip
+        """Do as `_integrate`, each segment with the constants of its group, which are multiples of fitted numbers."""
+        assert system.sharing is not None
+        states, places = len(system.outputs), len(system.places)
+        own_sensitivities = np.zeros((len(sensitivities), states, places + states))
+        groups, all_done, all_steps = self.measurements.groups_of(segments), 0, 0
+        for group, columns in enumerate(system.sharing.columns):
+            chosen = groups == group
+            own = np.ascontiguousarray(segments[chosen])
+            done, steps = self._integrate(
+                method, system.of_group(group), own, np.ascontiguousarray(starts[chosen]), simulated, own_sensitivities
+            )
+            all_steps += steps
+            if done < len(own):
+                return done, all_steps
+            all_done += done
+            if not len(sensitivities) or not len(own):
+                continue
+            rows = np.concatenate([np.arange(first, end) for first, end in own.tolist()])
+            for place, (column, multiple) in enumerate(zip(columns, system.sharing.multiples, strict=True)):
+                sensitivities[rows, :, column] += multiple * own_sensitivities[rows, :, place]
+        sensitivities[:, :, system.count : system.count + states] = own_sensitivities[:, :, places:]
+        return all_done, all_steps
+
+    def steepest(self, sensitivities: FloatArray, system: System) -> float:
+        """Return the largest of sensitivities (N, D, P + L), of states in their scales to constants in their sizes."""
+        scales, sizes = self.measurements.scales, np.abs(system.values)
+        offsets = sensitivities.shape[2] - len(sizes) - len(scales)
+        units = np.concatenate([np.where(sizes > 0.0, sizes, 1.0), scales, np.ones(offsets)])
+        steepest = np.maximum(sensitivities.max(axis=0, initial=0.0), -sensitivities.min(axis=0, initial=0.0))
+        return float(np.max(steepest / scales[:, None] * units, initial=0.0))
+
+    def simulate(self, system: System, segments: Ints, start: FloatArray) -> tuple[FloatArray, Unsimulated | None]:
+        """Return the states (D, N) of segments that all begin at `start` (D,), NaN from where integration ended early.
+
+        Behind them is why it did, None where it did not. A system for which the explicit method takes too many steps
+        is integrated as a stiff one.
+        """
+        starts = np.repeat(start[None], len(segments), axis=0)
+        for method in self.methods:
+            course = self.integrate(method, system, segments, starts, has_sensitivities=False)
+            if course.done >= 0:
+                is_whole = course.done == len(segments) and np.isfinite(course.states).all()
+                return course.states, None if is_whole else "ran away"
+        return course.states, "out of steps"
