@@ -10,9 +10,8 @@ from atoll_coordinator.service.jobs.job import commit_order_of
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.wire.codec import dataset_to_bytes, decode, encode
 from atoll_core.wire.messages.epochs import EpochReport, IslandReport, Reports
-from atoll_island_worker.compute.engine import Engine
-from atoll_island_worker.session.epoch_tasks import Task, TaskKey
-from atoll_island_worker.session.events import Computed
+from atoll_island_worker.compute.compute_thread import Engine
+from atoll_island_worker.session.interface import Computed, Task, TaskKey
 from benchmarks.harness.jobs import UNMET, configured
 from benchmarks.harness.systems import table_of, trajectories
 

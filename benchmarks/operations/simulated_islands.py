@@ -29,8 +29,7 @@ from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_core.wire.messages.epochs import Addition, IslandReport
 from atoll_island_worker.compute.compute_thread import WarmedUp
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
-from atoll_island_worker.session.events import Computed, JobReady, Snapshot
+from atoll_island_worker.session.interface import Computed, JobReady, ShardKey, Snapshot, Task, TaskKey
 from atoll_island_worker.worker import Worker
 from benchmarks.harness.command_line import option, program
 from benchmarks.operations.island_samples import Samples

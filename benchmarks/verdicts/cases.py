@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from atoll.cli.options.parser import parse
+from atoll.cli.options import parse
 from atoll.cli.request import Request, request_of
 from atoll.terminal.output import clipped, say, table
 from atoll_coordinator.data.reading.files import read_table

@@ -1,14 +1,16 @@
-"""The island worker: one process that computes islands for a coordinator.
+"""The island worker: one process that computes islands and tasks for a coordinator.
 
-- ``cli``, ``launch``: the command line; one worker in this process, or several under ``processes``.
-- ``worker``: the loop. Events of the bus go to ``session``, its actions to the bus and the compute thread; heartbeats.
-- ``connection``: handshake, absence, drain, and the requests to the coordinator and other workers.
-- ``job_logs``: lines of the log on their way to the coordinator.
-- ``datasets``: what is fetched for a job before its islands can be computed.
-- ``session``: what is computed, sent and answered next (pure). ``compute``: the thread that computes.
-- ``evolution``: the search itself; knows nobody.
+- ``cli``: the command line; one worker in this process, or several under ``processes``.
+- ``worker``: the loop. It hands events of the bus to ``session``, and the session's actions to the bus and to the
+  compute thread; it sends heartbeats.
+- ``connection``: handshake, absence of the coordinator, drain, and all requests to the coordinator and other workers.
+- ``downloads``: bytes that are fetched in chunks, among them the datasets of jobs. ``job_logs``: log lines that are
+  sent to the coordinator.
+- ``session``: decides what is computed, sent and answered next (pure). ``compute``: the thread that computes.
+- ``tasks``: the process that prepares data and refines equations. ``evolution``: the search itself.
 
-A migrant leaves ``evolution`` in a computed epoch, goes through ``compute``, ``session`` and ``connection`` to another
-worker's session, and from there with the task of the next epoch back into ``evolution``. When the compute thread fails,
-or the coordinator stays away, the loop ends with an exit code and a sentence; the supervisor starts the process again.
+The path of a migrant: it leaves ``evolution`` when an epoch ends, passes ``compute``, ``session`` and ``connection``,
+reaches the session of another worker, and enters ``evolution`` there with the task of the next epoch. When the compute
+thread fails or the coordinator stays away, the loop ends with an exit code and a reason, and the supervisor starts the
+process again.
 """

@@ -1,14 +1,14 @@
 """The loop of a worker: events of the bus go to the session, its actions to the bus and the compute thread.
 
 `Worker.step` handles one event and never blocks; `Worker.run` is the thin loop around `Bus.receive`; `run_worker` is
-what the command line calls.
+what the command line calls. Everything that decides is in `session`, `connection`, `tasks` and `downloads`, each of
+which owns its state; this module only connects them, and it alone knows all of them.
 """
 
 import logging
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from functools import singledispatchmethod
 from typing import Final
 
 from atoll_core.compilation.cache import count_of
@@ -27,19 +27,12 @@ from atoll_core.wire.messages import workers as messages
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.views import Counters, WorkerState
 from atoll_core.wire.rejects import Rejects
+from atoll_island_worker import connection as timers
 from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
-from atoll_island_worker.connection.connection import (
-    GRACE,
-    GRACE_S,
-    GREET,
-    LIFETIME,
-    START_S,
-    CoordinatorConnection,
-)
-from atoll_island_worker.connection.requests import FETCH, FETCH_INPUTS, Request, Requests
-from atoll_island_worker.datasets import Datasets
+from atoll_island_worker.connection import GRACE_S, START_S, CoordinatorConnection, PendingRequest, Requests
+from atoll_island_worker.downloads import Datasets
 from atoll_island_worker.job_logs import JobLogs
-from atoll_island_worker.session import actions, events
+from atoll_island_worker.session import interface as io
 from atoll_island_worker.session.worker_session import Session
 from atoll_island_worker.tasks.task_process import Starter, TaskProcess
 from atoll_island_worker.tasks.task_runner import TaskRunner
@@ -69,8 +62,7 @@ class Worker:
     ) -> None:
         """Set up a worker whose `compute` warms up elsewhere; for the times see `CoordinatorConnection`.
 
-        `task_process` runs tasks; one that starts an interpreter of its own unless given. `logs` has the log lines that
-        the coordinator is told.
+        `task_process` runs tasks; by default it starts a new interpreter. `logs` has the log lines for the coordinator.
         """
         self.name: Final = name
         self.session = Session(name)
@@ -81,7 +73,9 @@ class Worker:
         self._requests = Requests(self._bus, name)
         self._datasets = Datasets(self._requests, compute, self.session.wants)
         self._task_process = task_process or TaskProcess()
-        self._tasks = TaskRunner(self._requests, self._task_process, self._answer, bus.now)
+        self._tasks = TaskRunner(
+            self._requests, self._task_process, lambda query, answer: self._bus.reply(query, encode(answer)), bus.now
+        )
         self._connection = CoordinatorConnection(self._bus, self._requests, name, wait_s, lifetime_s, grace_s)
         self._is_drain_requested = False
         self._detail = "loading kernels"
@@ -89,12 +83,12 @@ class Worker:
 
     @property
     def exit_code(self) -> int | None:
-        """How this worker ends; None while it does not."""
+        """The exit code once this worker ends; None before."""
         return self._connection.exit_code
 
     @property
     def error(self) -> AtollError | None:
-        """Why it ends, when that is an error."""
+        """The error with which it ends, if any."""
         return self._connection.error
 
     # ------------------------------------------------------------------------------------------- loop
@@ -108,7 +102,7 @@ class Worker:
         self._bus.call_later(TICK_S, _TICK)
 
     def leave(self) -> None:
-        """Drain from the next tick on: what is computed here is handed over first. Signal handlers may call."""
+        """Drain from the next tick on: hand over what is computed here, then end. Signal handlers may call this."""
         self._is_drain_requested = True
 
     def run(self) -> int:
@@ -124,22 +118,33 @@ class Worker:
         return self.exit_code
 
     def step(self, event: Event) -> None:
-        """Handle one event. What a peer did wrong is counted, logged once and changes nothing."""
+        """Handle one event. An invalid message of a peer is counted, logged once, and has no other effect."""
         if self.exit_code is not None:
             return
         self._bus.count_received(event)
         try:
-            self._on(event)
+            match event:
+                case Posted():
+                    self._on_posted(event.item)
+                case Timer():
+                    self._on_timer(event.name)
+                case Link():
+                    if event.up:
+                        self._connection.greet()
+                    else:
+                        self._connection.link_lost()
+                case Message():
+                    self._on_message(event)
+                case Query():
+                    self._on_query(event)
+                case Reply():
+                    self._on_reply(event)
+                case _:
+                    raise RemoteProtocolError(f"events of kind {type(event).__name__} are not expected here")
         except RemoteProtocolError as error:
             self.rejects.count(event.key if isinstance(event, Message | Query) else "answer", error)
 
-    @singledispatchmethod
-    def _on(self, event: Event) -> None:
-        raise RemoteProtocolError(f"events of kind {type(event).__name__} are not expected here")
-
-    @_on.register
-    def _on_posted(self, event: Posted) -> None:
-        item = event.item
+    def _on_posted(self, item: object) -> None:  # noqa: C901  # a table of messages of threads
         match item:
             case WarmUpNote():
                 self._detail = item.sentence
@@ -153,79 +158,57 @@ class Worker:
                 self._connection.kernels_ready(item.fingerprint)
             case ComputeFailed():
                 self._connection.fail(AtollError(item.sentence))
-            case events.JobReady() | events.LoadFailed():
-                if self._datasets.finish_loading(item.job):
-                    self._tell(item)
-                    self._handle(item)
             case Said():
                 if self._tasks.process_said(item):
                     self._send_heartbeat()
-            case events.Snapshot() | events.Computed() | events.Rejected() | events.Broken() | events.Abandoned():
-                self._tell(item)
+            case io.JobReady() | io.LoadFailed():
+                if self._datasets.finish_loading(item.job):
+                    if isinstance(item, io.JobReady):
+                        _LOG.info("data are loaded", extra=fields(job=item.job))
+                    else:
+                        _LOG.error("data cannot be read", extra=fields(job=item.job, reason=item.sentence))
+                    self._handle(item)
+            case io.Snapshot() | io.Computed() | io.Rejected() | io.Broken() | io.Abandoned():
+                if isinstance(item, io.Broken):
+                    key = item.key
+                    where = {"variable": key.variable, "island": key.island, "epoch": key.epoch, "term": key.term}
+                    _LOG.error("an island broke", extra=fields(job=key.job, **where, reason=item.sentence))
                 self._handle(item)
 
-    def _tell(self, item: object) -> None:
-        """Log what people may want to know of a job."""
-        match item:
-            case events.JobReady():
-                _LOG.info("data are loaded", extra=fields(job=item.job))
-            case events.LoadFailed():
-                _LOG.error("data cannot be read", extra=fields(job=item.job, reason=item.sentence))
-            case events.Broken():
-                key = item.key
-                where = {"variable": key.variable, "island": key.island, "epoch": key.epoch, "term": key.term}
-                _LOG.error("an island broke", extra=fields(job=key.job, **where, reason=item.sentence))
-            case messages.Placement():
-                islands = len(item.islands_of(self.name))
-                if islands:
-                    where = fields(job=item.job, variable=item.variable, term=item.term, islands=islands)
-                    _LOG.info("islands are placed here", extra=where)
-
-    @_on.register
-    def _on_timer(self, event: Timer) -> None:
-        if event.name == _HEARTBEAT:
+    def _on_timer(self, name: str) -> None:
+        if name == _HEARTBEAT:
             self._send_heartbeat()
             self._bus.call_later(HEARTBEAT_S, _HEARTBEAT)
-        elif event.name == _TICK:
+        elif name == _TICK:
             self._connection.check_absence()
             if self._is_drain_requested:
                 self._drain()
             if self._tasks.is_idle:
                 self._task_process.stop_if_idle()
-            self._handle(events.Tick(self._bus.now()))
+            self._handle(io.Tick(self._bus.now()))
             self._bus.call_later(TICK_S, _TICK)
-        elif event.name == LIFETIME:
+        elif name == timers.LIFETIME:
             self._drain()
-        elif event.name == GRACE:
+        elif name == timers.GRACE:
             self._connection.grace_over()
-        elif event.name == GREET:
+        elif name == timers.GREET:
             self._connection.greet()
-        elif event.name.startswith(FETCH):
-            self._datasets.fetch(event.name.removeprefix(FETCH))
-        elif event.name.startswith(FETCH_INPUTS):
-            self._tasks.fetch(event.name.removeprefix(FETCH_INPUTS))
+        elif name.startswith(timers.FETCH):
+            self._datasets.fetch(name.removeprefix(timers.FETCH))
+        elif name.startswith(timers.FETCH_INPUTS):
+            self._tasks.fetch(name.removeprefix(timers.FETCH_INPUTS))
 
-    @_on.register
-    def _on_link(self, event: Link) -> None:
-        if event.up:
-            self._connection.greet()
-        else:
-            self._connection.link_lost()
-
-    @_on.register
     def _on_message(self, event: Message) -> None:
         key = topics.parse(event.key)
-        match key:
-            case topics.ControlKey():
-                self._check_cluster(key.cluster)
-                self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
-            case topics.MailKey():
-                self._check_cluster(key.cluster)
-                self._handle(events.Mailed(key.worker, decode(event.payload, epochs.Mail, MAX_MESSAGE).body))
-            case _:
-                raise RemoteProtocolError(f"nothing is expected on key {event.key}")
+        if not isinstance(key, topics.ControlKey | topics.MailKey):
+            raise RemoteProtocolError(f"nothing is expected on key {event.key}")
+        if key.cluster != self._requests.cluster:
+            raise RemoteProtocolError(f"a message of cluster {key.cluster} came, which is not ours")
+        if isinstance(key, topics.ControlKey):
+            self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
+        else:
+            self._handle(io.Mailed(key.worker, decode(event.payload, epochs.Mail, MAX_MESSAGE).body))
 
-    @_on.register
     def _on_query(self, event: Query) -> None:
         try:
             body = decode(event.payload, epochs.Pull, MAX_MESSAGE).body
@@ -235,38 +218,38 @@ class Worker:
         if isinstance(body, task_messages.PullBatch):
             self._tasks.batch_asked(event, body)
         else:
-            self._handle(events.PullAsked(event, body))
+            self._handle(io.PullAsked(event, body))
 
-    @_on.register
-    def _on_reply(self, event: Reply) -> None:  # noqa: C901  # a table of what was asked
-        request = self._requests.pop(event.token)
-        if event.payload is not None and request is not None and request.question not in ("pull", "batch"):
+    def _on_reply(self, event: Reply) -> None:  # noqa: C901  # a table of requests
+        request, payload = self._requests.pop(event.token), event.payload
+        if payload is not None and request is not None and request.question not in ("pull", "batch"):
             self._connection.coordinator_heard()
         match request:
-            case Request("hello"):
-                self._on_greeting_answer(request, event.payload)
-            case Request("enquiry"):
-                self._connection.handle_enquiry(event.payload)
-            case Request("job"):
-                self._datasets.announcement_came(request.subject, event.payload)
-            case Request("chunk"):
-                self._datasets.chunk_came(request.subject, request.index, event.payload)
-            case Request("input" | "batch"):
-                self._tasks.answered(request, event.payload)
-            case Request("placement"):
-                if event.payload is not None:
-                    self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
+            case PendingRequest("hello"):
+                self._on_greeting_answer(request, payload)
+            case PendingRequest("enquiry"):
+                self._connection.handle_enquiry(payload)
+            case PendingRequest("job"):
+                self._datasets.announcement_came(request.subject, payload)
+            case PendingRequest("chunk"):
+                self._datasets.chunk_came(request.subject, request.index, payload)
+            case PendingRequest("input" | "batch"):
+                self._tasks.answered(request, payload)
+            case PendingRequest("placement"):
+                if payload is not None:
+                    self._on_control(decode(payload, messages.Control, MAX_MESSAGE).body)
                 self.session.forget_pending(request.subject)
-            case Request("states", states=epochs.PullStates() as pull):
-                self._on_states(pull, event.payload)
-            case Request("pull") if event.payload is not None:
-                self._on_pull_answer(request.subject, event.payload)
-
-    def _on_pull_answer(self, peer: str, payload: bytes) -> None:
-        answer = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body
-        if isinstance(answer, task_messages.GivenBatch | task_messages.NoTask):
-            raise RemoteProtocolError(f"epochs were asked for, and {answer.kind!r} came")
-        self._handle(events.PullAnswered(peer, answer))
+            case PendingRequest("states", states=epochs.PullStates() as pull):
+                states: object = None  # also without an answer: then they are asked for again
+                try:
+                    states = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
+                finally:
+                    self._handle(io.StatesCame(pull, states if isinstance(states, epochs.States) else None))
+            case PendingRequest("pull") if payload is not None:
+                answer = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body
+                if isinstance(answer, task_messages.GivenBatch | task_messages.NoTask):
+                    raise RemoteProtocolError(f"epochs were asked for, and {answer.kind!r} came")
+                self._handle(io.PullAnswered(request.subject, answer))
 
     # -------------------------------------------------------------------------------------- coordinator
 
@@ -278,59 +261,45 @@ class Worker:
             case messages.Placements():
                 for placement in body.placements:
                     self._connection.incarnation_heard(placement.incarnation)
-                    self._tell(placement)
+                    if islands := len(placement.islands_of(self.name)):
+                        where = {"variable": placement.variable, "term": placement.term, "islands": islands}
+                        _LOG.info("islands are placed here", extra=fields(job=placement.job, **where))
                     self._handle(placement)
             case messages.Commit() | messages.Close():
                 self._handle(body)
             case messages.CloseJob():
-                self._handle(body)  # first the islands, then what they are computed from
+                self._handle(body)  # first the islands, then their dataset
                 self._datasets.forget(body.job)
             case task_messages.Lease() | task_messages.Help() | task_messages.Release():
-                self._tasks.told(body)
+                self._tasks.handle(body)
                 self._send_heartbeat()
             case messages.Shutdown():
                 self._connection.shut_down(body)
             case messages.Reregister():
                 self._connection.greet()
 
-    def _on_greeting_answer(self, request: Request, payload: bytes | None) -> None:
-        """Handle the answer to a greeting: what a former coordinator had placed here is void."""
+    def _on_greeting_answer(self, request: PendingRequest, payload: bytes | None) -> None:
+        """Handle the answer to a greeting: placements of a former coordinator are void."""
         reset = self._connection.handle_answer(request.subject, payload, request.index)
         if reset is not None:
             self._handle(reset)
             if not reset.incarnation:
-                self._tasks.reset()  # another store: what was leased is nobody's
+                self._tasks.reset()  # another store: the leases are void, too
             for job in self._datasets.jobs():
                 if not self.session.wants(job):
                     self._datasets.forget(job)
         if payload is not None and self.exit_code is None:
             self._send_heartbeat()
 
-    def _on_states(self, pull: epochs.PullStates, payload: bytes | None) -> None:
-        """Hand on what came, also that nothing came: it is asked for again."""
-        try:
-            body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
-        except RemoteProtocolError:
-            self._handle(events.StatesCame(pull, None))
-            raise
-        self._handle(events.StatesCame(pull, body if isinstance(body, epochs.States) else None))
-
     def _drain(self) -> None:
-        """Have this worker end when the coordinator says that nothing is left here, or after a while."""
+        """End this worker once the coordinator says that nothing is left here, or after a while."""
         if self._connection.drain():
             self._send_heartbeat()
-
-    def _check_cluster(self, cluster: str) -> None:
-        if cluster != self._requests.cluster:
-            raise RemoteProtocolError(f"a message of cluster {cluster} came, which is not ours")
-
-    def _answer(self, query: Query, answer: epochs.PullAnswer) -> None:
-        self._bus.reply(query, encode(answer))
 
     # ---------------------------------------------------------------------------------------- session
 
     def _send_heartbeat(self) -> None:
-        """Tell the coordinator, once it has welcomed us, what is held and computed here, what failed, and the cost."""
+        """Report to the coordinator, once it has welcomed us: holdings, computations, failures and costs."""
         connection, session, task = self._connection, self.session, self._compute.current
         if connection.welcome is None:
             return
@@ -373,30 +342,27 @@ class Worker:
         if log is not None:
             self._requests.send_log(log)
 
-    def _handle(self, event: events.SessionEvent) -> None:
-        """Give the session an event, and do what it wants."""
+    def _handle(self, event: io.SessionEvent) -> None:
+        """Give the session an event, and carry out its actions."""
         now = self._bus.now()
         self.session.elapse(now - self._last_event_at)
         self._last_event_at = now
         for action in self.session.handle(event):
-            self._act(action)
-
-    def _act(self, action: actions.Action) -> None:
-        match action:
-            case actions.RunTask():
-                self._compute.run(action.task)
-            case actions.StopAt():
-                self._compute.stop_at(action.shard, action.hit, action.commit_order)
-            case actions.Discard():
-                self._compute.discard(action.shard)
-            case actions.DiscardJob():
-                self._datasets.forget(action.job)
-            case actions.FetchJob():
-                self._datasets.fetch(action.job)
-            case actions.SendHeartbeat():
-                self._send_heartbeat()
-            case _:
-                self._requests.send(action)
+            match action:
+                case io.RunTask():
+                    self._compute.run(action.task)
+                case io.StopAt():
+                    self._compute.stop_at(action.shard, action.hit, action.commit_order)
+                case io.Discard():
+                    self._compute.discard(action.shard)
+                case io.DiscardJob():
+                    self._datasets.forget(action.job)
+                case io.FetchJob():
+                    self._datasets.fetch(action.job)
+                case io.SendHeartbeat():
+                    self._send_heartbeat()
+                case _:
+                    self._requests.send(action)
 
 
 OnSignal = Callable[[Callable[[], None]], AbstractContextManager[None]]
@@ -408,10 +374,10 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
 ) -> int:  # fmt: skip
     """Connect to the coordinator at `connect` as worker `name` and work until it ends or lets us go.
 
-    Kernels are made ready while the connection is still being sought. `wait_s` limits both the first connection and
-    any later absence of the coordinator (None: `START_S`, then `RETURN_S`). `on_signal` has a function called when this
-    process is told to end, `show` is called with each sentence of the warm-up. `tasks` starts processes for tasks,
-    interpreters unless given.
+    Kernels are made ready while the connection is being opened. `wait_s` limits both the first connection and
+    any later absence of the coordinator (None: `START_S`, then `RETURN_S`). `on_signal` makes a function be called when
+    this process is told to end; `show` is called with each sentence of the warm-up. `tasks` starts processes for tasks,
+    by default new interpreters.
 
     Returns:
         The exit code.

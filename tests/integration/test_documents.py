@@ -26,7 +26,7 @@ import pytest
 
 from atoll.api import session
 from atoll.cli.main import main
-from atoll.cli.options.parser import parse
+from atoll.cli.options import parse
 from atoll.cli.request import config_of
 from atoll.cli.result_files import REPORT, write_report, write_result
 from atoll.terminal.output import say
@@ -49,7 +49,7 @@ NOT_RUN = {
     r"docker |ATOLL_PUBLISH=.* docker ": "needs Docker: make deploy-rehearsal STEPS=compose",
     r"kubectl ": "needs Kubernetes: make deploy-rehearsal STEPS=kubernetes",
     r"srun ": "needs Slurm: make deploy-rehearsal STEPS=slurm",
-    r"coordinator compare ": "needs results with candidates: tests/unit/library/cli/verbs/test_compare.py",
+    r"coordinator compare ": "needs results with candidates: tests/unit/library/cli/verbs/test_results.py",
     r"sbatch ": "needs Slurm: make deploy-rehearsal STEPS=slurm",
     r"python3 -m venv |pip ": "installs from the network: make test-wheel",
     r"make-authority |cd ": "tests/unit/test_make_authority.py runs it",
@@ -61,9 +61,9 @@ NOT_RUN = {
     r"coordinator adapt ": "needs Slurm: make deploy-rehearsal STEPS=adapt",
     r"coordinator (backup|restore) ": "needs a store: tests/integration/test_standby.py runs them",
     r"coordinator (pause|resume|priority|share|retry) ": "tests/simulation/test_sharing.py",
-    r"coordinator (queue|cordon|drain|uncordon)": "tests/unit/library/cli/verbs/test_control.py",
-    r"coordinator router ": "tests/unit/library/cli/verbs/test_router.py runs it",
-    r".* --paths ": "needs the result of a process: tests/unit/library/cli/verbs/test_simulate.py",
+    r"coordinator (queue|cordon|drain|uncordon)": "tests/unit/library/cli/verbs/test_jobs.py",
+    r"coordinator router ": "tests/unit/library/cli/verbs/test_serve.py runs it",
+    r".* --paths ": "needs the result of a process: tests/unit/library/cli/verbs/test_results.py",
     r".* --group NAME": "needs a result with groups: tests/unit/library/report/test_page.py",
     # Python
     r"import atoll\nimport atoll\.workers": "needs a cluster of Dask or Ray: tests/integration/test_cluster_workers.py",

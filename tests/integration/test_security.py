@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.verbs.router import upstream_settings
+from atoll.cli.verbs.serve import upstream_settings
 from atoll.client.client import Client, connected
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
@@ -284,7 +284,7 @@ def worker_error(lab: Lab, router: ZenohBus, name: str, wait_s: float = LIMIT_S)
 def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
     lab: Lab, role_bindings: RoleBindings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atoll_island_worker.connection.connection.GREET_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("atoll_island_worker.connection.GREET_TIMEOUT_S", 0.2)
     old = RoleBindings({name: role for name, role in role_bindings.roles.items() if name not in ("bob", "lab2")})
     stop = threading.Event()
     with Store.open(None) as store, open_router(serving(lab), role_bindings=old) as router:
@@ -300,7 +300,7 @@ def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
                 connected(bob, wait_s=1.0),
             ):
                 pass
-            assert "access control on the way" in worker_error(lab, router, "lab2", wait_s=0.8)
+            assert "access control" in worker_error(lab, router, "lab2", wait_s=0.8)
         finally:
             stop.set()
             thread.join(LIMIT_S)

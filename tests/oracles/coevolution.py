@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from atoll_core.data.dataset import FloatArray
-from atoll_island_worker.evolution.formula import from_tape, to_program
+from atoll_island_worker.evolution.front import from_tape, to_program
 from atoll_island_worker.evolution.kernels.tape import compile_tape
 from atoll_island_worker.evolution.structures import Fit, Lists, Rows, empty_tape
 from tests.oracles.tapes import node_values

@@ -7,7 +7,7 @@ import numpy as np
 from atoll_core.expression.kernels.tape import Floats, forward
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, MULTIPLY, NEGATE, SUBTRACT
 from atoll_core.expression.program import Program
-from atoll_island_worker.evolution.formula import from_program, from_tape, onto_tape, to_program
+from atoll_island_worker.evolution.front import from_program, from_tape, onto_tape, to_program
 from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.structures import Lists, Rows, Tape, Work, empty_lists, empty_tape, empty_work
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from atoll_core.expression.operators import BY_NAME, CONSTANT
 from atoll_core.expression.program import check_program_bytes
 from atoll_core.search.seeding import Stream
-from atoll_island_worker.evolution.formula import from_tape, to_program
+from atoll_island_worker.evolution.front import from_tape, to_program
 from atoll_island_worker.evolution.kernels.random import below, next_bits, normal, uniform
 from atoll_island_worker.evolution.kernels.tape import compile_tape, sign
 from atoll_island_worker.evolution.kernels.variation import (

@@ -11,9 +11,9 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
 from atoll_core.config import BudgetConfig, DataConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.data.dataset import Dataset, Target
-from atoll_island_worker.compute.engine import Engine
+from atoll_island_worker.compute.compute_thread import Engine
 from atoll_island_worker.compute.run_queue import Work
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task
+from atoll_island_worker.session.interface import ShardKey, Task
 from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import StubCompute

@@ -119,7 +119,7 @@ def test_a_job_that_does_not_end_is_found(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_what_is_left_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atoll_island_worker.datasets.Datasets.forget", lambda self, job: None)
+    monkeypatch.setattr("atoll_island_worker.downloads.Datasets.forget", lambda self, job: None)
     outcome = play(disturbed())
     assert any("still holds datasets" in sentence for sentence in outcome.wrong), told(outcome)
 

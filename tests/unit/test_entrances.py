@@ -11,7 +11,7 @@ from typing import Final, get_args
 import pytest
 
 import atoll
-from atoll.cli.options.parser import HANDLERS
+from atoll.cli.options import VERBS as ALL_VERBS
 from atoll.web.api import Api
 from atoll_core.wire.messages.clients import Request
 from tests.http import ask
@@ -128,7 +128,7 @@ OPEN: Final = {"/version", "/session", "/health", "/openapi.json"}
 def test_every_entrance_has_its_row() -> None:
     (bodies,) = (get_args(field.annotation) for field in [Request.model_fields["body"]])
     assert {kind.model_fields["kind"].default for kind in bodies} == QUESTIONS
-    assert set(HANDLERS) == set().union(*VERBS.values())
+    assert set(ALL_VERBS) == set().union(*VERBS.values())
     assert VERBS["CLI"] == set(ASKED), "each is asked as another user"
     assert VERBS["nothing is asked"] == set(ASKS_NOTHING), "each is run, and asks nothing"
     assert {name for name in atoll.__all__ if not name.isupper()} == FUNCTIONS

@@ -14,7 +14,7 @@ import pytest
 
 import atoll
 from atoll.cli import exit_codes as exits
-from atoll.cli.options import parser as arguments
+from atoll.cli import options as arguments
 from atoll_coordinator.service.jobs.job import STAGNATION_CLEAN, STAGNATION_GIVEN, STAGNATION_NOISY
 from atoll_core.config import PRESETS
 from atoll_island_worker import cli as worker_cli
@@ -109,7 +109,7 @@ def test_the_documents_say_when_searches_end() -> None:
 
 def test_the_documents_show_every_command() -> None:
     shown = {words[1] for _, words in COMMANDS if words[0] == "coordinator" and len(words) > 1}
-    assert set(arguments.HANDLERS) - {"jobs", "workers"} <= shown
+    assert set(arguments.VERBS) - {"jobs", "workers"} <= shown
     assert any(words[0] == "island-worker" for _, words in COMMANDS)
 
 

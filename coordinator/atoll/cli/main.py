@@ -35,10 +35,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(argv: Sequence[str]) -> int:
-    from atoll.cli.options.parser import HANDLERS, parse
+    from atoll.cli.options import VERBS, parse
 
     options = parse(argv)
-    handler = getattr(importlib.import_module(HANDLERS[options.verb]), options.verb)
+    handler = getattr(importlib.import_module(f"atoll.cli.{VERBS[options.verb][0]}"), options.verb)
     raise_interrupts()
     code: int = handler(options)
     sys.stdout.flush()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.options.values import job_id
+from atoll.cli.options import job_id
 from atoll.client.client import Client, connected
 from atoll.client.configure import configure
 from atoll.client.options import OPTIONS, Repeated

@@ -16,26 +16,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
+from atoll_core import task_frames as frames
 from atoll_core.logs import fields
 from atoll_core.machine import collect_rarely, memory_bytes
 from atoll_core.signals import ENDING, ignore
-from atoll_core.task_frames import (
-    OTHER_VERSION,
-    Ask,
-    Batch,
-    Begun,
-    Computed,
-    Failed,
-    Finished,
-    FromProcess,
-    Load,
-    Logged,
-    Run,
-    Started,
-    Take,
-    ToProcess,
-    version,
-)
+from atoll_core.task_frames import OTHER_VERSION, version
 
 _STDIN: Final = 0
 _STDOUT: Final = 1
@@ -57,7 +42,7 @@ def main(descriptor: int, level: int, of: str) -> None:
     serve(Connection(descriptor), level)
 
 
-def serve(connection: "Connection[FromProcess, ToProcess]", level: int) -> None:
+def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int) -> None:
     """Run the tasks that come through a pipe until the worker at its other end is gone."""
     ignore(ENDING)  # the worker's to handle, also where a whole group of processes is told to end
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads of numpy's library wait
@@ -80,59 +65,59 @@ def _turn_away_streams() -> None:
 class TaskProcess:
     """Runs the tasks, and computes the batches of others, that come through a pipe."""
 
-    def __init__(self, connection: "Connection[FromProcess, ToProcess]", level: int) -> None:
+    def __init__(self, connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int) -> None:
         from atoll.tasks.team import Team
 
         self._connection = connection
         self._sending = threading.Lock()
-        self._waiting: queue.SimpleQueue[Run | Load | Batch] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[frames.Run | frames.Load | frames.Batch] = queue.SimpleQueue()
         self._team: Final = Team(self._send)
         logging.basicConfig(level=level, handlers=[_LogSender(self._send)], force=True)
 
     def work(self) -> None:
         """Run what comes, one after the other, for ever: the end of the pipe ends the process."""
-        self._send(Started(os.getpid()))
+        self._send(frames.Started(os.getpid()))
         threading.Thread(target=self._read, name="reading tasks", daemon=True).start()
         while True:
             match self._waiting.get():
-                case Run() as run:
+                case frames.Run() as run:
                     self._run(run)
                     del run
-                case Load() as load:
+                case frames.Load() as load:
                     self._load(load)
-                case Batch() as batch:
+                case frames.Batch() as batch:
                     from atoll.tasks.team import compute
 
-                    self._send(Computed(batch.number, compute(batch)))
+                    self._send(frames.Computed(batch.number, compute(batch)))
                     del batch
 
-    def _load(self, load: Load) -> None:
+    def _load(self, load: frames.Load) -> None:
         from atoll.tasks.functions import FUNCTIONS
 
         if self._waiting.empty():
             FUNCTIONS[load.function].load()  # type: ignore[index]  # a name of the table, by the type of the message
 
-    def _run(self, run: Run) -> None:
+    def _run(self, run: frames.Run) -> None:
         from atoll.tasks.functions import FUNCTIONS
 
         about = {"job": run.job or None, "task": run.task[:_SHOWN], "function": run.function}
         try:
             function = FUNCTIONS[run.function]  # type: ignore[index]
             (function.load if run.seconds is None else function.ready)()
-            self._send(Begun(run.task))
+            self._send(frames.Begun(run.task))
             self._team.begin(run.task, run.threads)
             _LOG.info("a task begins", extra=fields(**about, threads=run.threads))
             began = time.monotonic()
             result = function.call(run.inputs, run.seconds, self._team)
         except MemoryError as error:
-            self._send(Failed(run.task, "memory", f"memory ran out: {error}"))
+            self._send(frames.Failed(run.task, "memory", f"memory ran out: {error}"))
         except Exception as error:
             _LOG.exception("a task broke", extra=fields(**about))
-            self._send(Failed(run.task, "error", " ".join(f"{type(error).__name__}: {error}".split())[:2000]))
+            self._send(frames.Failed(run.task, "error", " ".join(f"{type(error).__name__}: {error}".split())[:2000]))
         else:
             spent = {"seconds": round(time.monotonic() - began, 3), "size": len(result)}
             _LOG.info("a task is done", extra=fields(**about, **spent, **self._team.counts))
-            self._send(Finished(run.task, result, memory_bytes()))
+            self._send(frames.Finished(run.task, result, memory_bytes()))
         finally:
             self._team.end()
 
@@ -149,16 +134,16 @@ class TaskProcess:
             sys.excepthook(type(error), error, error.__traceback__)
             os._exit(1)
 
-    def _take_in(self, message: ToProcess) -> None:
+    def _take_in(self, message: frames.ToProcess) -> None:
         match message:
-            case Ask():
+            case frames.Ask():
                 self._team.ask(message)
-            case Take():
+            case frames.Take():
                 self._team.take(message.number, message.result)
             case _:
                 self._waiting.put(message)
 
-    def _send(self, message: FromProcess) -> None:
+    def _send(self, message: frames.FromProcess) -> None:
         """Send a message, from any thread; this process ends when nobody is there to hear it."""
         with self._sending:
             try:
@@ -170,7 +155,7 @@ class TaskProcess:
 class _LogSender(logging.Handler):
     """Sends log records to the worker, their messages formatted and their tracebacks as text."""
 
-    def __init__(self, send: Callable[[FromProcess], None]) -> None:
+    def __init__(self, send: Callable[[frames.FromProcess], None]) -> None:
         super().__init__()
         self._send = send
 
@@ -181,8 +166,8 @@ class _LogSender(logging.Handler):
         except Exception:
             self.handleError(record)
 
-    def _logged(self, record: logging.LogRecord) -> Logged:
+    def _logged(self, record: logging.LogRecord) -> frames.Logged:
         values: Mapping[str, object] = dict(vars(record))
         if record.exc_info:
             values = {**values, "exc_text": logging.Formatter().formatException(record.exc_info)}
-        return Logged({**values, "msg": record.getMessage(), "args": None, "exc_info": None})
+        return frames.Logged({**values, "msg": record.getMessage(), "args": None, "exc_info": None})

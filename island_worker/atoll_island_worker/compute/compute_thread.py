@@ -10,14 +10,94 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from atoll_core.config import JobConfig
+from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
-from atoll_island_worker.compute.engine import Engine
 from atoll_island_worker.compute.run_queue import RunQueue, brief
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
-from atoll_island_worker.session.events import JobReady, LoadFailed, Outcome, Snapshot
+from atoll_island_worker.session import interface as io
+
+if TYPE_CHECKING:
+    from atoll_core.data.dataset import Dataset
+    from atoll_island_worker.evolution.island import Island
+
+_MOST: Final = 10
+"""Generations at a time, however long a slice is: in between it is asked what else there is to do."""
+
+
+class Engine:
+    """The islands and datasets of one worker."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, tuple[JobConfig, Dataset]] = {}
+        self._islands: dict[io.ShardKey, dict[int, Island]] = {}
+
+    def load(self, job: str, config: JobConfig, dataset: bytes) -> io.JobReady | io.LoadFailed:
+        """Take in a job's configuration and encoded dataset."""
+        from atoll_core.wire.codec import dataset_from_bytes
+
+        try:
+            self._jobs[job] = (config, dataset_from_bytes(dataset))
+        except RemoteProtocolError as error:
+            return io.LoadFailed(job, str(error))
+        return io.JobReady(job)
+
+    def begin(self, task: io.Task) -> "Epoch":
+        """Begin an island's epoch; raises RemoteProtocolError when its immigrants or its state are malformed."""
+        from atoll_island_worker.evolution.island import Island
+
+        key = task.key
+        config, dataset = self._jobs[key.job]
+        problem, islands = dataset.problem(key.variable), self._islands.setdefault(key.shard, {})
+        if task.state is not None:
+            island = Island.from_bytes(task.state, problem, config, key.island)
+            if island.epoch != key.epoch:
+                raise RemoteProtocolError(f"a state of epoch {island.epoch} came for epoch {key.epoch}")
+            islands[key.island] = island
+        elif task.blocks is None:
+            islands[key.island] = Island(problem, config, key.island)
+        else:
+            islands[key.island].immigrate(task.blocks)
+        return Epoch(task, islands[key.island])
+
+    def forget(self, shard: io.ShardKey) -> None:
+        """Forget the islands of an archipelago's term."""
+        self._islands.pop(shard, None)
+
+    def forget_job(self, job: str) -> None:
+        """Forget a job's dataset."""
+        self._jobs.pop(job, None)
+
+
+class Epoch:
+    """One epoch of one island under way; see `atoll_island_worker.compute.run_queue.Work`."""
+
+    def __init__(self, task: io.Task, island: "Island") -> None:
+        self._task = task
+        self._island = island
+        self._is_over = False
+        self.snapshot: Final = island.to_bytes() if task.takes_snapshot else None
+
+    @property
+    def generation(self) -> int:
+        """See `Work.generation`."""
+        return self._island.generation
+
+    def advance(self) -> bool:
+        """See `Work.advance`."""
+        stride = self._task.commit_order.stride
+        left = stride - self._island.generation % stride
+        self._is_over = self._island.advance(min(_MOST, left))
+        return self._is_over
+
+    def computed(self) -> io.Computed:
+        """See `Work.computed`. There are emigrants after a whole epoch that is not the last."""
+        key, report = self._task.key, self._island.report()
+        if not self._is_over or report.hit is not None or self._task.is_last:
+            return io.Computed(key, report, {}, frozenset())
+        return io.Computed(key, report, self._island.emigrants(), self._island.senders())
+
 
 _LOG = logging.getLogger(__name__)
 _JOIN_LIMIT_S: Final = 2.0
@@ -45,7 +125,7 @@ class ComputeFailed:
     sentence: str
 
 
-Result = WarmUpNote | WarmedUp | ComputeFailed | JobReady | LoadFailed | Snapshot | Outcome
+Result = WarmUpNote | WarmedUp | ComputeFailed | io.JobReady | io.LoadFailed | io.Snapshot | io.Outcome
 """What the compute thread posts."""
 
 
@@ -70,7 +150,7 @@ class ComputeThread:
         self._thread.start()
 
     @property
-    def current(self) -> TaskKey | None:
+    def current(self) -> io.TaskKey | None:
         """The task of the last slice; None before the first."""
         return self._queue.current
 
@@ -99,18 +179,18 @@ class ComputeThread:
         """Load a job's configuration and encoded dataset: JobReady or LoadFailed."""
         self._commands.put(lambda: self._post_all([self._engine.load(job, config, dataset)]))
 
-    def run(self, task: Task) -> None:
+    def run(self, task: io.Task) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
 
         Before that comes the Snapshot, where one is wanted; at a barrier nothing else follows. Tasks take turns.
         """
         self._commands.put(lambda: self._post_all(self._queue.add(task)))
 
-    def stop_at(self, shard: ShardKey, hit: Position, commit_order: CommitOrder) -> None:
+    def stop_at(self, shard: io.ShardKey, hit: Position, commit_order: CommitOrder) -> None:
         """Compute nothing of this archipelago that is not needed when the target was met there."""
         self._commands.put(lambda: self._post_all(self._queue.stop_at(shard, hit, commit_order)))
 
-    def discard(self, shard: ShardKey) -> None:
+    def discard(self, shard: io.ShardKey) -> None:
         """Forget the islands of an archipelago under one term, and give up those under way."""
 
         def discard() -> None:

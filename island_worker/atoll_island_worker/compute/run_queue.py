@@ -12,8 +12,7 @@ from typing import Protocol
 
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
-from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
+from atoll_island_worker.session import interface as io
 
 
 class Work(Protocol):
@@ -35,12 +34,12 @@ class Work(Protocol):
         """
         ...
 
-    def computed(self) -> Computed:
+    def computed(self) -> io.Computed:
         """Return what came of it so far."""
         ...
 
 
-Begin = Callable[[Task], Work]
+Begin = Callable[[io.Task], Work]
 """Begins an island's epoch; raises RemoteProtocolError when the immigrants are malformed."""
 
 
@@ -48,7 +47,7 @@ Begin = Callable[[Task], Work]
 class _Open:
     """A task; `work` is None before its first turn."""
 
-    task: Task
+    task: io.Task
     work: Work | None = None
 
     @property
@@ -66,14 +65,14 @@ class RunQueue:
         """
         self._begin = begin
         self._clock = clock
-        self._open: dict[TaskKey, _Open] = {}
-        self._hits: dict[ShardKey, Position] = {}
+        self._open: dict[io.TaskKey, _Open] = {}
+        self._hits: dict[io.ShardKey, Position] = {}
         self._charged: dict[str, float] = {}
         self._charged_users: dict[str, float] = {}
         self._weights: dict[str, float] = {}
         self._users: dict[str, str] = {}
         self.seconds: dict[str, float] = {}
-        self.current: TaskKey | None = None
+        self.current: io.TaskKey | None = None
 
     @property
     def is_idle(self) -> bool:
@@ -85,49 +84,51 @@ class RunQueue:
         self._weights[job] = weight
         self._users[job] = user
 
-    def add(self, task: Task) -> list[Outcome]:
+    def add(self, task: io.Task) -> list[io.Outcome]:
         """Take in a task; return that it is given up when it is not needed."""
         self._enter(task.key.job)
         self._open[task.key] = _Open(task)
         return self._settle([task.key])
 
-    def stop_at(self, shard: ShardKey, hit: Position, commit_order: CommitOrder) -> list[Outcome]:
+    def stop_at(self, shard: io.ShardKey, hit: Position, commit_order: CommitOrder) -> list[io.Outcome]:
         """Note that the target was met; return what came of the tasks of which no more is needed."""
         self._hits[shard] = min(hit, self._hits.get(shard, hit), key=commit_order.rank)
         return self._settle([key for key in self._open if key.shard == shard])
 
-    def turn(self) -> list[Snapshot | Outcome]:
+    def turn(self) -> list[io.Snapshot | io.Outcome]:
         """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
         key = min(self._open, key=self._rank)
         open_task = self._open[key]
         task = open_task.task
         self.current = key
         began = self._clock()
-        results: list[Snapshot | Outcome] = []
-        outcome: Outcome | None = None
+        results: list[io.Snapshot | io.Outcome] = []
+        outcome: io.Outcome | None = None
         try:
             if open_task.work is None:
                 open_task.work = self._begin(task)
                 if open_task.work.snapshot is not None:
-                    results.append(Snapshot(key, open_task.work.snapshot, task.is_at_barrier))
+                    results.append(io.Snapshot(key, open_task.work.snapshot, task.is_at_barrier))
             if not task.is_at_barrier and open_task.work.advance():
                 outcome = open_task.work.computed()
         except RemoteProtocolError as error:
-            outcome = Rejected(key, str(error))
+            outcome = io.Rejected(key, str(error))
         except Exception as error:  # it is the job that fails, not the worker
-            outcome = Broken(key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}")
+            outcome = io.Broken(
+                key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}"
+            )
         self._charge(key.job, self._clock() - began)
         if outcome is None and not task.is_at_barrier:
             return results + self._settle([key])
         del self._open[key]
         if outcome is not None:
             results.append(outcome)
-        if isinstance(outcome, Computed) and outcome.report.hit is not None:
+        if isinstance(outcome, io.Computed) and outcome.report.hit is not None:
             hit = Position(key.epoch, outcome.report.hit.generation, key.island)
             results += self.stop_at(key.shard, hit, task.commit_order)
         return results
 
-    def discard(self, shard: ShardKey) -> None:
+    def discard(self, shard: io.ShardKey) -> None:
         """Forget the tasks of an archipelago's term."""
         self._hits.pop(shard, None)
         for key in [key for key in self._open if key.shard == shard]:
@@ -160,23 +161,23 @@ class RunQueue:
         self._charged_users[user] = self._charged_users.get(user, 0.0) + seconds
         self.seconds[user] = self.seconds.get(user, 0.0) + seconds
 
-    def _rank(self, key: TaskKey) -> tuple[float, float, int, int, int, str, str, int]:
+    def _rank(self, key: io.TaskKey) -> tuple[float, float, int, int, int, str, str, int]:
         open_task = self._open[key]
         at = Position(key.epoch, open_task.generation, key.island)
         epoch, group, generation, island = open_task.task.commit_order.rank(at)
         of_user = self._charged_users.get(self._users.get(key.job, ""), 0.0)
         return (of_user, self._charged[key.job], epoch, group, generation, key.job, key.variable, island)
 
-    def _settle(self, keys: Iterable[TaskKey]) -> list[Outcome]:
+    def _settle(self, keys: Iterable[io.TaskKey]) -> list[io.Outcome]:
         """Close those of these tasks of which no more is needed, and return what came of them."""
-        outcomes: list[Outcome] = []
+        outcomes: list[io.Outcome] = []
         for key in keys:
             open_task, hit = self._open[key], self._hits.get(key.shard)
             if hit is None or self._is_needed(open_task, hit):
                 continue
             del self._open[key]
             part = open_task.work if key.epoch == hit.epoch else None
-            outcomes.append(part.computed() if part is not None else Abandoned(key))
+            outcomes.append(part.computed() if part is not None else io.Abandoned(key))
         return outcomes
 
     def _is_needed(self, open_task: _Open, hit: Position) -> bool:

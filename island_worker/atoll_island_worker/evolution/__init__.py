@@ -1,12 +1,8 @@
-"""The search of one island: a population of operation lists, its predictors and its front. Pure but for scratch arrays.
+"""The search of one island: a population of operation lists, its predictors and its front. Pure except scratch arrays.
 
-- ``island``: the life of an island, epoch by epoch; ``setup``: what does not change during it.
-- ``structures``: the arrays that kernels work on. ``kernels``: generations, fits, predictors, offers, compiled.
-- ``coevolution``: solutions, predictors and trainers in turn. ``migration``: who sends which solutions where.
-- ``front``: the least error for each size, and how individuals get there; ``runners_up``: the next best beside it.
-- ``restricted``: what would enter the front, kept to bounds on constants and required variables.
-- ``formula``: programs with their coefficients, worked in or not. ``guesses``: prior knowledge.
-
-Rows come in with ``setup``; an epoch advances the population in ``kernels``, offers the best of each size to the front
-after each slice, and ends with a report and, packed by ``migration``, the emigrants.
+- ``island``: the life of an island, epoch by epoch; guesses; solutions, predictors and trainers in turn.
+- ``setup``: what does not change during it. ``structures``: the arrays that kernels work on.
+- ``kernels``: generations, fits, predictors, offers; compiled.
+- ``front``: the least error for each size, how individuals get there, and the runners-up.
+- ``migration``: which solutions go to which island.
 """

@@ -5,23 +5,19 @@ worked into the program in several ways, and each way that improves the front is
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from atoll_core.expression.program import Program
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
+from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.restrictions import EquationBounds, Restrictions
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
-from atoll_core.search.pareto import FrontEntry, merge
-from atoll_island_worker.evolution.formula import (
-    Formula,
-    combine_terms,
-    from_book,
-    from_program,
-    from_tape,
-    onto_tape,
-    reductions,
-    to_program,
-)
+from atoll_core.expression.writing.shortest import collected
+from atoll_core.search.pareto import FrontEntry, merge, runners_up
 from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (
     SIMPLE,
@@ -32,19 +28,240 @@ from atoll_island_worker.evolution.kernels.offers import (
     structure_hash,
 )
 from atoll_island_worker.evolution.kernels.tape import canonical_tape
-from atoll_island_worker.evolution.restricted import restrained
-from atoll_island_worker.evolution.runners_up import RunnersUp
 from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import (
     MOST_FITTED,
     MOST_TERMS,
+    Book,
     Fit,
     Floats,
     Ints,
     Lists,
     Rows,
+    Scratch,
+    Tape,
     empty_book,
 )
+
+
+@dataclass(frozen=True)
+class Node:
+    """One node: operator code, arguments (or the variable's index), and the value of a constant."""
+
+    code: int
+    left: int = 0
+    right: int = 0
+    constant: float = 0.0
+
+
+Formula = tuple[Node, ...]
+"""Nodes in order; the last is the output."""
+
+
+def from_tape(tape: Tape, count: int) -> Formula:
+    """Return the first `count` nodes of `tape`."""
+    return _nodes(tape.code[:count], tape.left[:count], tape.right[:count], tape.constants[:count])
+
+
+def from_book(book: Book, k: int) -> Formula:
+    """Return program `k` of `book`."""
+    count = int(book.size[k])
+    return _nodes(book.code[k, :count], book.left[k, :count], book.right[k, :count], book.constants[k, :count])
+
+
+def onto_tape(formula: Formula, tape: Tape) -> int:
+    """Write `formula` on `tape`; return its number of nodes. The tape must be long enough."""
+    for i, node in enumerate(formula):
+        tape.code[i], tape.left[i], tape.right[i], tape.constants[i] = node.code, node.left, node.right, node.constant
+    return len(formula)
+
+
+def from_program(program: Program) -> Formula:
+    """Return the nodes of `program`."""
+    return _nodes(program.operators, program.left, program.right, program.constants)
+
+
+def _nodes(*columns: npt.NDArray[Any]) -> Formula:
+    return tuple(map(Node, *(column.tolist() for column in columns)))
+
+
+def to_program(formula: Formula) -> Program:
+    """Return `formula`, which must have no dead nodes, as a canonical program."""
+    return Program(
+        np.array([node.code for node in formula], np.int8),
+        np.array([node.left for node in formula], np.int16),
+        np.array([node.right for node in formula], np.int16),
+        np.array([node.constant for node in formula]),
+    )
+
+
+def combine_terms(formula: Formula, terms: Sequence[int], coefficients: Sequence[float], shift: float) -> Formula:
+    """Return shift + sum of coefficient times term, the terms being nodes of `formula`; zero ones are left out.
+
+    A positive term comes first where there is one, so that signs become differences. What is dead stays in the list.
+    """
+    nodes = list(formula)
+    pairs = [(node, a) for node, a in zip(terms, coefficients, strict=True) if a != 0.0]
+    pairs.sort(key=lambda pair: pair[1] < 0.0)
+    top = -1
+    for node, a in pairs:
+        top = _joined(nodes, top, node, a)
+    if top < 0:
+        nodes.append(Node(CONSTANT, constant=shift))
+    elif shift != 0.0:
+        nodes += [Node(CONSTANT, constant=shift), Node(ADD, top, len(nodes))]
+    elif top < len(nodes) - 1:
+        nodes = nodes[: top + 1]
+    return tuple(nodes)
+
+
+def _joined(nodes: list[Node], top: int, node: int, a: float) -> int:
+    """Append what makes ``top + a * node`` (``a * node`` when there is no top yet); return its index."""
+    size = abs(a) if top >= 0 else a
+    if size == -1.0:
+        nodes.append(Node(NEGATE, node))
+        node = len(nodes) - 1
+    elif size != 1.0:
+        nodes += [Node(CONSTANT, constant=size), Node(MULTIPLY, node, len(nodes))]
+        node = len(nodes) - 1
+    if top < 0:
+        return node
+    nodes.append(Node(ADD if a > 0.0 else SUBTRACT, top, node))
+    return len(nodes) - 1
+
+
+def reductions(formula: Formula) -> Iterator[Formula]:
+    """Yield `formula` with one operator replaced by an argument of it or by a constant, from the output downwards.
+
+    A difference is also replaced by its negative part alone.
+    """
+    for i in range(len(formula) - 1, -1, -1):
+        arity = ARITY[formula[i].code]
+        if arity == 0:
+            continue
+        yield _redirected(formula, i, formula[i].left)
+        if arity == 2 and formula[i].right != formula[i].left:
+            yield _redirected(formula, i, formula[i].right)
+        if formula[i].code == SUBTRACT:
+            yield (*formula[:i], Node(NEGATE, formula[i].right), *formula[i + 1 :])
+        yield (*formula[:i], Node(CONSTANT, constant=1.0), *formula[i + 1 :])
+
+
+def _redirected(formula: Formula, old: int, new: int) -> Formula:
+    """Return `formula` with every use of node `old` turned to the earlier node `new`."""
+    if old == len(formula) - 1:
+        return formula[: new + 1]
+
+    def turned(node: Node) -> Node:
+        arity = ARITY[node.code]
+        left = new if arity > 0 and node.left == old else node.left
+        right = new if arity > 1 and node.right == old else node.right
+        return Node(node.code, left, right, node.constant)
+
+    return (*formula[: old + 1], *(turned(node) for node in formula[old + 1 :]))
+
+
+Refit = Callable[[int], None]
+"""Fits the constants of the program of so many nodes on the canonical tape, but for those that are held."""
+
+
+def restrained(program: Program, restrictions: Restrictions, scratch: Scratch, refit: Refit) -> Program | None:
+    """Return `program` fitted within its bounds, which `refit` has measured last; None when it may not stand."""
+    if restrictions.are_kept(program):
+        return program
+    admitted = restrictions.admitted(program)
+    if admitted is None or restrictions.bounds is None or len(admitted) > len(scratch.canonical.code):
+        return None
+    fitted = _fitted(restrictions.bounds.clipped(admitted), restrictions.bounds, scratch, refit)
+    if not np.any(fitted.constants[constant_places(fitted)] == 0.0):
+        return fitted
+    shorter = restrictions.admitted(collected(fitted))  # without the terms whose coefficients came to be zero
+    if shorter is None:
+        return None
+    return _fitted(restrictions.bounds.clipped(shorter), restrictions.bounds, scratch, refit)
+
+
+def _fitted(program: Program, bounds: EquationBounds, scratch: Scratch, refit: Refit) -> Program:
+    """Return a program that was laid out with its constants fitted; those that reach a bound stay there.
+
+    In each round one constant more is held at least, so that there are no more rounds than constants.
+    """
+    ranges, places = bounds.ranges(program), constant_places(program)
+    assert ranges is not None
+    held, tape = scratch.work.held, scratch.canonical
+    size = onto_tape(from_program(program), tape)
+    while True:
+        values = tape.constants[places]
+        held[:size] = False
+        held[places] = (values <= ranges[0]) | (values >= ranges[1])
+        refit(size)
+        clipped = np.clip(tape.constants[places], *ranges)
+        is_within = np.array_equal(clipped, tape.constants[places])
+        tape.constants[places] = clipped
+        if is_within:
+            held[:size] = False
+            return to_program(from_tape(tape, size))
+
+
+KNOWN = 4096
+"""Places for structures that were offered before, a power of two; see `kernels_offers.choose_near`."""
+
+_WRITTEN = 2 * MOST_TERMS + 2
+"""Nodes by which a program may grow when its coefficients are worked into it."""
+
+
+class RunnersUp:
+    """At most `most` entries of each complexity beside the front, by complexity and error.
+
+    `known` are the structures that were offered before; empty when no runners-up are kept.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self.known = np.zeros(KNOWN if most else 0, np.uint64)
+        self._worst: dict[int, float] = {}
+        self._entries: tuple[FrontEntry, ...] = ()
+
+    @property
+    def entries(self) -> tuple[FrontEntry, ...]:
+        """The entries that there are."""
+        return self._entries
+
+    def replace(self, entries: Iterable[FrontEntry]) -> None:
+        """Take over entries that were saved."""
+        self._entries = tuple(entries)
+        self._note_worst()
+
+    def take(
+        self, front: tuple[FrontEntry, ...], candidates: Iterable[FrontEntry], reported: Iterable[FrontEntry]
+    ) -> list[FrontEntry]:
+        """Keep what belongs beside `front`; return what is new, apart from what has been `reported` already."""
+        seen = {entry.key for entry in (*self._entries, *reported)}
+        self._entries = runners_up(front, (*self._entries, *candidates), self.most)
+        self._note_worst()
+        return [entry for entry in self._entries if entry.key not in seen]
+
+    def limits(self, sizes: int) -> npt.NDArray[np.float64]:
+        """Return, for programs of each size below `sizes` before their coefficients are written, the useful loss.
+
+        One with a loss above it comes behind `most` others, however large it becomes.
+        """
+        worst = [self._worst.get(complexity, math.inf) for complexity in range(sizes + _WRITTEN + 1)]
+        return np.array([max(worst[size : size + _WRITTEN + 1]) for size in range(sizes)])
+
+    def limit(self, complexity: int) -> float:
+        """Return the useful loss of a program of that complexity."""
+        return self._worst.get(complexity, math.inf)
+
+    def _note_worst(self) -> None:
+        """Note the largest error of each complexity that is full."""
+        taken: dict[int, int] = {}
+        self._worst = {}
+        for entry in self._entries:
+            taken[entry.complexity] = taken.get(entry.complexity, 0) + 1
+            if taken[entry.complexity] == self.most:
+                self._worst[entry.complexity] = entry.error
+
 
 REFIT_STEPS = 10
 POLISH_STEPS = 4

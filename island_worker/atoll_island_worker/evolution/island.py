@@ -7,26 +7,156 @@ No clock, no I/O, no global random state, no thread order in it: one seed, one a
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import AnyArray, Problem
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.expression.kernels.tape import functions_address
+from atoll_core.expression.operation_list import PlacedNode, placed_text
+from atoll_core.expression.operators import ARITY, CONSTANT
 from atoll_core.search.pareto import FrontEntry
-from atoll_core.search.seeding import stream_key
+from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.codec import decode_arrays, encode_arrays
 from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.evolution import migration
-from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, measure_population
-from atoll_island_worker.evolution.front import Front, FrontUpdater
-from atoll_island_worker.evolution.guesses import begin_with_guesses
-from atoll_island_worker.evolution.kernels.generation import OFFSPRING, PARTS, REEVALUATION, random_population
-from atoll_island_worker.evolution.kernels.trainers import train
-from atoll_island_worker.evolution.runners_up import RunnersUp
+from atoll_island_worker.evolution.front import Front, FrontUpdater, RunnersUp
+from atoll_island_worker.evolution.kernels.generation import (
+    OFFSPRING,
+    PARTS,
+    REEVALUATION,
+    advance,
+    draw_coevolution,
+    measure_all,
+    random_population,
+)
+from atoll_island_worker.evolution.kernels.measured_rows import gather
+from atoll_island_worker.evolution.kernels.predictors import judge_all
+from atoll_island_worker.evolution.kernels.random import Stream as StreamState
+from atoll_island_worker.evolution.kernels.trainers import most_disputed, train
 from atoll_island_worker.evolution.setup import IslandSetup
-from atoll_island_worker.evolution.structures import Lists, empty_lists
+from atoll_island_worker.evolution.structures import Coevolution, Floats, Ints, Lists, Rows, empty_lists
+
+GUESS_STEPS: Final = 25
+"""Levenberg-Marquardt steps at most by which the constants of a guess are fitted before the first generation."""
+
+OCTAVES: Final = 3
+"""A varied constant is at least 2^-OCTAVES and less than 2^OCTAVES times the one given."""
+
+Guess = Sequence[PlacedNode]
+
+
+def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: Ints) -> None:
+    """Write the guesses for this equation over the first individuals, one each, and fit their constants to `rows`.
+
+    The fit is counted as that of offspring. Where nothing is fitted, all islands take the guesses as they are. Pure but
+    for `lists`, scratch and `counters`.
+    """
+    guesses = parse_guesses(setup)
+    if not guesses:
+        return
+    is_fitted = setup.fit.steps > 0
+    key = stream_key(setup.config.seed, setup.variable, setup.island, 0, "guesses")
+    stream = Stream(key) if is_fitted and setup.island > 0 else None
+    for p, guess in enumerate(guesses):
+        place(lists, p, guess, stream)
+    if is_fitted:
+        first = Lists(*(column[: len(guesses)] for column in lists._asdict().values()))
+        fitness, options, scratch = np.zeros(len(guesses)), setup.fit._replace(steps=GUESS_STEPS), setup.scratch
+        measure_all(first, fitness, rows, options, scratch._replace(near=scratch.work), counters, OFFSPRING)
+
+
+def parse_guesses(setup: IslandSetup) -> tuple[Guess, ...]:
+    """Return the nodes of the guesses for the equation of `setup`.
+
+    Raises:
+        UsageError: a guess does not fit its lists; a coordinator refuses such jobs.
+    """
+    space = setup.space
+    operators, inner = space.operators.tolist(), space.nodes - space.terminals
+    texts = setup.config.prior.guesses.get(setup.variable, ())
+    return tuple(placed_text(text, setup.names, operators, space.terminals, inner) for text in texts)
+
+
+def place(lists: Lists, p: int, guess: Guess, stream: Stream | None) -> None:
+    """Write a guess over individual `p`; constants are varied with `stream`, if there is one.
+
+    Nodes that the guess leaves free, and second arguments of unary operators, stay as they were drawn.
+    """
+    for node in guess:
+        lists.code[p, node.index] = node.code
+        lists.left[p, node.index] = node.left
+        lists.constants[p, node.index] = node.constant
+        if ARITY[node.code] != 1:
+            lists.right[p, node.index] = node.right
+        if stream is not None and node.code == CONSTANT:
+            octave = stream.below(2 * OCTAVES) - OCTAVES
+            factor = math.ldexp(1.0 + stream.uniform(), octave)  # nearly log-uniform, without a logarithm
+            lists.constants[p, node.index] = node.constant * factor
+
+
+def begin_coevolution(
+    setup: IslandSetup, lists: Lists, coevolution: Coevolution, stream: StreamState, counters: Ints
+) -> None:
+    """Draw random predictors and take random individuals as trainers."""
+    draw_coevolution(lists, coevolution, setup.every.length, stream)
+    for t in range(len(coevolution.exact)):
+        train(coevolution, t, setup.every, setup.fit, setup.scratch.tape, setup.scratch.work, counters)
+    judge_all(coevolution, setup.coevolving.relative)
+
+
+def measure_population(
+    setup: IslandSetup, lists: Lists, fitness: Floats, coevolution: Coevolution, counters: Ints, part: np.int64
+) -> None:
+    """Gather the best predictor's rows (all rows while predictors are off) and measure the population on them."""
+    if setup.coevolving.enabled:
+        gather(setup.rows, setup.every, coevolution.predictors[coevolution.best[0]], functions_address())
+    setup.call(measure_all, lists, fitness, setup.rows, setup.fit, setup.scratch, counters, part)
+
+
+def renew_trainer(setup: IslandSetup, lists: Lists, coevolution: Coevolution, counters: Ints) -> bool:
+    """Replace the oldest trainer by the most disputed individual; return True if the measuring rows changed."""
+    relative, scratch = setup.coevolving.relative, setup.scratch
+    disputed = int(
+        setup.call(
+            most_disputed, lists, coevolution, setup.every, scratch.spare, setup.fit, relative, scratch, counters
+        )
+    )
+    if disputed < 0:
+        return False
+    oldest = int(np.argmin(coevolution.born))
+    individuals = lists._asdict().values()
+    for column, values in zip(coevolution.trainers._asdict().values(), individuals, strict=True):
+        column[oldest] = values[disputed]
+    coevolution.born[oldest] = coevolution.clock[0]
+    train(coevolution, oldest, setup.every, setup.fit, scratch.tape, scratch.work, counters)
+    return bool(judge_all(coevolution, relative))
+
+
+def evolve(
+    setup: IslandSetup, generations: int, lists: Lists, fitness: Floats, coevolution: Coevolution, stream: StreamState,
+    counters: Ints,
+) -> None:  # fmt: skip
+    """Advance the island by `generations`, predictors and trainers included.
+
+    Predictors advance only while their counted share of all point evaluations is under `coevolving.effort`.
+    """
+    done = 0
+    while done < generations:
+        done += int(
+            setup.call(
+                advance, generations - done, lists, fitness, coevolution, setup.space, setup.fit, setup.coevolving,
+                setup.every.length, setup.rows, setup.scratch, stream, counters,
+            )
+        )  # fmt: skip
+        renews, changed = coevolution.due.tolist()
+        if renews:
+            changed = renew_trainer(setup, lists, coevolution, counters) or changed
+        if changed:
+            measure_population(setup, lists, fitness, coevolution, counters, REEVALUATION)
+
 
 LOOKS_BESIDE = 5
 """Slices from one look at the next best of each size to the next; the last one of an epoch looks as well."""

@@ -5,17 +5,45 @@ worker is forked, and every worker opens a bus of its own. Only where a fork is 
 """
 
 import contextlib
+import ctypes
 import gc
 import importlib
 import os
 import signal
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from typing import Final
 
 from atoll_core.errors import AtollError
 from atoll_core.signals import ENDING, forget_handlers
+
+_STOP_LIMIT_S: Final = 5.0
+_WATCH_INTERVAL_S: Final = 1.0
+_PR_SET_PDEATHSIG: Final = 1
+
+
+def end_with_parent(parent: int) -> None:
+    """End this process, by a SIGTERM to itself, as soon as `parent` is no longer its parent; if need be, forcibly."""
+    request_parent_death_signal()
+    threading.Thread(target=_watch, args=(parent,), name="watching the parent", daemon=True).start()
+
+
+def request_parent_death_signal() -> None:
+    """Have the system send this process a SIGTERM when its parent dies, at once; on Linux only, and not for sure."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_WATCH_INTERVAL_S)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(_STOP_LIMIT_S)
+    os._exit(1)
+
 
 Work = Callable[[], int]
 """What a forked worker does; returns its exit code."""

@@ -7,16 +7,168 @@ waited for: children are few, and a look is short.
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import FrameType
-from typing import Final, Protocol
+from types import FrameType, TracebackType
+from typing import Final, Literal, Protocol, Self
 
-from atoll_core.errors import AtollError
+from atoll_core.errors import AtollError, LocalProtocolError
 from atoll_core.signals import INTERRUPTED, handling, termination_signals
-from atoll_island_worker.processes.exit_reasons import ExitReasons, complain
-from atoll_island_worker.processes.restart_policy import RestartPolicy
+
+REPEAT_S: Final = 60.0
+"""After this time a sentence may be printed again."""
+
+_MOST_BYTES: Final = 4000
+"""Of one sentence; what is written to a pipe at once stays in one piece up to 4096 bytes."""
+
+
+def complain(sentence: str) -> None:
+    """Print why a process ends."""
+    sys.stderr.write(f"island-worker: {sentence}\n")
+
+
+class ExitReasons:
+    """A pipe from processes to the one that started them; a context manager. `writing_end` is theirs."""
+
+    def __init__(self, complain: Callable[[str], None] = complain) -> None:
+        self._reading_end, self.writing_end = os.pipe()
+        os.set_blocking(self._reading_end, False)
+        self._complain = complain
+        self._rest = b""
+        self._printed_at: dict[str, float] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for end in (self._reading_end, self.writing_end):
+            os.close(end)
+
+    def report(self, sentence: str) -> None:
+        """Have the first process print a sentence; in a fork of it, which has nothing to read here."""
+        os.close(self._reading_end)
+        report_to(self.writing_end, sentence)
+
+    def print_new(self, now: float) -> None:
+        """Print the sentences that were reported, but for those printed within the last `REPEAT_S`."""
+        for sentence in self._read():
+            if now - self._printed_at.get(sentence, -REPEAT_S) >= REPEAT_S:
+                self._printed_at[sentence] = now
+                self._complain(sentence)
+
+    def _read(self) -> list[str]:
+        """Return the sentences that were reported since the last call."""
+        data = self._rest
+        while True:
+            try:
+                more = os.read(self._reading_end, 1 << 16)
+            except BlockingIOError:
+                break
+            data += more
+        *lines, self._rest = data.split(b"\n")
+        return [line.decode("utf-8", "replace") for line in lines]
+
+
+def report_to(writing_end: int, sentence: str) -> None:
+    """Have the process at the other end print a sentence; when that one is gone, print it here."""
+    line = " ".join(sentence.split()).encode()[:_MOST_BYTES] + b"\n"
+    try:
+        os.write(writing_end, line)
+    except OSError:
+        complain(sentence)
+
+
+FIRST_PAUSE_S: Final = 1.0
+MOST_PAUSE_S: Final = 30.0
+STEADY_S: Final = 60.0
+"""A process that runs so long has its next pause begin at the first one again."""
+
+MOST_DEATHS: Final = 5
+"""After so many deaths within `STEADY_S` it is not started again."""
+
+ENDS: Final = frozenset({0, 3, 130})
+"""Exit codes of processes that end in order, or for a reason that another one would meet as well."""
+
+REFUSED: Final = 2
+"""Exit code of a process that is refused; after a first one that only means that its name is not free yet."""
+
+ProcessState = Literal["running", "paused", "ended"]
+ProcessStep = Literal["died", "due", "finished", "stop"]
+
+PROCESS_TRANSITIONS: Final[Mapping[ProcessState, Mapping[ProcessStep, ProcessState]]] = {
+    "running": {"died": "paused", "finished": "ended", "stop": "running"},
+    "paused": {"due": "running", "stop": "ended"},
+    "ended": {"stop": "ended"},
+}
+"""State of a process -> what happens -> its next state. `died`: it is to be started again; `finished`: it is not;
+`stop`: all are to end."""
+
+
+class RestartPolicy:
+    """Restarts of one worker's process. `code` is the last exit code, `number` counts the starts."""
+
+    def __init__(self) -> None:
+        self.state: ProcessState = "paused"
+        self.due_at = 0.0
+        self.code = 0
+        self.number = 0
+        self._began_at = 0.0
+        self._in_a_row = 0
+        self._deaths: list[float] = []
+        self._is_stopped = False
+
+    @property
+    def deaths(self) -> int:
+        """How many deaths there were lately."""
+        return len(self._deaths)
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether it dies too often to be started again."""
+        return self.state == "ended" and self.deaths >= MOST_DEATHS
+
+    def begin(self, now: float) -> None:
+        """Record a start."""
+        self._step("due")
+        self.number += 1
+        self._began_at = now
+
+    def end(self, code: int, now: float) -> float | None:
+        """Record an end; return for how many seconds to wait before the process is started again.
+
+        None: it is not, since it ended in order, since all are to end, or since it dies too often.
+        """
+        self.code = code
+        is_final = self._is_stopped or code in ENDS or (code == REFUSED and self.number == 1)
+        if now - self._began_at >= STEADY_S:
+            self._in_a_row = 0
+        self._in_a_row += 1
+        self._deaths = [at for at in self._deaths if now - at < STEADY_S] + ([] if is_final else [now])
+        if is_final or len(self._deaths) >= MOST_DEATHS:
+            self._step("finished")
+            return None
+        self._step("died")
+        pause_s: float = min(MOST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** (self._in_a_row - 1))
+        self.due_at = now + pause_s
+        return pause_s
+
+    def stop(self) -> None:
+        """Have no further start: all are to end."""
+        self._is_stopped = True
+        if self.state == "paused":
+            self.code = 0
+        self._step("stop")
+
+    def _step(self, step: ProcessStep) -> None:
+        following = PROCESS_TRANSITIONS[self.state].get(step)
+        if following is None:
+            raise LocalProtocolError(f"a process that is {self.state} has no {step}")
+        self.state = following
+
 
 _STOP_LIMIT_S: Final = 5.0
 _POLL_S: Final = 0.1

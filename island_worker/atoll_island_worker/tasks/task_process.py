@@ -5,9 +5,12 @@ that takes nothing in keeps nobody waiting.
 """
 
 import contextlib
+import gc
+import importlib
 import logging
 import os
 import queue
+import select
 import signal
 import socket
 import subprocess
@@ -19,22 +22,10 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Final, Protocol
 
+from atoll_core import task_frames as frames
 from atoll_core.errors import AtollError
-from atoll_core.task_frames import (
-    OTHER_VERSION,
-    Batch,
-    Ended,
-    Failure,
-    Finished,
-    FromProcess,
-    Load,
-    Logged,
-    Run,
-    Said,
-    Started,
-    ToProcess,
-    version,
-)
+from atoll_core.task_frames import OTHER_VERSION, version
+from atoll_island_worker.processes.fork_server import Forked, request_parent_death_signal
 
 END_LIMIT_S: Final = 2.0
 """How long a process that was killed, or that has closed its pipe, may take to be gone."""
@@ -141,15 +132,15 @@ class TaskProcess:
         """Whether a process is there, which need not be started for the next task."""
         return self._running is not None and self._running.is_alive
 
-    def send(self, message: ToProcess) -> int:
+    def send(self, message: frames.ToProcess) -> int:
         """Send a message to the process, starting one for a task or a batch if need be; return its `Said.life`.
 
         When the system starts no more processes, `Ended` is posted.
         """
         self._used_at = self._clock()
-        if isinstance(message, Run) and (self._done >= MAX_TASKS or self._memory >= MAX_MEMORY):
+        if isinstance(message, frames.Run) and (self._done >= MAX_TASKS or self._memory >= MAX_MEMORY):
             self.stop()
-        if not self.is_started and isinstance(message, Run | Batch):
+        if not self.is_started and isinstance(message, frames.Run | frames.Batch):
             self._start()
         if self._running is not None:
             self._running.send(message)
@@ -158,7 +149,7 @@ class TaskProcess:
     def load_next(self, function: str) -> None:
         """Have a process that is there load what tasks of this function need."""
         if self.is_started:
-            self.send(Load(function))
+            self.send(frames.Load(function))
 
     def stop(self) -> None:
         """End the process with what it runs; that it has ended is not posted."""
@@ -179,27 +170,27 @@ class TaskProcess:
             self._running = _Running(self._starter, lambda message: self._take(life, message))
         except AtollError as error:
             self._running = None
-            self._post(Said(life, Ended("crash", str(error))))
+            self._post(frames.Said(life, frames.Ended("crash", str(error))))
 
-    def _take(self, life: int, message: FromProcess) -> None:
+    def _take(self, life: int, message: frames.FromProcess) -> None:
         """Take in a message, on the reading thread."""
-        if isinstance(message, Logged):
+        if isinstance(message, frames.Logged):
             record = logging.makeLogRecord(dict(message.values))
             logging.getLogger(record.name).handle(record)
             return
-        if isinstance(message, Finished) and life == self._life:
+        if isinstance(message, frames.Finished) and life == self._life:
             self._done, self._memory = self._done + 1, message.memory_bytes
         self._used_at = self._clock()
-        self._post(Said(life, message))
+        self._post(frames.Said(life, message))
 
 
 class _Running:
     """One process, the thread that reads what it says, and the one that writes to it."""
 
-    def __init__(self, starter: Starter, take: Callable[[FromProcess], None]) -> None:
+    def __init__(self, starter: Starter, take: Callable[[frames.FromProcess], None]) -> None:
         """Start them; raises AtollError when the system starts no more."""
         self._connection, theirs = Pipe()
-        self._outgoing: queue.SimpleQueue[ToProcess | None] = queue.SimpleQueue()
+        self._outgoing: queue.SimpleQueue[frames.ToProcess | None] = queue.SimpleQueue()
         self._take = take
         self._is_stopped = False
         try:
@@ -222,7 +213,7 @@ class _Running:
     def is_alive(self) -> bool:
         return self._reading.is_alive()
 
-    def send(self, message: ToProcess) -> None:
+    def send(self, message: frames.ToProcess) -> None:
         self._outgoing.put(message)
 
     def stop(self) -> None:
@@ -254,14 +245,14 @@ class _Running:
         self._process.close()
         if not self._is_stopped:
             failure, sentence = cause_of(code)
-            self._take(Ended(failure, why or sentence))
+            self._take(frames.Ended(failure, why or sentence))
 
     def _read_all(self) -> str:
         """Hand on what the process says until its end; return in words why that could not be read, if so."""
         try:
             while True:
                 message = self._connection.recv()
-                if isinstance(message, Started):
+                if isinstance(message, frames.Started):
                     self._process.set_pid(message.pid)
                 else:
                     self._take(message)
@@ -271,7 +262,7 @@ class _Running:
             return f"what it said could not be read: {type(error).__name__}: {error}"
 
 
-def cause_of(code: int | None) -> tuple[Failure, str]:
+def cause_of(code: int | None) -> tuple[frames.Failure, str]:
     """Return in words how a process ended by itself."""
     if code is None:
         return "crash", "its process ended"
@@ -283,3 +274,163 @@ def cause_of(code: int | None) -> tuple[Failure, str]:
     if -code == signal.SIGKILL:
         return "memory", f"its process was ended by signal {-code} ({name}), as happens when memory runs out"
     return "crash", f"its process was ended by signal {-code} ({name})"
+
+
+LOAD_AFTER_S: Final = 2.0
+"""After so long without a request, once there was one, what refining needs is loaded as well: whoever refines first
+has loaded it by then, and those that help later find it loaded."""
+
+_MOST: Final = 256
+
+
+class TaskServer(Starter):
+    """The server as the workers see it, which inherit it."""
+
+    def __init__(self) -> None:
+        """Fork the server; raises AtollError when the system starts no more processes."""
+        self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        Forked(lambda: _Server(theirs).serve(self._ours))
+        theirs.close()
+
+    def start(self, connection: "Connection[object, object]") -> Process:
+        """Have a process forked; where the server is gone, start an interpreter."""
+        level = logging.getLogger().getEffectiveLevel()
+        codes, theirs = Pipe(duplex=False)
+        with theirs:
+            try:
+                socket.send_fds(self._ours, [str(level).encode()], [connection.fileno(), theirs.fileno()])
+            except OSError:
+                codes.close()
+                return start_process(connection)
+        return _ForkedTask(codes)
+
+    def close(self) -> None:
+        """Close this process's end; the server ends when nobody has one any more."""
+        self._ours.close()
+
+
+class _ForkedTask:
+    """A task process that the server has forked: it says itself which number it has, the server how it ended."""
+
+    def __init__(self, codes: "Connection[object, object]") -> None:
+        """`codes` is where the server sends its exit code."""
+        self._codes = codes
+        self._code: int | None = None
+        self._pidfd: int | None = None
+        self._is_killed = False
+        self._closing = threading.Lock()
+
+    def set_pid(self, pid: int) -> None:
+        """Take in the number of the process."""
+        with contextlib.suppress(OSError, AttributeError):  # it has ended already, or the system has no such thing
+            self._pidfd = os.pidfd_open(pid)
+
+    def kill(self) -> None:
+        """End it; one that has not said its number yet ends when its pipe is closed."""
+        with self._closing, contextlib.suppress(OSError):
+            if self._pidfd is not None:
+                signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
+                self._is_killed = True
+
+    def wait(self, timeout: float) -> int | None:
+        """Return its exit code once it has ended, None where the server does not say it in time.
+
+        Of one that was killed here it is not waited for: the server may be loading, for more than a second.
+        """
+        if self._is_killed:
+            timeout = 0.0
+        with contextlib.suppress(OSError, EOFError):
+            if self._code is None and self._codes.poll(timeout):
+                self._code = int(self._codes.recv_bytes())
+        return self._code
+
+    def close(self) -> None:
+        """Close what tells of it."""
+        self._codes.close()
+        with self._closing:
+            if self._pidfd is not None:
+                os.close(self._pidfd)
+                self._pidfd = None
+
+
+class _Server:
+    """The server itself. `forks` has of each living fork its number and where its exit code goes, by a pipe that is
+    readable when it has ended."""
+
+    def __init__(self, requests: socket.socket) -> None:
+        self._requests = requests
+        self._forks: dict[int, tuple[int, Connection[object, object]]] = {}
+        self._is_loaded = self._was_asked = False
+        self._poll = select.poll()
+        self._poll.register(requests, select.POLLIN)
+
+    def serve(self, others_end: socket.socket) -> int:
+        """Fork a process for each request until no end of the socket is open any more; return the exit code."""
+        others_end.close()
+        request_parent_death_signal()
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # else the system would not tell how they end
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else numpy's library starts threads
+        _load("prepare")
+        while True:
+            events = self._poll.poll(None if self._is_loaded or not self._was_asked else 1000.0 * LOAD_AFTER_S)
+            if not events:
+                _load("refine")
+                self._is_loaded = True
+            for descriptor, _ in events:
+                if descriptor in self._forks:
+                    self._see_off(descriptor)
+                elif not self._handle():
+                    return 0
+
+    def _handle(self) -> bool:
+        """Do what a worker asks; return False when there is none any more."""
+        message, descriptors, _, _ = socket.recv_fds(self._requests, _MOST, 2)
+        if len(descriptors) == 2:
+            self._was_asked = True
+            self._fork(descriptors[0], descriptors[1], int(message))
+        return bool(message)
+
+    def _fork(self, descriptor: int, codes: int, level: int) -> None:
+        """Fork a process for the pipe `descriptor`; how it ends will be said at `codes`."""
+        sentinel, held_by_it = os.pipe()
+        telling: Connection[object, object] = Connection(codes, readable=False)
+
+        def work() -> int:
+            self._forget_forks()
+            os.close(sentinel)
+            telling.close()
+            importlib.import_module("atoll.tasks.process").main(descriptor, level, version())
+            return 0
+
+        try:
+            pid = Forked(work).pid
+        except Exception:  # the system starts no more processes: the end of the pipe tells the worker
+            os.close(sentinel)
+            telling.close()
+        else:
+            self._forks[sentinel] = (pid, telling)
+            self._poll.register(sentinel, select.POLLIN)
+        os.close(held_by_it)
+        os.close(descriptor)
+
+    def _forget_forks(self) -> None:
+        """Close, in a fork, what is the server's."""
+        self._requests.close()
+        for sentinel, (_, telling) in self._forks.items():
+            os.close(sentinel)
+            telling.close()
+
+    def _see_off(self, sentinel: int) -> None:
+        """Tell the worker how its process ended."""
+        pid, telling = self._forks.pop(sentinel)
+        self._poll.unregister(sentinel)
+        os.close(sentinel)
+        _, status = os.waitpid(pid, 0)
+        with telling, contextlib.suppress(OSError):  # the worker may have ended before
+            telling.send_bytes(str(os.waitstatus_to_exitcode(status)).encode())
+
+
+def _load(function: str) -> None:
+    with contextlib.suppress(Exception):  # whoever runs the task meets it, and says it
+        importlib.import_module("atoll.tasks.functions").FUNCTIONS[function].load()
+    gc.freeze()  # what is loaded is shared by all processes, as long as the search for garbage does not write to it

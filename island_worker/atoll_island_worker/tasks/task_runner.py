@@ -1,6 +1,9 @@
-"""What is leased to this worker: its inputs, its process, its result; and batches between workers.
+"""The tasks leased to this worker: their inputs, their process, their results; and batches between workers.
 
-One task runs at a time, its own or that of another worker which it helps. Owned by the worker's loop.
+One task runs at a time: one of its own, or batches of another worker's task which this worker helps with. A result is
+pushed until the coordinator releases the task, so a lost message costs only time. A helper asks the worker that runs a
+task for batches; the question goes to the process of the task, which answers it when it has a batch, and the answer
+carries the helper's last result. Owned by the worker's loop.
 """
 
 import hashlib
@@ -9,49 +12,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from atoll_core import task_frames as frames
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.task_frames import (
-    Ask,
-    Batch,
-    Begun,
-    Computed,
-    Ended,
-    Failed,
-    Failure,
-    Finished,
-    Give,
-    Progressed,
-    Run,
-    Said,
-    Take,
-)
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode
+from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.epochs import NotYet, PullAnswer
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
-from atoll_core.wire.messages.tasks import (
-    BatchResult,
-    GivenBatch,
-    Help,
-    Lease,
-    NoTask,
-    PullBatch,
-    Release,
-    TaskChunk,
-    TaskFailed,
-    TaskState,
-    TaskStatus,
-)
-from atoll_island_worker.connection.requests import Request, Requests
-from atoll_island_worker.tasks.downloads import ByteCache, Download
+from atoll_island_worker.connection import PendingRequest, Requests
+from atoll_island_worker.downloads import ByteCache, Download
 from atoll_island_worker.tasks.task_process import TaskProcess
 
 NEXT: Final = {"prepare": "refine"}
-"""What a process that has done a task of one function loads then, for the task that most likely follows."""
+"""After a task of one function a process loads what this function needs: the task that most likely follows."""
 
 TaskStep = Literal["fetched", "begun", "finished", "failed", "release"]
 
-TASK_TRANSITIONS: Final[dict[TaskState, dict[TaskStep, TaskState | None]]] = {
+TASK_TRANSITIONS: Final[dict[messages.TaskState, dict[TaskStep, messages.TaskState | None]]] = {
     "fetching": {"fetched": "waiting", "failed": "failed", "release": None},
     "waiting": {"begun": "running", "finished": "done", "failed": "failed", "release": None},
     "running": {"finished": "done", "failed": "failed", "release": None},
@@ -59,23 +36,23 @@ TASK_TRANSITIONS: Final[dict[TaskState, dict[TaskStep, TaskState | None]]] = {
     "failed": {"release": None},
     "helping": {"release": None},
 }
-"""State of a task on its worker -> what happens -> its next state; None: it is not there any more."""
+"""State of a task on its worker -> event -> next state; None: it is removed."""
 
 
 @dataclass(slots=True)
 class _Leased:
-    """A task that is leased to this worker; `result` or `failed` once that has come.
+    """A task that is leased to this worker; `result` or `failed` once it has ended.
 
-    `inputs` are those that have come, until it runs; `life` says which process runs it.
+    `inputs` are the inputs that have arrived, until it runs; `life` says which process runs it.
     """
 
-    lease: Lease
-    state: TaskState = "fetching"
+    lease: messages.Lease
+    state: messages.TaskState = "fetching"
     downloads: dict[str, Download] = field(default_factory=dict)
     inputs: dict[str, bytes] = field(default_factory=dict)
     life: int = 0
     result: bytes = b""
-    failed: TaskFailed | None = None
+    failed: messages.TaskFailed | None = None
     began: float = 0.0
     seconds: float = 0.0
     compared: int = 0
@@ -90,9 +67,9 @@ class _Leased:
 
 @dataclass(slots=True)
 class _Helped:
-    """A task of another worker; `batch` is the one that is computed here now, by the process of that `life`."""
+    """A task of another worker; `batch` is the one that the process of that `life` computes here now."""
 
-    help: Help
+    help: messages.Help
     batch: int | None = None
     life: int = 0
 
@@ -111,47 +88,52 @@ class TaskRunner:
         self._clock = clock
         self._leased: dict[str, _Leased] = {}
         self._helped: _Helped | None = None
-        self._asked: dict[int, tuple[str, Query]] = {}
+        self._questions: dict[int, tuple[str, Query]] = {}
         self._tokens = 0
         self._cache = ByteCache()
 
     @property
     def is_idle(self) -> bool:
-        """Whether there is nothing to compute and nothing whose result is still wanted."""
+        """Whether there is nothing to compute and no result that is still wanted."""
         return not self._leased and self._helped is None
 
     @property
     def is_loaded(self) -> bool:
-        """Whether a process for tasks is there already."""
+        """Whether a process for tasks is running already."""
         return self._process.is_started
 
-    def statuses(self) -> tuple[TaskStatus, ...]:
-        """Return what the heartbeat says of tasks."""
-        own = (
-            TaskStatus(task=task, job=leased.lease.job, state=leased.state, compared=leased.compared)
+    def statuses(self) -> tuple[messages.TaskStatus, ...]:
+        """Return what heartbeats report of tasks."""
+        statuses = [
+            messages.TaskStatus(task=task, job=leased.lease.job, state=leased.state, compared=leased.compared)
             for task, leased in self._leased.items()
-        )
-        if self._helped is None:
-            return tuple(own)
-        helped = self._helped.help
-        return (*own, TaskStatus(task=helped.task, job=helped.job, state="helping"))
+        ]
+        if self._helped is not None:
+            helped = self._helped.help
+            statuses.append(messages.TaskStatus(task=helped.task, job=helped.job, state="helping"))
+        return tuple(statuses)
 
     # ------------------------------------------------------------------------------------- the coordinator
 
-    def told(self, body: Lease | Help | Release) -> None:
-        """Take in what the coordinator says of a task."""
+    def handle(self, body: messages.Lease | messages.Help | messages.Release) -> None:
+        """Handle a message of the coordinator about a task."""
         match body:
-            case Lease():
+            case messages.Lease():
                 self._lease(body)
-            case Help():
-                self._help(body)
-            case Release():
+            case messages.Release():
                 self._release(body.task)
+            case messages.Help():
+                # Until the task is done or released; own tasks first, one task at a time.
+                is_known = self._helped is not None and self._helped.help.task == body.task
+                has_work = any(own.failed is None and own.state != "done" for own in self._leased.values())
+                if not is_known and not has_work:
+                    self._helped = _Helped(body)
+                    self._pull_batch(None)
 
-    def _lease(self, lease: Lease) -> None:
-        """Begin a task; of one that is done already push again what came of it.
+    def _lease(self, lease: messages.Lease) -> None:
+        """Begin a task; if it has already ended, push its result again.
 
-        One that failed begins anew when the term is another: the coordinator has it tried again.
+        A task that failed begins again when the term is another one: then the coordinator has it tried again.
         """
         known = self._leased.get(lease.task)
         if known is not None and (known.failed is None or known.failed.term == lease.term):
@@ -168,33 +150,20 @@ class TaskRunner:
         self.fetch(lease.task)
         self._run_next()
 
-    def _help(self, wanted: Help) -> None:
-        """Help another worker with its task, until it is done or released; one task at a time, its own first."""
-        if self._helped is not None and self._helped.help.task == wanted.task:
-            return
-        if any(leased.failed is None and leased.state != "done" for leased in self._leased.values()):
-            return
-        self._helped = _Helped(wanted)
-        self._pull_batch(None)
-
     def _release(self, task: str) -> None:
-        """Have nothing more to do with a task; one that runs is ended with its process."""
+        """Forget a task; if it is running, end its process."""
         leased = self._leased.pop(task, None)
         if leased is not None and leased.state in ("waiting", "running"):
             self._process.stop()
             self._answer_helpers(task)
         self._run_next()
         if self._helped is not None and self._helped.help.task == task:
-            self._stop_helping()
+            self._helped = None
 
     def reset(self) -> None:
-        """Forget what a former coordinator's store had leased."""
+        """Forget the leases of another coordinator's store."""
         for task in list(self._leased):
             self._release(task)
-        self._stop_helping()
-
-    def _stop_helping(self) -> None:
-        """Ask for no more batches; what is computed at the moment is done within about a second."""
         self._helped = None
 
     # ------------------------------------------------------------------------------------------- inputs
@@ -206,8 +175,8 @@ class TaskRunner:
             for index in download.take():
                 self._requests.ask_input(task, download.digest, index)
 
-    def answered(self, request: Request, payload: bytes | None) -> None:
-        """Take in the answer to `Requests.ask_input` or `Requests.ask_batch`; None: there was none."""
+    def answered(self, request: PendingRequest, payload: bytes | None) -> None:
+        """Handle the answer to `Requests.ask_input` or `Requests.ask_batch`; None: no answer came."""
         if request.question == "input":
             self._chunk_came(request.subject, request.digest, request.index, payload)
         else:
@@ -232,7 +201,7 @@ class TaskRunner:
         self._run_next()
 
     def _run_next(self) -> None:
-        """Run the first task whose inputs are here, if none runs."""
+        """Run the first task whose inputs are complete, if none is running."""
         if any(leased.state in ("waiting", "running") for leased in self._leased.values()):
             return
         ready = (one for one in self._leased.values() if one.state == "fetching" and not one.downloads)
@@ -240,150 +209,148 @@ class TaskRunner:
         if leased is None:
             return
         leased.step("fetched")
-        self._stop_helping()
+        self._helped = None  # the batch that is computed now ends within about a second
         leased.began = self._clock()
         lease, inputs = leased.lease, tuple(leased.inputs[given.digest] for given in leased.lease.inputs)
         leased.inputs.clear()
         leased.life = self._process.send(
-            Run(lease.task, lease.function, inputs, lease.seconds, lease.threads, lease.job)
+            frames.Run(lease.task, lease.function, inputs, lease.seconds, lease.threads, lease.job)
         )
 
     # ------------------------------------------------------------------------------------------- process
 
-    def process_said(self, said: Said) -> bool:
-        """Take in what the process says; return whether the coordinator is to be told at once."""
+    def process_said(self, said: frames.Said) -> bool:
+        """Handle a message of the process; return whether the coordinator should get a heartbeat at once."""
         message = said.message
         match message:
-            case Begun() | Progressed() | Finished() | Failed():
+            case frames.Begun() | frames.Progressed() | frames.Finished() | frames.Failed():
                 leased = self._leased.get(message.task)
-                if leased is not None and leased.life == said.life:  # else a process said it that was stopped since
+                if leased is not None and leased.life == said.life:  # else a process that was stopped has sent it
                     self._advance(leased, message)
-                    return not isinstance(message, Progressed)
-            case Ended():
+                    return not isinstance(message, frames.Progressed)
+            case frames.Ended():
                 return self._ended(said.life, message)
-            case Give():
+            case frames.Give():
                 self._give(message)
-            case Computed():
-                self._computed(message)
+            case frames.Computed():
+                if self._helped is not None and self._helped.batch == message.number:
+                    self._helped.batch = None
+                    self._pull_batch(messages.BatchResult(number=message.number, result=message.result))
         return False
 
-    def _advance(self, leased: _Leased, message: Begun | Progressed | Finished | Failed) -> None:
+    def _advance(
+        self, leased: _Leased, message: frames.Begun | frames.Progressed | frames.Finished | frames.Failed
+    ) -> None:
         match message:
-            case Begun():
+            case frames.Begun():
                 leased.step("begun")
-            case Progressed():
+            case frames.Progressed():
                 leased.compared = message.compared
-            case Finished():
-                self._finish(leased, message)
-            case Failed():
+            case frames.Failed():
                 self._fail(leased, message.failure, message.sentence)
                 self._run_next()
+            case frames.Finished():
+                leased.step("finished")
+                leased.result, leased.seconds = message.result, self._clock() - leased.began
+                self._push(leased)
+                self._answer_helpers(message.task)
+                self._run_next()
+                following = NEXT.get(leased.lease.function)
+                is_free = all(one.state in ("fetching", "done", "failed") for one in self._leased.values())
+                if following is not None and is_free:
+                    self._process.load_next(following)
 
-    def _ended(self, life: int, message: Ended) -> bool:
-        """Take in that a process has ended by itself, with what it did; return whether it had a task."""
+    def _ended(self, life: int, message: frames.Ended) -> bool:
+        """Handle the end of a process that nobody stopped; return whether it had a task."""
         if self._helped is not None and self._helped.batch is not None and self._helped.life == life:
-            self._stop_helping()
+            self._helped = None
         lost = [one for one in self._leased.values() if one.life == life and one.state in ("waiting", "running")]
         for leased in lost:
             self._fail(leased, message.failure, message.why)
         self._run_next()
         return bool(lost)
 
-    def _finish(self, leased: _Leased, message: Finished) -> None:
-        leased.step("finished")
-        leased.result, leased.seconds = message.result, self._clock() - leased.began
-        self._push(leased)
-        self._answer_helpers(message.task)
-        self._run_next()
-        following = NEXT.get(leased.lease.function)
-        if following is not None and all(one.state in ("fetching", "done", "failed") for one in self._leased.values()):
-            self._process.load_next(following)
-
-    def _fail(self, leased: _Leased, failure: Failure, sentence: str) -> None:
+    def _fail(self, leased: _Leased, failure: frames.Failure, sentence: str) -> None:
         leased.step("failed")
         lease = leased.lease
-        leased.failed = TaskFailed(task=lease.task, term=lease.term, failure=failure, sentence=sentence[:4000])
+        leased.failed = messages.TaskFailed(task=lease.task, term=lease.term, failure=failure, sentence=sentence[:4000])
         self._push(leased)
         self._answer_helpers(lease.task)
 
     def _push(self, leased: _Leased) -> None:
-        """Send what came of a task, if it is there: the coordinator releases it when it has it all."""
+        """Send the result of a task, if it has ended; the coordinator releases the task when it has all of it."""
         if leased.failed is not None:
             self._requests.send_task_report(leased.failed)
         elif leased.state == "done":
             digest, size = hashlib.sha256(leased.result).hexdigest(), len(leased.result)
             for offset in range(0, max(size, 1), CHUNK_SIZE):
                 data = leased.result[offset : offset + CHUNK_SIZE]
-                chunk = TaskChunk(
+                chunk = messages.TaskChunk(
                     task=leased.lease.task, digest=digest, size=size, offset=offset, data=data, seconds=leased.seconds
                 )
                 self._requests.send_task_report(chunk)
 
-    # ------------------------------------------------------------------------------- batches, as who helps
+    # ------------------------------------------------------------------------------ batches, as the helper
 
-    def _pull_batch(self, result: BatchResult | None) -> None:
+    def _pull_batch(self, result: messages.BatchResult | None) -> None:
         assert self._helped is not None
         helped = self._helped.help
         contexts = self._cache.digests[-64:]
-        self._requests.ask_batch(helped.worker, PullBatch(task=helped.task, result=result, contexts=contexts))
+        self._requests.ask_batch(helped.worker, messages.PullBatch(task=helped.task, result=result, contexts=contexts))
 
     def _batch_came(self, task: str, payload: bytes | None) -> None:
-        """Take in a batch; without any, or without a task there, helping has ended."""
+        """Handle the answer of the worker that has the task; without a batch or a task there, helping ends."""
         helped = self._helped
         if helped is None or helped.help.task != task:
             return
-        self._helped = None  # also where what came cannot be read: the coordinator has it help again
-        body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else NoTask()
+        self._helped = None  # also if the answer cannot be read: the coordinator will send another Help
+        body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else messages.NoTask()
         match body:
-            case GivenBatch():
+            case messages.GivenBatch():
                 if body.context:
                     self._cache.add(hashlib.sha256(body.context).hexdigest(), body.context)
                 context = self._cache.get(body.digest)
                 if context is None:
                     raise RemoteProtocolError(f"a batch came with the context {body.digest}, which is not here")
                 self._helped, helped.batch = helped, body.number
-                helped.life = self._process.send(Batch(body.number, body.function, body.digest, context, body.item))
+                batch = frames.Batch(body.number, body.function, body.digest, context, body.item)
+                helped.life = self._process.send(batch)
             case NotYet():
                 self._helped = helped
                 self._pull_batch(None)
 
-    def _computed(self, message: Computed) -> None:
-        if self._helped is not None and self._helped.batch == message.number:
-            self._helped.batch = None
-            self._pull_batch(BatchResult(number=message.number, result=message.result))
+    # ------------------------------------------------------------------ batches, as the owner of the task
 
-    # ----------------------------------------------------------------------- batches, as who has the task
-
-    def batch_asked(self, query: Query, pull: PullBatch) -> None:
-        """Take in a helper's question: its result goes to the process, which gives it a batch when there is one."""
+    def batch_asked(self, query: Query, pull: messages.PullBatch) -> None:
+        """Handle a helper's question: pass its result on to the process, which answers when it has a batch."""
         leased = self._leased.get(pull.task)
         if leased is None or leased.state != "running":
-            self._reply(query, PullAnswer(body=NoTask()))
+            self._reply(query, PullAnswer(body=messages.NoTask()))
             return
         if pull.result is not None:
-            self._process.send(Take(pull.result.number, pull.result.result))
+            self._process.send(frames.Take(pull.result.number, pull.result.result))
         self._tokens += 1
-        self._asked[self._tokens] = (pull.task, query)
-        self._process.send(Ask(self._tokens, frozenset(pull.contexts)))
+        self._questions[self._tokens] = (pull.task, query)
+        self._process.send(frames.Ask(self._tokens, frozenset(pull.contexts)))
 
-    def _give(self, message: Give) -> None:
-        asked = self._asked.pop(message.token, None)
-        if asked is None:
+    def _give(self, message: frames.Give) -> None:
+        if message.token not in self._questions:
             return
+        _, query = self._questions.pop(message.token)
         batch = message.batch
         if batch is None:
-            self._reply(asked[1], PullAnswer(body=NotYet()))
+            self._reply(query, PullAnswer(body=NotYet()))
             return
-        given = GivenBatch(
+        given = messages.GivenBatch(
             number=batch.number, function=batch.function, digest=batch.digest, context=batch.context, item=batch.item
         )
-        self._reply(asked[1], PullAnswer(body=given))
+        self._reply(query, PullAnswer(body=given))
 
     def _answer_helpers(self, task: str) -> None:
-        """Tell helpers who wait for batches of a task that there is no such task any more."""
-        for token in [token for token, (asked, _) in self._asked.items() if asked == task]:
-            _, query = self._asked.pop(token)
-            self._reply(query, PullAnswer(body=NoTask()))
+        """Tell helpers that wait for batches of a task that the task has ended."""
+        for token in [token for token, (asked, _) in self._questions.items() if asked == task]:
+            _, query = self._questions.pop(token)
+            self._reply(query, PullAnswer(body=messages.NoTask()))
 
     def close(self) -> None:
         """End the process."""

@@ -20,8 +20,7 @@ from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.compute.compute_thread import WarmedUp, WarmUpNote
 from atoll_island_worker.compute.run_queue import RunQueue, Work
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
-from atoll_island_worker.session.events import Computed, JobReady
+from atoll_island_worker.session.interface import Computed, JobReady, ShardKey, Task, TaskKey
 from tests.simulation.bus.network import SimulatedNetwork
 
 OURS = source_digest(WORKER)

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.options.parser import build_parser
+from atoll.cli.options import build_parser
 from atoll_core.command_line import SHELLS, Parser, complete, duration, seconds, whole_number
 from atoll_core.errors import AtollError
 

@@ -7,7 +7,7 @@ import urllib.parse
 import pytest
 
 from atoll.api.discoverer import Discoverer
-from atoll.cli.web_process import opening
+from atoll.cli.verbs.web import opening
 from atoll.client.over_http import TOKEN, WebAddress, coordinator_at
 from atoll.web.access import token_of
 from atoll_core.errors import RefusedError, UsageError

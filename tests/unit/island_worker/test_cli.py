@@ -15,7 +15,7 @@ from atoll_core.wire.security.credentials import load
 from atoll_island_worker import cli
 from atoll_island_worker import worker as worker_module
 from atoll_island_worker.processes import fork_server as forking
-from atoll_island_worker.processes import parent as parent_watch
+from atoll_island_worker.processes import fork_server as parent_watch
 from atoll_island_worker.processes import supervisor as supervision
 from atoll_island_worker.processes.command import tls_options
 from tests.certificates import Lab

@@ -9,7 +9,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.workers import CloseJob, Control, JobAnnouncement
-from atoll_island_worker.datasets import Datasets
+from atoll_island_worker.downloads import Datasets
 
 DATA = bytes(2 * CHUNK_SIZE) + b"rest"
 

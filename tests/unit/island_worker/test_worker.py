@@ -16,7 +16,7 @@ from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.handshake import GreetingAnswer, Welcome
 from atoll_core.wire.messages.workers import CloseJob, Control, JobAnnouncement, Placement, Placements
 from atoll_island_worker.compute.compute_thread import ComputeFailed, WarmedUp
-from atoll_island_worker.session.events import JobReady
+from atoll_island_worker.session.interface import JobReady
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.network import SimulatedNetwork
 

@@ -1,53 +1,117 @@
-"""The verbs about the jobs of a coordinator: to list and show them, to cancel or delete one."""
+"""The verbs about the jobs and workers of a coordinator.
+
+They show: ``ping``, ``jobs``, ``status``, ``workers``, ``logs``. They change a job: ``cancel``, ``delete``, ``pause``,
+``resume``, ``priority``, ``share``, ``retry``. For admins: ``cordon``, ``uncordon``, ``drain``, ``queue``.
+"""
 
 import argparse
-from collections.abc import Sequence
+import json
+import time
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from pydantic_core import to_jsonable_python
 
 from atoll.cli.exit_codes import DONE, end_of_cancelled, finish
+from atoll.cli.options import job_id
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower
 from atoll.client.over_http import Whereabouts
+from atoll.client.subscription import Subscription
 from atoll.terminal.output import as_json, clipped, count, duration, say, table
 from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
 from atoll_core.data.notes import with_kind
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
-from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
+from atoll_core.wire.messages.views import (
+    FINAL_STATES,
+    WARNINGS,
+    CoordinatorView,
+    Counters,
+    EventView,
+    JobView,
+    WorkerService,
+    WorkerView,
+    Workforce,
+)
 
-_SHOWN: Final = 20
-"""Jobs under way that are named when one is to be chosen."""
+_MOST_NAMED: Final = 20
+"""Jobs and workers that a message lists at most."""
+
+_JOB_HEADS: Final = (
+    "ID", "NAME", "STATE", "PRIORITY", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND", "NOTE",
+)  # fmt: skip
+_WORKER_HEADS: Final = (
+    "NAME", "HOST", "PID", "STATE", "ISLANDS", "SILENT", "MEMORY", "CPU", "IN", "OUT", "WAITED", "TROUBLE", "VERSION",
+    "CORES", "JOINED", "DOING",
+)  # fmt: skip
+_TRAFFIC_HEADS: Final = ("KIND", "MESSAGES IN", "BYTES IN", "MESSAGES OUT", "BYTES OUT")
+_LEVELS: Final = ("info", "warning", "error")
+_WAIT_S: Final = 1.0
+"""How long `logs --follow` waits for a change at a time, so that Ctrl-C is handled."""
 
 
-def jobs(options: argparse.Namespace) -> int:
-    """List all jobs, or those whose id begins with ``options.job``, or the ``options.last`` of them."""
-    with connected(address_of(options), CONNECT_LIMIT_S) as client:
-        views = client.jobs(options.job or "", last=options.last)
-    say(_json(views) if options.json else _job_table(views))
+def _tell(options: argparse.Namespace, views: object, text: str) -> int:
+    """Print views as JSON where ``--json`` is given, else the text; return exit code 0."""
+    say(as_json(to_jsonable_python(views)) if options.json else text)
     return DONE
 
 
+def ping(options: argparse.Namespace) -> int:
+    """Greet the coordinator and print how long it took; UnreachableError without an answer within ``options.wait``.
+
+    The loop of the coordinator answers; a coordinator that hangs does not.
+    """
+    address = address_of(options)
+    began = time.monotonic()
+    with connected(address, options.wait) as client:
+        seconds, welcome = time.monotonic() - began, client.welcome
+    answer = {"version": welcome.version, "incarnation": welcome.incarnation, "seconds": seconds}
+    start = f"start {welcome.incarnation}"
+    return _tell(
+        options, answer, f"coordinator {welcome.version} at {address} answers, in {1000 * seconds:.0f} ms ({start})"
+    )
+
+
+# ------------------------------------------------------------------------------------- jobs and status
+
+
+def jobs(options: argparse.Namespace) -> int:
+    """List all jobs, or the jobs whose id begins with ``options.job``, or the ``options.last`` of them."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        views = client.jobs(options.job or "", last=options.last)
+    text = "no job is here; submit one with: coordinator submit DATA"
+    return _tell(options, views, table(_JOB_HEADS, [_job_row(view) for view in views]) if views else text)
+
+
+def _job_row(view: JobView) -> tuple[str, ...]:
+    epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
+    converged = sum(variable.converged for variable in view.variables)
+    return (
+        view.job, clipped(view.name, 24), view.state, str(view.priority), duration(view.elapsed), str(view.workers),
+        epochs, count(view.point_evaluations), f"{converged} of {len(view.variables)}",
+        clipped(view.reason or (view.stalls[0] if view.stalls else ""), 70),
+    )  # fmt: skip
+
+
 def status(options: argparse.Namespace) -> int:
-    """Show one job, or all that have not ended; with ``--follow`` one, until it ends, with its exit code."""
+    """Show one job, or all jobs that have not ended; with ``--follow`` one job until it ends, with its exit code."""
     address = address_of(options)
     if options.follow:
         return _follow_job(options, address)
     with connected(address, CONNECT_LIMIT_S) as client:
         views = client.jobs(is_open=True) if options.job is None else [client.status(client.resolve(options.job))]
         workforce = Workforce.of(client.workers())
-    if options.json:
-        say(_json(views if options.job is None else views[0]))
-    else:
-        hint = f"island-worker --connect {address}"
-        say("\n\n".join(_status_text(view, workforce, hint) for view in views) or "no job is under way")
-    return DONE
+    texts = []
+    for view in views:
+        notes = [f"  no progress: {stall}" for stall in view.stalls]
+        notes += [f"  {with_kind(warning, view.notes)}" for warning in view.warnings]
+        texts.append("\n".join([*plain_lines(view, workforce, f"island-worker --connect {address}"), *notes]))
+    return _tell(options, views if options.job is None else views[0], "\n\n".join(texts) or "no job is under way")
 
 
 def _follow_job(options: argparse.Namespace, address: Whereabouts) -> int:
-    """Show a job, the only one under way unless it is named, whenever it changes; return its exit code."""
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
         job = _chosen_job(client, options.job)
         hint = f"island-worker --connect {address}"
@@ -62,20 +126,18 @@ def _follow_job(options: argparse.Namespace, address: Whereabouts) -> int:
 
 
 def cancel(options: argparse.Namespace) -> int:
-    """End a job, the only one under way unless it is named; its best equations stay."""
+    """Cancel a job, by default the only one under way; its best equations are kept."""
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         job = _chosen_job(client, options.job)
         had_ended = client.status(job).state in FINAL_STATES
         view = client.cancel_and_wait(job)
-    if options.json:
-        say(_json(view))
-    elif had_ended:
-        say(f"job {job} had ended already: {view.state}")
+    if had_ended:
+        text = f"job {job} had ended already: {view.state}"
     elif view.state not in FINAL_STATES:
-        say(f"job {job} is being cancelled; its result is still composed: coordinator status {job}")
+        text = f"job {job} is being cancelled; its result is not complete yet: coordinator status {job}"
     else:
-        say(f"job {job} is cancelled{end_of_cancelled(view, f'; its best equations: coordinator result {job}')}")
-    return DONE
+        text = f"job {job} is cancelled{end_of_cancelled(view, f'; its best equations: coordinator result {job}')}"
+    return _tell(options, view, text)
 
 
 def delete(options: argparse.Namespace) -> int:
@@ -83,44 +145,216 @@ def delete(options: argparse.Namespace) -> int:
     with connected(address_of(options), CONNECT_LIMIT_S) as client:
         job = client.resolve(options.job)
         client.delete(job)
-    say(as_json({"deleted": job}) if options.json else f"job {job} is deleted")
-    return DONE
+    return _tell(options, {"deleted": job}, f"job {job} is deleted")
 
 
 def _chosen_job(client: Client, prefix: str | None) -> str:
     """Return the id of the job that is named, or of the only one under way."""
     if prefix is not None:
         return client.resolve(prefix)
-    views = client.jobs(is_open=True, last=_SHOWN + 1)
+    views = client.jobs(is_open=True, last=_MOST_NAMED + 1)
     if len(views) != 1:
-        there = ", ".join(view.job for view in views[-_SHOWN:]) or "none"
-        there += " and others" if len(views) > _SHOWN else ""
-        raise UsageError(f"which job is meant? name one of those under way: {there}")
+        names = ", ".join(view.job for view in views[-_MOST_NAMED:]) or "none"
+        names += " and others" if len(views) > _MOST_NAMED else ""
+        raise UsageError(f"no job was named, and the jobs under way are: {names}; name one")
     return views[0].job
 
 
-def _json(views: object) -> str:
-    return as_json(to_jsonable_python(views))
+def pause(options: argparse.Namespace) -> int:
+    """Stop a job at a checkpoint until it is resumed."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        view = client.pause_job(client.resolve(options.job))
+    return _tell(options, view, f"job {view.job} is paused; continue it with: coordinator resume {view.job}")
 
 
-def _status_text(view: JobView, workforce: Workforce, hint: str) -> str:
-    notes = [f"  stands still: {stall}" for stall in view.stalls]
-    notes += [f"  {with_kind(warning, view.notes)}" for warning in view.warnings]
-    return "\n".join([*plain_lines(view, workforce, hint), *notes])
+def resume(options: argparse.Namespace) -> int:
+    """Continue a job that was paused."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        view = client.pause_job(client.resolve(options.job), paused=False)
+    return _tell(options, view, f"job {view.job} continues" + (f": it {view.reason}" if view.reason else ""))
 
 
-def _job_table(views: Sequence[JobView]) -> str:
-    if not views:
-        return "no job is here; give one with: coordinator submit DATA"
-    heads = ("ID", "NAME", "STATE", "PRIORITY", "TIME", "WORKERS", "EPOCHS", "POINT-EVALS", "FOUND", "NOTE")
-    return table(heads, [_row(view) for view in views])
+def priority(options: argparse.Namespace) -> int:
+    """Change the priority of a job."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        view = client.set_priority(client.resolve(options.job), options.priority)
+    return _tell(options, view, f"job {view.job} has priority {view.priority}")
 
 
-def _row(view: JobView) -> tuple[str, ...]:
-    epochs = ",".join(str(variable.epoch) for variable in view.variables) or "-"
-    converged = sum(variable.converged for variable in view.variables)
+def share(options: argparse.Namespace) -> int:
+    """Make a job visible to all users, or only to its submitter and admins."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        view = client.share(client.resolve(options.job), shared=not options.private)
+    return _tell(options, view, f"job {view.job} is {'shared with everybody' if view.shared else 'private'}")
+
+
+def retry(options: argparse.Namespace) -> int:
+    """Submit a job again, as a new job, and print the new id."""
+    new_id = job_id(options.id)
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        view = client.retry(client.resolve(options.job), new_id)
+    return _tell(options, view, view.job)
+
+
+# ------------------------------------------------------------------------------------------------ logs
+
+
+def logs(options: argparse.Namespace) -> int:
+    """Print the last events of a job, or of the coordinator; with ``--follow`` also new ones, until the job ends."""
+    with raising_interrupts(), connected(address_of(options), CONNECT_LIMIT_S) as client:
+        job = client.resolve(options.job) if options.job is not None else None
+        events = _wanted(client.events(job, 0, options.lines, of_workers=options.workers), options)
+        if not options.follow:
+            nothing = f"no events of job {job}" if job is not None else "no events yet"
+            return _tell(options, events, "\n".join(line(event) for event in events) or nothing)
+        _print(events, options.json)
+        subscription = Subscription(client, job, events[-1].number if events else 0)
+        while True:
+            change = subscription.wait(_WAIT_S)
+            if change is None:
+                continue
+            _print(_wanted(change.events, options), options.json)
+            if change.view is not None and change.view.state in FINAL_STATES and not change.has_more:
+                return DONE
+
+
+def _wanted(events: Iterable[EventView], options: argparse.Namespace) -> list[EventView]:
+    """Return the events that the options ask for; events of the coordinator have the level of their kind."""
+    least = _LEVELS.index(options.level)
+    return [
+        event
+        for event in events
+        if (event.event == "log" or not options.workers) and _LEVELS.index(_level(event)) >= least
+    ]
+
+
+def _level(event: EventView) -> str:
+    if event.event == "log":
+        level = str(event.details.get("level", "info"))
+        return level if level in _LEVELS else "info"
+    return "error" if event.event in ("failed", "broken") else "warning" if event.event in WARNINGS else "info"
+
+
+def _print(events: Iterable[EventView], as_objects: bool) -> None:
+    for event in events:
+        say(json.dumps(to_jsonable_python(event), ensure_ascii=False) if as_objects else line(event))
+
+
+def line(event: EventView) -> str:
+    """Return an event on one line: time, kind, text, and the job, island or worker that it is about."""
+    place = [
+        ("job", event.job), ("variable", event.variable), ("term", event.term), ("epoch", event.epoch),
+        ("island", event.island), ("worker", event.worker),
+    ]  # fmt: skip
+    where = " ".join(f"{name}={value}" for name, value in place if value is not None)
+    when = event.time.replace("T", " ")[:23]
+    return f"{when}  {event.event:13}  {event.text}" + (f"  [{where}]" if where else "")
+
+
+# --------------------------------------------------------------------------------------------- workers
+
+
+def workers(options: argparse.Namespace) -> int:
+    """List all workers, or those whose name begins with ``options.job``; or show the coordinator's own counters."""
+    address = address_of(options)
+    with connected(address, CONNECT_LIMIT_S) as client:
+        views = client.workers(options.job or "")
+        own = client.coordinator() if options.coordinator else None
+    if options.coordinator:
+        return _tell(options, own, coordinator_lines(own))
+    text = f"no worker is here; start one with: island-worker --connect {address}"
+    return _tell(options, views, worker_table(views) if views else text)
+
+
+def worker_table(views: Sequence[WorkerView]) -> str:
+    """Return the workers, one a line."""
+    return table(_WORKER_HEADS, [_worker_row(view) for view in views])
+
+
+def _worker_row(view: WorkerView) -> tuple[str, ...]:
+    counters = view.counters
+    doing = f"{view.doing}, {view.standing:.0f} s without progress" if view.standing >= 5.0 else view.doing
     return (
-        view.job, clipped(view.name, 24), view.state, str(view.priority), duration(view.elapsed), str(view.workers),
-        epochs, count(view.point_evaluations), f"{converged} of {len(view.variables)}",
-        clipped(view.reason or (view.stalls[0] if view.stalls else ""), 70),
+        view.worker, view.host, str(view.pid),
+        view.state if view.service == "open" else f"{view.state}, {view.service}",
+        str(view.islands), f"{view.silent:.1f} s", size(counters.memory_bytes), duration(counters.cpu_s),
+        size(sum(entry.bytes_in for entry in counters.traffic)),
+        size(sum(entry.bytes_out for entry in counters.traffic)),
+        duration(counters.waited_s), trouble(counters), view.version, str(view.cores),
+        duration(view.joined), doing or view.detail,
     )  # fmt: skip
+
+
+def coordinator_lines(view: CoordinatorView | None) -> str:
+    """Return the coordinator's own state, and its traffic by kind of message."""
+    if view is None:
+        return "the coordinator reports nothing about itself"
+    counters, store = view.counters, view.store
+    mean = store.total_s / store.transactions if store.transactions else 0.0
+    lines = [
+        f"coordinator {view.version}, start {view.incarnation}, for {duration(view.seconds)}",
+        f"memory {size(counters.memory_bytes)}, CPU {duration(counters.cpu_s)}, "
+        f"{counters.refused} messages refused, {counters.dropped} dropped, {counters.broken} events broke",
+        f"store: {store.transactions} transactions, {1000 * mean:.1f} ms each, {1000 * store.worst_s:.1f} ms at most",
+    ]
+    rows = [
+        (entry.kind, str(entry.messages_in), size(entry.bytes_in), str(entry.messages_out), size(entry.bytes_out))
+        for entry in counters.traffic
+    ]
+    return "\n".join([*lines, table(_TRAFFIC_HEADS, rows)])
+
+
+def size(number_of_bytes: int) -> str:
+    """Return a number of bytes with a unit and three digits."""
+    number = float(number_of_bytes)
+    for unit in ("B", "kB", "MB"):
+        if number < 999.5:
+            return f"{number:.3g} {unit}"
+        number /= 1000.0
+    return f"{number:.3g} GB"
+
+
+def trouble(counters: Counters) -> str:
+    """Return how many messages were refused, dropped or came twice; ``-`` when there are none."""
+    counts = (("refused", counters.refused), ("dropped", counters.dropped), ("twice", counters.duplicates))
+    return ", ".join(f"{number} {name}" for name, number in counts if number) or "-"
+
+
+def cordon(options: argparse.Namespace) -> int:
+    """Place no more islands on a worker."""
+    return _set_worker(options, "cordoned", "keeps the islands that it has, and gets no more")
+
+
+def uncordon(options: argparse.Namespace) -> int:
+    """Place islands on a worker again."""
+    return _set_worker(options, "open", "gets islands again")
+
+
+def drain(options: argparse.Namespace) -> int:
+    """Move the islands of a worker to others, and place no more on it."""
+    return _set_worker(options, "draining", "hands over its islands, and gets no more")
+
+
+def _set_worker(options: argparse.Namespace, service: WorkerService, sentence: str) -> int:
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        name = options.job
+        names = [view.worker for view in client.workers()]
+        matches = [name] if name in names else [each for each in names if each.startswith(name)]
+        if len(matches) > 1:
+            shown = ", ".join(matches[:_MOST_NAMED])
+            raise UsageError(f"{len(matches)} workers have names that begin with {name!r}: {shown}; name one")
+        worker = matches[0] if matches else name  # the coordinator refuses a worker that it does not know
+        views = client.set_worker(worker, service)
+    return _tell(options, [view for view in views if view.worker == worker], f"worker {worker} {sentence}")
+
+
+def queue(options: argparse.Namespace) -> int:
+    """Show the queue, or pause or resume it."""
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        view = client.pause_queue(paused=options.change == "pause") if options.change else client.coordinator()
+    if view is None:
+        return _tell(options, view, "the coordinator reports nothing about its queue")
+    state = "is paused; continue it with: coordinator queue resume" if view.paused else "is open"
+    running = "1 job is" if view.under_way == 1 else f"{view.under_way} jobs are"
+    waiting = f"{view.queued} {'waits' if view.queued == 1 else 'wait'}"
+    return _tell(options, view, f"the queue {state}; {running} under way, {waiting}")

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Final
 
 from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
-from atoll.cli.options.values import job_id
+from atoll.cli.options import job_id
 from atoll.cli.result_files import refuse_existing_result
-from atoll.cli.web_process import web_process
+from atoll.cli.verbs.web import web_process
 from atoll.client.local_coordinator import local_processes
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
         local_processes(number, folder / _WORKER_LOG) as (endpoint, workers),
         web_process(endpoint, options.web),
     ):
-        from atoll.cli.local_run import run_locally
+        from atoll.cli.verbs.submit import run_locally
 
         code = run_locally(options, folder, endpoint, workers, started)
     if code in (BAD_INPUT, INTERRUPTED):

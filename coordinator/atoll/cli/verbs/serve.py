@@ -1,22 +1,33 @@
-"""``coordinator serve``: router, coordinator and store for workers and clients of any machine."""
+"""``coordinator serve``, ``router``, ``backup`` and ``restore``: what runs until it is told to end, and its store.
+
+``serve`` has a router, a coordinator and a store for workers and clients on any machine. ``router`` is a router alone:
+for a site whose workers should share one connection to the central router, or in front of a coordinator
+(`serve --router`), so that connections stay while the coordinator is restarted.
+"""
 
 import argparse
 import contextlib
+import ipaddress
 import logging
+import os
+import socket
+import struct
+import sys
 import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.listener import addresses_of, own_address_of, read_options, warnings_of
-from atoll.cli.web_process import web_process
-from atoll.terminal.output import note, say
+from atoll.cli.verbs.web import web_process
+from atoll.terminal.output import as_json, note, say
 from atoll_core import VERSION
 from atoll_core.errors import NotNowError, RefusedError, UnreachableError, UsageError
-from atoll_core.logs import fields
+from atoll_core.logs import configure, fields
 from atoll_core.machine import file_system, is_networked
-from atoll_core.signals import reloading, stopping
-from atoll_core.wire.addresses import Destination, announced, bindable, parse_address
+from atoll_core.signals import raising_interrupts, reloading, stopping
+from atoll_core.wire.addresses import Address, Destination, announced, bindable, destination, parse_address, resolved
+from atoll_core.wire.security.credentials import credentials_of
 from atoll_core.wire.security.roles import RoleBindings, read_role_bindings
 
 if TYPE_CHECKING:
@@ -26,20 +37,265 @@ if TYPE_CHECKING:
     from atoll_core.wire.bus.interface import Bus
     from atoll_core.wire.bus.zenoh_bus import ZenohBus
 
-_LOG = logging.getLogger("coordinator")
+_EVERYWHERE: Final = ("0.0.0.0", "::")
+_SIOCGIFADDR: Final = 0x8915
+_LOCAL: Final = ("127.0.0.1", "localhost")
+
+
+def read_options(options: argparse.Namespace, router: str | None = None) -> tuple[Destination, RoleBindings | None]:
+    """Return where to listen, or the `router` to join, and the roles of users; start logging. Raises UsageError."""
+    credentials = credentials_of(vars(options), os.environ, "serve" if router is None else "connect")
+    at = destination(options.listen if router is None else router, credentials, listens=router is None)
+    if at.others:
+        option = "--listen" if router is None else "--router"
+        raise UsageError(f"{option} takes one address, but {len(at.addresses)} were given: {at}")
+    if options.roster is not None and credentials is None:
+        raise UsageError(
+            "--roster gives roles to the names in certificates, so it needs --tls-ca, --tls-cert and --tls-key"
+        )
+    if router is None:
+        _require_dialable(at)
+    role_bindings = None if options.roster is None else read_role_bindings(Path(options.roster))
+    configure(options.log_format, options.log_level)
+    return at, role_bindings
+
+
+def warnings_of(at: Destination, role_bindings: RoleBindings | None) -> list[str]:
+    """Return warnings about what other users, or other machines, can do."""
+    if at.address.is_socket:
+        return ["every user who can open that socket can submit, read and cancel jobs, and join as a worker"]
+    if at.credentials is None and not is_loopback(at.address.host):
+        return [
+            f"NOT ENCRYPTED: anyone who can reach port {at.address.port} can submit, read and cancel jobs, join as a",
+            "worker or send migrants under another name; listen on a trusted network only, or on",
+            "tls/HOST:PORT with --tls-ca, --tls-cert, --tls-key and --roster (deploy/tls/make-authority makes them)",
+        ]
+    if at.credentials is None:
+        return []
+    lines = [f"certificates: give each --tls-ca, --tls-cert and --tls-key; the authority is {at.credentials.authority}"]
+    if role_bindings is None:
+        lines.append(
+            "no roster: every owner of a certificate of that authority can compute, submit and cancel (see --roster)"
+        )
+    return lines
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether only this machine can reach a listener on `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
+    """Return the addresses to connect to, first those for other machines; with a certificate, the names in it."""
+    address = at.address
+    if is_behind_router or address.is_socket:
+        return [str(address)]
+    return [str(Address(address.protocol, host, address.port)) for host in _dialable_hosts(at)]
+
+
+def own_address_of(at: Destination, is_behind_router: bool = False) -> str:
+    """Return the address at which programs of this machine dial our listener.
+
+    With a certificate this is the name in it on which the listener listens, else a name of this machine, else the first
+    name, which may lead elsewhere.
+    """
+    address = at.address
+    if is_behind_router or address.is_socket:
+        return str(address)
+    hosts = _dialable_hosts(at)
+    host = next((host for host in (address.host, *_LOCAL, *heard_on(address.host)) if host in hosts), hosts[0])
+    return str(Address(address.protocol, host, address.port))
+
+
+def _require_dialable(at: Destination) -> None:
+    """Raise UsageError if no name of the certificate leads to the listener."""
+    address = at.address
+    if address.is_socket or _dialable_hosts(at):
+        return
+    names = ", ".join(dict.fromkeys(at.credentials.hosts)) if at.credentials is not None else ""
+    anywhere = "::" if ":" in address.host else "0.0.0.0"
+    raise UsageError(
+        f"no client could dial a listener on {address}: its certificate has the names {names}, but an IPv4 address or "
+        f"a host name that leads to {address.host} was expected; listen on "
+        f"{Address(address.protocol, anywhere, address.port)}, or make a certificate with such a name "
+        "(deploy/tls/make-authority DIR --coordinator HOST,...)"
+    )
+
+
+def _dialable_hosts(at: Destination) -> list[str]:
+    """Return the hosts by which a listener is dialled: with a certificate, the names in it that lead there.
+
+    A name that is unknown here, or leads elsewhere, may lead there from other machines, unless the listener is only for
+    this machine.
+    """
+    address = at.address
+    if at.credentials is None:
+        return heard_on(address.host)
+    names = dict.fromkeys(at.credentials.hosts)
+    named = [host for host in names if Address(address.protocol, host, address.port).is_dialable]
+    leading = [host for host in named if _leads(host, address.host)]
+    if address.host in _EVERYWHERE:
+        return [host for host in named if host in leading or resolved(host) is None]
+    if leading or is_loopback(address.host):
+        return leading
+    return [host for host in named if not is_loopback(resolved(host) or host)]
+
+
+def _leads(host: str, listener: str) -> bool:
+    """Tell whether a host leads to a listener of this machine when it is dialled from here, as far as is known."""
+    there = resolved(host)
+    if there is None:
+        return False
+    if listener in _EVERYWHERE:
+        return listener == "::" or ":" not in there
+    return there == resolved(listener)
+
+
+def heard_on(host: str) -> list[str]:
+    """Return the addresses of a listener on `host`: for ``0.0.0.0``, all addresses of this machine."""
+    if host not in _EVERYWHERE:
+        return [host]
+    heard = [address for _, name in socket.if_nameindex() if (address := _interface_address(name))]
+    others = [address for address in heard if not address.startswith("127.")]
+    return [*others, "127.0.0.1"]
+
+
+def _interface_address(name: str) -> str | None:
+    """Return the IPv4 address of a network interface (on Linux; elsewhere the address of the host's name)."""
+    with contextlib.suppress(OSError, ImportError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        if sys.platform == "linux":
+            import fcntl
+
+            answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
+            return socket.inet_ntoa(answer[20:24])
+        return socket.gethostbyname(socket.gethostname())
+    return None
+
+
+_LOG = logging.getLogger(__name__)
+
+CHECK_INTERVAL_S: Final = 5.0
+"""How often the router looks for a coordinator until it finds one, and again after it was lost."""
+
+CHECK_LIMIT_S: Final = 1.0
+_REMIND_S: Final = 60.0
+
+
+def router(options: argparse.Namespace) -> int:
+    """Pass messages on until SIGTERM or Ctrl-C; return 0."""
+    wanted, role_bindings = read_options(options)
+    credentials = wanted.credentials
+    wanted_there = [destination(text, credentials) for text in options.connect]
+    upstream = [str(address) for there in wanted_there for address in there.addresses]
+    from atoll_core.wire.bus.zenoh_bus import open_router
+
+    stop = threading.Event()
+    with stopping(stop), open_router(wanted, upstream_settings(upstream), role_bindings) as bus:
+        here = Destination(parse_address(bus.endpoint), credentials)
+        with announced(options.connect_file and Path(options.connect_file), addresses_of(here)):
+            say(router_greeting(here, upstream, role_bindings))
+            _log_coordinator(bus, credentials.name if credentials is not None else "client", stop)
+    note("coordinator router: stopped")
+    return DONE
+
+
+def upstream_settings(upstream: list[str]) -> dict[str, object]:
+    """Return the settings of a router that keeps dialling other routers and does not wait for them."""
+    if not upstream:
+        return {}
+    return {"connect/endpoints": upstream, "connect/timeout_ms": -1, "connect/exit_on_failure": False}
+
+
+def router_greeting(here: Destination, upstream: list[str], role_bindings: RoleBindings | None = None) -> str:
+    """Return the commands with which a user starts workers and a coordinator at this router."""
+    passes = f", passes on to {', '.join(upstream)}" if upstream else ""
+    lines = [f"router of Atoll {VERSION} listens on {here}{passes}", "start a worker with:"]
+    lines += [f"  island-worker --connect {address}" for address in addresses_of(here)]
+    if not upstream:
+        lines += ["start a coordinator with:", f"  coordinator serve --router {addresses_of(here)[0]} --state DIR"]
+    return "\n".join([*lines, *warnings_of(here, role_bindings)])
+
+
+def _log_coordinator(bus: "ZenohBus", principal: str, stop: threading.Event) -> None:
+    """Log when a coordinator is found and lost, until `stop` is set: a router without one is useless."""
+    known: str | None = None
+    reminded_at = -_REMIND_S
+    while not stop.is_set():
+        cluster, now = coordinator_behind(bus, principal), time.monotonic()
+        if cluster is not None and cluster != known:
+            _LOG.info("coordinator found", extra=fields(realm=cluster))
+        elif cluster is None and (known is not None or now - reminded_at >= _REMIND_S):
+            _LOG.warning("no coordinator answers behind this router yet")
+            reminded_at = now
+        known = cluster
+        stop.wait(CHECK_INTERVAL_S)
+
+
+def coordinator_behind(bus: "Bus", principal: str = "client") -> str | None:
+    """Return the cluster of the coordinator that answers on `bus`; None without an answer, or if it refuses us."""
+    from atoll.client.client import Client
+
+    try:
+        return Client(bus, "this router", principal).greet(CHECK_LIMIT_S)
+    except (UnreachableError, RefusedError):
+        return None
+
+
+def backup(options: argparse.Namespace) -> int:
+    """Copy the store in ``options.state``, while it is served, into the file ``options.file``."""
+    from atoll_coordinator.service.store.backup import back_up
+
+    target = Path(options.file)
+    with raising_interrupts():
+        copy = back_up(Path(options.state), target)
+    facts = {"file": str(target), "cluster": copy.cluster, "jobs": copy.jobs, "bytes": copy.size}
+    text = f"{target}: a copy of {options.state}, checked; jobs {copy.jobs}, {copy.size / 1e6:.1f} MB"
+    say(as_json(facts) if options.json else text)
+    return DONE
+
+
+def restore(options: argparse.Namespace) -> int:
+    """Make the store in ``options.state`` from the copy ``options.file``."""
+    from atoll_coordinator.service.store.backup import restore as restored
+
+    with raising_interrupts():
+        store = restored(Path(options.file), Path(options.state), replaces=options.replace)
+    former = str(store.former) if store.former is not None else None
+    facts = {
+        "state": options.state, "cluster": store.cluster, "of": store.copy.cluster, "jobs": store.copy.jobs,
+        "former": former, "aside": [str(path) for path in store.aside],
+    }  # fmt: skip
+    lines = [
+        f"{options.state}: restored from {options.file}, jobs {store.copy.jobs}; start it with: "
+        f"coordinator serve --state {options.state}",
+        f"it is now cluster {store.cluster}; if {store.copy.cluster} is still served elsewhere, both continue the same "
+        "jobs, and neither knows of the other",
+    ]
+    lines += [f"the old store is now {former}; remove it when you no longer need it"] if former is not None else []
+    if store.aside and former is None:
+        lines.append(
+            "these files with the last writes of a store that was moved away were left, and are put aside: "
+            f"{', '.join(map(str, store.aside))}; to open that store, move them next to it under its name"
+        )
+    say(as_json(facts) if options.json else "\n".join(lines))
+    return DONE
+
 
 ANOTHER_LIMIT_S: Final = 0.5
-"""How long another coordinator behind the same router is listened for."""
+"""How long another coordinator behind the same router may take to answer."""
 
 LEAVING_LOOKS: Final = 10
-"""How often a coordinator that has taken a store over looks whether the one before it is gone: ten of its ticks."""
+"""How often a coordinator that has taken over a store checks that its predecessor is gone: ten ticks of it."""
 
 
 def serve(options: argparse.Namespace) -> int:
-    """Serve until SIGTERM or Ctrl-C; return 0. A hang-up has limits and roster read again, where there are some.
+    """Serve until SIGTERM or Ctrl-C; return 0. After SIGHUP, limits and roster are read again.
 
-    Raises UsageError (exit code 2) for options that cannot be used. What may pass has another exit code, so that a
-    supervisor starts this again: StoreError and NotNowError (1), UnreachableError (3).
+    Raises UsageError (exit code 2) for unusable options. Temporary errors have other exit codes, so that a supervisor
+    restarts the program: StoreError and NotNowError (1), UnreachableError (3).
     """
     wanted, role_bindings = read_options(options, options.router)
     limits = _limits(options)
@@ -54,8 +310,13 @@ def serve(options: argparse.Namespace) -> int:
     from atoll_coordinator.service.tasks.background import Dependencies
 
     behind, stop, reload = options.router is not None, threading.Event(), threading.Event()
-    reads_again = reloading(reload) if options.limits or options.roster else contextlib.nullcontext()
-    with stopping(stop), reads_again:
+
+    def reload_policy() -> None:
+        if reload.is_set():
+            reload.clear()
+            _read_again(service, options)
+
+    with stopping(stop), reloading(reload) if options.limits or options.roster else contextlib.nullcontext():
         store = _awaited(options, wanted, stop) if options.standby else Store.open(Path(options.state))
         if store is None:
             note("coordinator: stopped on standby; another one serves")
@@ -71,43 +332,36 @@ def serve(options: argparse.Namespace) -> int:
                 web_process(own_address_of(here, behind), options.http, wanted.credentials, options.http_users),
             ):
                 say(greeting(here, options.state, role_bindings, behind))
-                service.work(stop, lambda: _read_again(service, options) if _take(reload) else None)
+                service.work(stop, reload_policy)
     note("coordinator: stopped; jobs and results are kept")
     return DONE
 
 
 def _limits(options: argparse.Namespace) -> "Limits":
-    """Return what users may have; raises UsageError."""
+    """Return the limits of users; raises UsageError."""
     from atoll_coordinator.service.scheduling.limits import NO_LIMITS, read_limits
 
     return read_limits(Path(options.limits)) if options.limits is not None else NO_LIMITS
 
 
-def _take(event: threading.Event) -> bool:
-    """Tell whether something has happened since the last call."""
-    has_happened = event.is_set()
-    event.clear()
-    return has_happened
-
-
 def _read_again(service: "Service", options: argparse.Namespace) -> None:
-    """Let what limits and roster say now hold from now on; where they cannot be read, what they said before."""
+    """Apply limits and roster as they are now; if they cannot be read, the old ones stay in force."""
     try:
         limits = _limits(options)
         role_bindings = read_role_bindings(Path(options.roster)) if options.roster is not None else None
     except UsageError as error:
-        _LOG.warning("limits and roster stay as they were", extra=fields(reason=str(error)))
+        _LOG.warning("limits and roster cannot be read; the old ones stay in force", extra=fields(reason=str(error)))
         return
     service.set_policy(limits, role_bindings)
-    _LOG.info("limits and roster are read again")
+    _LOG.info("limits and roster were read again")
 
 
 def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: RoleBindings | None) -> "ZenohBus":
-    """Return a bus with a router of our own in it, or one that joined the router at ``options.router``.
+    """Return a bus with its own router, or a bus that joined the router at ``options.router``.
 
-    Raises UsageError where nobody can listen there, NotNowError where another program listens there, or another
-    coordinator is behind that router; UnreachableError where that does not answer in time, RefusedError where one side
-    does not accept the certificate of the other.
+    Raises UsageError if no program can listen there, NotNowError if another program listens there or another
+    coordinator is behind that router, UnreachableError if the router does not answer in time, and RefusedError if one
+    side does not accept the certificate of the other.
     """
     from atoll_core.wire.bus.zenoh_bus import open_client, open_router
 
@@ -119,7 +373,7 @@ def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: Rol
             try:
                 refuse_another(bus, bus.endpoint)
                 break
-            except NotNowError:  # the one whose store was taken over ends at its next tick
+            except NotNowError:  # the coordinator whose store was taken over ends at its next tick
                 if not left:
                     raise
     except BaseException:
@@ -129,11 +383,11 @@ def _joined(options: argparse.Namespace, wanted: Destination, role_bindings: Rol
 
 
 def _awaited(options: argparse.Namespace, wanted: Destination, stop: threading.Event) -> "Store | None":
-    """Wait for the store in ``options.state`` until no other coordinator serves it; None when `stop` was set before."""
+    """Wait until no other coordinator serves the store in ``options.state``; None if `stop` was set before."""
     from atoll_coordinator.service.store.standby import Standby
 
     def obstacle() -> str | None:
-        """Say why we could not listen beside a coordinator that hangs; a router leads to whoever answers."""
+        """Tell why we cannot listen while another coordinator hangs; behind a router we can."""
         try:
             if options.router is None:
                 bindable(wanted.address)
@@ -145,7 +399,7 @@ def _awaited(options: argparse.Namespace, wanted: Destination, stop: threading.E
 
 
 def refuse_network(state: Path) -> None:
-    """Raise UsageError where a death or the writes of another coordinator cannot be told from here."""
+    """Raise UsageError where the death or the writes of another coordinator would go unnoticed."""
     kind = file_system(state.absolute())
     if is_networked(kind):
         raise UsageError(
@@ -156,7 +410,7 @@ def refuse_network(state: Path) -> None:
 
 
 def refuse_another(bus: "Bus", router: str) -> None:
-    """Raise NotNowError when a coordinator answers already behind `router`: workers could not tell the two apart."""
+    """Raise NotNowError if another coordinator answers behind `router`: workers could not distinguish the two."""
     from atoll.client.client import Client
 
     try:
@@ -166,14 +420,14 @@ def refuse_another(bus: "Bus", router: str) -> None:
     except RefusedError:  # one of another version
         pass
     raise NotNowError(
-        f"a coordinator is there already behind the router {router}; stop it first, or use another router"
+        f"another coordinator already answers behind the router {router}; stop it first, or use another router"
     )
 
 
 def greeting(
     at: Destination, state: str, role_bindings: RoleBindings | None = None, is_behind_router: bool = False
 ) -> str:
-    """Return what a person needs who wants to use this coordinator: one line for each address to dial."""
+    """Return the commands with which a user starts workers and submits jobs, one line for each address."""
     addresses = addresses_of(at, is_behind_router)
     manner = "is behind the router" if is_behind_router else "listens on"
     lines = [f"coordinator {VERSION} {manner} {at}, state in {state}", "start a worker with:"]

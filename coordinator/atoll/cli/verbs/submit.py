@@ -1,22 +1,258 @@
 """``coordinator submit``: give a job to a coordinator and follow it; leaving early leaves the job running."""
 
 import argparse
+import contextlib
+import re
+import shlex
+import shutil
+import sys
+import time
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Final, cast
 
-from atoll.cli.exit_codes import DONE, INTERRUPTED, finish
+from atoll.cli.exit_codes import DONE, FAILED, INTERRUPTED, finish
 from atoll.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
 from atoll.client.client import Client, connected
-from atoll.client.follower import Follower
-from atoll.terminal.output import note, say
-from atoll.terminal.progress import open_display, waiting
+from atoll.client.follower import Display, Follower
+from atoll.client.local_coordinator import LocalCoordinator
+from atoll.client.local_workers import LocalWorkers, NoWorkerLeftError
+from atoll.terminal.output import duration, note, say
+from atoll.terminal.progress import is_screen, open_display, waiting
+from atoll_coordinator.result.result import Result
+from atoll_core.command_line import duration as seconds_of
 from atoll_core.errors import UsageError
 from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
-if TYPE_CHECKING:
-    from atoll_coordinator.result.result import Result
+_OPTION: Final = re.compile(r"--(robust|stochastic)\b")
+"""Options that the reason of a verdict or a warning proposes, and which take no value."""
+
+_ADDED: Final = re.compile(
+    r"\badd --(missing-value|hold|order|per-trajectory|inputs|states)(?: ('[^']*'|[^\s;,.]\S*?))?(?=[;,.]?(?:\s|$))"
+)
+"""Options with their values that a warning says to add: what the columns themselves say."""
+
+_WHY: Final = {
+    "missing-value": "a number that stands for missing values was taken as measured",
+    "hold": "the inputs seem to be constant between rows",
+    "order": "the same values are passed with different velocities",
+    "per-trajectory": "the trajectories seem to differ in a constant",
+    "inputs": "a column, or the time, seems to act from outside",
+    "states": "the columns determine each other",
+}
+"""The options that are proposed, the most useful first, and what for."""
+
+_NOT_STOCHASTIC: Final = ("order", "target", "derivatives", "only", "robust", "weights", "offsets")
+"""Settings that exclude ``--stochastic``."""
+
+_MORE_OPERATORS: Final = "+,-,*,/,sin,cos,exp,sqrt,tanh"
+_LONGER: Final = "the search ended before it had converged"
+_NOT_REFINED: Final = "the time was over before the equations were fitted to trajectories and compared"
+
+_Proposal = tuple[list[str], str]
+"""The words of a command, and what it is for."""
+
+
+def next_step(result: Result, folder: Path, words: Sequence[str], program: str = "coordinator") -> str | None:
+    """Return a command and, behind two spaces and ``#``, what it is for; None where there is nothing to propose.
+
+    `result` is of a job that has ended, written into `folder`; `words` of the command line that gave it, of a
+    `program` that is called like this.
+    """
+    if result.state == "cancelled" and result.refining == "not refined":
+        why = "it was interrupted before the equations were fitted to trajectories and compared"
+        proposal = _elsewhere(words), why
+    elif result.state != "done" or not result.equations:
+        return None
+    else:
+        proposal = (
+            _again_with_columns(result, words)
+            or _again_with_option(result, words)
+            or _again_for_longer(result, words)
+            or _again_with_operators(result, words)
+            or _with_result(result, str(folder))
+        )
+    command, purpose = proposal
+    return f"{shlex.join([program, *command])}  # {purpose}"
+
+
+def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None:
+    """Propose an option that a sentence of the result names."""
+    sentences = [*result.warnings, *(equation.reason or "" for equation in result.equations)]
+    given = result.data_settings
+    named = [match[1] for sentence in sentences for match in _OPTION.finditer(sentence)]
+    is_excluded = {"robust": False, "stochastic": any(name in given for name in _NOT_STOCHASTIC)}
+    free = [name for name in named if not given.get(name) and not is_excluded[name]]
+    if not free:
+        return None
+    fitting = f"--{free[0]}"
+    why = "some measurements look like outliers" if fitting == "--robust" else "noise may be part of the law"
+    return [*_elsewhere(words), fitting], why
+
+
+def _again_with_columns(result: Result, words: Sequence[str]) -> _Proposal | None:
+    """Propose what a warning says of the columns, unless every equation is good; of missing values in any case."""
+    added = {match[1]: match[2] for sentence in reversed(result.warnings) for match in _ADDED.finditer(sentence)}
+    is_good = all(equation.verdict in ("exact", "good") for equation in result.equations)
+    for option, why in _WHY.items():
+        if option in added and not (is_good and option != "missing-value"):
+            flag, value = f"--{option}", [*shlex.split(added[option] or "")]
+            before = _elsewhere(words)
+            return [*(before if option == "missing-value" else _without(before, flag)), flag, *value], why
+    return None
+
+
+def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:
+    """Propose twice the budget where it ended the search of an equation that is not good, or refining it."""
+    ends = {equation.why for equation in result.equations if equation.verdict not in ("exact", "good")}
+    budget = result.settings("budget")
+    is_cut = bool(ends) and result.refining in ("not refined", "max-time")
+    if ("max-time" in ends or is_cut) and budget.get("max_time") is not None:
+        seconds = _seconds(words) or cast(float, budget["max_time"])
+        again = [*_without(_elsewhere(words), "--max-time"), "--max-time", f"{2.0 * seconds:g}s"]
+        return again, _NOT_REFINED if is_cut else _LONGER
+    if "max-epochs" in ends and budget.get("max_epochs") is not None and not budget.get("max_epochs_of"):
+        epochs = f"{2 * cast(int, budget['max_epochs'])}"
+        return [*_without(_elsewhere(words), "--max-epochs"), "--max-epochs", epochs], _LONGER
+    return None
+
+
+def _again_with_operators(result: Result, words: Sequence[str]) -> _Proposal | None:
+    """Propose more operators where nothing was found with the usual ones."""
+    is_nothing = any(equation.verdict == "no model" for equation in result.equations)
+    if not is_nothing or result.settings("space"):
+        return None
+    return [*_elsewhere(words), "--operators", _MORE_OPERATORS], "expressions may need more than the usual operators"
+
+
+def _with_result(result: Result, folder: str) -> _Proposal:
+    """Propose what to do with the equations."""
+    kind = result.columns.kind
+    if kind == "regression":
+        return ["result", f"{folder}/result.json", "--format", "latex"], "the equation for a paper"
+    if any(equation.verdict == "no model" for equation in result.equations):
+        return ["result", f"{folder}/result.json"], "the best expression of each size"
+    is_driven = kind == "process" or result.columns.inputs
+    is_told = result.simulated or result.recorded  # of a job that was cut nothing may tell an initial state
+    if is_driven and is_told:
+        return ["simulate", folder, "-o", f"{folder}/simulation.csv"], "the model along what was measured"
+    if any(not constant.identifiable for equation in result.equations for constant in equation.constants):
+        return ["analyse", folder, "--identifiability"], "which constants the data determine"
+    if any(equation.verdict == "doubtful" and equation.candidates for equation in result.equations):
+        return ["suggest", folder], "the experiment that would decide between the candidates"
+    return ["analyse", folder], "fixed points, limit cycles and basins of the model"
+
+
+def _seconds(words: Sequence[str]) -> float | None:
+    """Return the time that the command line allows; a result has what was left of it once programs had started."""
+    given = [after for word, after in pairwise(words) if word == "--max-time"]
+    given += [word.partition("=")[2] for word in words if word.startswith("--max-time=")]
+    return seconds_of(given[-1]) if given else None
+
+
+def _elsewhere(words: Sequence[str]) -> list[str]:
+    """Return the words without the names of what there is now: a job's id, and the folder of a result."""
+    return _without(_without(words, "--out"), "--id")
+
+
+def _without(words: Sequence[str], option: str) -> list[str]:
+    """Return the words without an option and its value."""
+    kept: list[str] = []
+    is_value = False
+    for word in words:
+        if not is_value and word != option and not word.startswith(f"{option}="):
+            kept.append(word)
+        is_value = not is_value and word == option
+    return kept
+
+
+_CONNECT_LIMIT_S: Final = 20.0
+_WORTH_SAYING_S: Final = 0.05
+
+
+def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, started: float) -> int:
+    """Start the coordinator, follow the job, write and print its result; return the exit code.
+
+    `workers` have been started and are ended by the caller; `started` is the monotonic second at which the
+    command began. Raises UsageError or DataError.
+    """
+    request = request_of(options)
+    with LocalCoordinator(endpoint, workers.number) as coordinator:
+        table = request.read()
+        coordinator.wait()
+
+        def check_processes() -> list[str]:
+            coordinator.check()
+            return workers.check()
+
+        with connected(endpoint, _CONNECT_LIMIT_S) as client:
+            request.after(time.monotonic() - started).submit(client, table)
+            with open_display("") as display:
+                follower = Follower(client, request.job, display, check_processes)
+                view, forced = _follow(follower, client, display)
+            stays = options.web is not None and forced is None and is_screen()
+            if not stays:
+                workers.dismiss()
+            result = request.result(client, view)
+            if result is not None:
+                path = write_result(folder, result)
+                request.show(result)
+                note(_times(result, follower.phases, time.monotonic() - started))
+                note(f"result in {path}")
+                if options.report:
+                    write_report(folder / REPORT, result)
+                proposed = next_step(result, folder, sys.argv[1:], program_of(Path(sys.argv[0]), Path.cwd()))
+                if proposed is not None:
+                    note(f"next: {proposed}")
+            if stays:
+                _stay(client, check_processes)
+            return finish(view) if forced is None else forced
+
+
+def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobView, int | None]:
+    """Follow the job; return its last state, and the exit code of an early end.
+
+    An interrupt, or the loss of all workers, cancels it and keeps its best equations.
+    """
+    try:
+        return follower.follow(), None
+    except KeyboardInterrupt:
+        display.print_note("interrupted: keeping the best equations so far; Ctrl-C again ends at once")
+        forced = INTERRUPTED
+    except NoWorkerLeftError as error:
+        display.print_note(f"coordinator: {error}")
+        forced = FAILED
+    return client.cancel_and_wait(follower.job), forced
+
+
+def program_of(path: Path, here: Path) -> str:
+    """Return how the program at `path` is called from `here`: by its path where the shell does not find it."""
+    if path.name != "coordinator" or shutil.which("coordinator") is not None:
+        return "coordinator"
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+
+
+def _stay(client: Client, check_processes: Callable[[], object]) -> None:
+    """Let somebody at a terminal look at the page until an interrupt; workers make its report."""
+    note("the page stays until Ctrl-C")
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            check_processes()
+            client.pause(1.0)
+
+
+def _times(result: Result, phases: dict[str, float], total: float) -> str:
+    """Return what the seconds of a run went into."""
+    parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
+    parts["search"] = result.search_seconds or 0.0
+    refining = phases.get("refining", 0.0)
+    parts["refining"] = refining if refining >= _WORTH_SAYING_S else 0.0
+    rest = max(0.0, total - sum(parts.values()))
+    said = [f"{name} {duration(seconds)}" for name, seconds in parts.items() if seconds]
+    return ", ".join([f"start-up {duration(rest)}", *said, f"total {duration(total)}"])
 
 
 def submit(options: argparse.Namespace) -> int:

@@ -1,26 +1,105 @@
-"""``coordinator web``: the service in a browser, and its API over HTTP; a client of the coordinator."""
+"""``coordinator web``: the service in a browser; and its process, which ``serve`` and ``run`` start and restart."""
 
 import argparse
+import contextlib
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.cli.request import bus_address_of
-from atoll.cli.web_process import OWNER, opening
+from atoll.client.local_workers import start_apart
 from atoll.client.over_http import TOKEN
-from atoll.terminal.output import say
+from atoll.terminal.output import note, say
 from atoll_core.errors import UsageError
+from atoll_core.wire.security.credentials import Credentials
+
+_AGAIN_S: Final = 1.0
+_STOP_LIMIT_S: Final = 3.0
+
+OWNER: Final = "ATOLL_WEB_OWNER"
+"""The variable with the id of the process that has started this one; this one ends with it."""
+
+USAGE: Final = 2
+"""The exit code of a process with wrong options: it is not restarted."""
+
+
+def opening(url: str, token: str, is_terminal: bool, is_given: bool) -> str:
+    """Return where the page is; its token is only shown on a terminal, because other people can read logs."""
+    if is_terminal:
+        return f"open {url}?token={token}"
+    if is_given:
+        return f"open {url}"
+    return f"open {url} with the token in {TOKEN}; set this variable, because the token is not printed into logs"
+
+
+@contextlib.contextmanager
+def web_process(
+    address: str, listen: tuple[str, int] | None, own: Credentials | None = None, users: str | None = None
+) -> Iterator[None]:
+    """Run ``coordinator web`` for the coordinator at an address while the block lasts; without `listen`, do nothing.
+
+    The process shows the `own` certificate of the coordinator to browsers and to the bus; `users` is a file.
+    """
+    if listen is None:
+        yield
+        return
+    from atoll.web.access import token_of
+
+    host, port = listen
+    command = [sys.executable, "-m", "atoll", "web", "--connect", address, "--listen", f"{host}:{port}"]
+    if own is not None:
+        command += ["--tls-ca", str(own.authority), "--tls-cert", str(own.certificate), "--tls-key", str(own.key)]
+        command += ["--cert", str(own.certificate), "--key", str(own.key)]
+    if users is not None:
+        command += ["--users", users]
+    # After a restart the token is the same, so that open pages stay connected.
+    environment = {TOKEN: token_of(os.environ), OWNER: str(os.getpid())}
+    stop = threading.Event()
+    keeper = threading.Thread(target=_keep, args=(command, environment, stop), name="web", daemon=True)
+    keeper.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        keeper.join(_STOP_LIMIT_S + 1.0)
+
+
+def _keep(command: list[str], environment: dict[str, str], stop: threading.Event) -> None:
+    """Keep a process running until `stop`; print on stderr where it listens."""
+    while not stop.is_set():
+        process = start_apart(command, environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        with process.stdout as output:
+            if line := output.readline().decode("utf-8", "replace").strip():
+                url = line.removeprefix("open ")
+                note(opening(url, environment[TOKEN], sys.stderr.isatty(), TOKEN in os.environ))
+        while process.poll() is None and not stop.wait(0.2):
+            pass
+        if process.returncode is None:
+            process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_STOP_LIMIT_S)
+            process.kill()
+            return
+        if process.returncode == USAGE:
+            return
+        note(f"coordinator: the web process ended ({process.returncode}); it is started again in {_AGAIN_S:.0f} s")
+        stop.wait(_AGAIN_S)
+
 
 _LOOK_S: Final = 1.0
 
 
 def web(options: argparse.Namespace) -> int:
-    """Answer browsers until SIGTERM or Ctrl-C; return 0. The coordinator may come later, or go and come back."""
+    """Answer browsers until SIGTERM or Ctrl-C; return 0. The coordinator may start later, or be restarted."""
+    from atoll.cli.request import bus_address_of
+
     try:
         from atoll.web.access import token_of
         from atoll.web.server import Listener, access_of, serve
@@ -42,10 +121,10 @@ def web(options: argparse.Namespace) -> int:
 
 
 def _end_with(owner: str | None) -> None:
-    """End this process when the one that has started it is gone, however that ended."""
+    """End this process when the process that has started it has ended, for whatever reason."""
     if owner is None or not owner.isdecimal():
         return
-    if hasattr(signal, "SIGHUP"):  # a hang-up that is sent to all processes of a service is for its coordinator
+    if hasattr(signal, "SIGHUP"):  # SIGHUP to all processes of a service is meant for its coordinator
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     def watch() -> None:

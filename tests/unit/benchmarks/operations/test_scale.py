@@ -14,8 +14,7 @@ from atoll_core.data.table import Table
 from atoll_core.errors import AtollError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import Addition, EpochReport, IslandReport, SliceCounters
-from atoll_island_worker.session.epoch_tasks import Task, TaskKey
-from atoll_island_worker.session.events import Computed, JobReady, Snapshot
+from atoll_island_worker.session.interface import Computed, JobReady, Snapshot, Task, TaskKey
 from benchmarks.harness.accounts import status
 from benchmarks.operations import big_data as bigdata
 from benchmarks.operations import scale, scaling

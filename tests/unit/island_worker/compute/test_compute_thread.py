@@ -16,10 +16,17 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.codec import dataset_to_bytes
 from atoll_core.wire.messages.epochs import IslandReport, SliceCounters
-from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
-from atoll_island_worker.compute.engine import Engine
-from atoll_island_worker.session.epoch_tasks import Task, TaskKey
-from atoll_island_worker.session.events import Abandoned, Broken, Computed, JobReady, LoadFailed, Rejected
+from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, Engine, WarmedUp, WarmUpNote
+from atoll_island_worker.session.interface import (
+    Abandoned,
+    Broken,
+    Computed,
+    JobReady,
+    LoadFailed,
+    Rejected,
+    Task,
+    TaskKey,
+)
 
 LIMIT_S = 20.0
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)

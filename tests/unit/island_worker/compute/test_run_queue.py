@@ -8,8 +8,17 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.messages.epochs import HitStatement, IslandReport
 from atoll_island_worker.compute.run_queue import RunQueue
-from atoll_island_worker.session.epoch_tasks import ShardKey, Task, TaskKey
-from atoll_island_worker.session.events import Abandoned, Broken, Computed, Outcome, Rejected, Snapshot
+from atoll_island_worker.session.interface import (
+    Abandoned,
+    Broken,
+    Computed,
+    Outcome,
+    Rejected,
+    ShardKey,
+    Snapshot,
+    Task,
+    TaskKey,
+)
 
 LAST = 50
 COMMIT_ORDER = CommitOrder(generations=LAST, stride=10, joining=8)

@@ -6,9 +6,8 @@ from atoll_core import PROTOCOL_VERSION, VERSION
 from atoll_core.errors import RefusedError, RemoteProtocolError, UnreachableError
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
-from atoll_island_worker.connection.connection import ALONE_S, RETURN_S, START_S, CoordinatorConnection
-from atoll_island_worker.connection.requests import Request, Requests
-from atoll_island_worker.session.events import Reset
+from atoll_island_worker.connection import ALONE_S, RETURN_S, START_S, CoordinatorConnection, PendingRequest, Requests
+from atoll_island_worker.session.interface import Reset
 from tests.simulation.bus.network import SimulatedNetwork
 
 WAIT_S = 10.0
@@ -21,7 +20,7 @@ class SentRequests(Requests):
         super().__init__(network.bus(name), name)
         self.greetings: list[bytes] = []
 
-    def ask(self, key: str, payload: bytes, timeout_s: float, request: Request) -> None:
+    def ask(self, key: str, payload: bytes, timeout_s: float, request: PendingRequest) -> None:
         self.greetings.append(payload)
 
 

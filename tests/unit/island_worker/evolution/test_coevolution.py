@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll_core.expression.kernels.tape import functions_address
-from atoll_island_worker.evolution.coevolution import begin_coevolution, evolve, measure_population, renew_trainer
+from atoll_island_worker.evolution.island import begin_coevolution, evolve, measure_population, renew_trainer
 from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, PARTS, REEVALUATION
 from atoll_island_worker.evolution.kernels.measured_rows import gather, padded_rows
 from atoll_island_worker.evolution.kernels.predictors import judge, judge_all, predictor_generation

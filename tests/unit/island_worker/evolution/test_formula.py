@@ -9,7 +9,7 @@ from atoll_core.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT,
 from atoll_core.expression.program import check_program_bytes
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
-from atoll_island_worker.evolution.formula import (
+from atoll_island_worker.evolution.front import (
     combine_terms,
     from_program,
     from_tape,

@@ -13,9 +13,8 @@ from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.search.pareto import FrontEntry
-from atoll_island_worker.evolution.front import Front, FrontUpdater
+from atoll_island_worker.evolution.front import Front, FrontUpdater, RunnersUp
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
-from atoll_island_worker.evolution.runners_up import RunnersUp
 from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import empty_lists
 from tests.oracles import fitting

@@ -8,8 +8,7 @@ from atoll_core.expression.operators import BY_NAME, CONSTANT, VARIABLE
 from atoll_core.expression.program import Program
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.codec import decode_arrays
-from atoll_island_worker.evolution.guesses import parse_guesses, place
-from atoll_island_worker.evolution.island import Island
+from atoll_island_worker.evolution.island import Island, parse_guesses, place
 from atoll_island_worker.evolution.kernels.generation import random_population
 from atoll_island_worker.evolution.setup import IslandSetup
 from atoll_island_worker.evolution.structures import empty_lists

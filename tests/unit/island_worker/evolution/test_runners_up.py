@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from atoll_core.search.pareto import FrontEntry
-from atoll_island_worker.evolution.runners_up import RunnersUp
+from atoll_island_worker.evolution.front import RunnersUp
 from atoll_island_worker.evolution.structures import MOST_TERMS
 
 

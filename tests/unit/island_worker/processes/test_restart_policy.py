@@ -5,9 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from atoll_core.errors import AtollError, LocalProtocolError
-from atoll_island_worker.processes.exit_reasons import ExitReasons
-from atoll_island_worker.processes.restart_policy import RestartPolicy
-from atoll_island_worker.processes.supervisor import Supervisor
+from atoll_island_worker.processes.supervisor import ExitReasons, RestartPolicy, Supervisor
 
 
 def lived(*lives: tuple[float, int]) -> list[float | None]:

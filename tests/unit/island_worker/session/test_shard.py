@@ -5,8 +5,7 @@ import pytest
 from atoll_core.errors import LocalProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import Placement
-from atoll_island_worker.session.local_island import ISLAND_TRANSITIONS, LocalIsland
-from atoll_island_worker.session.shard import Shard
+from atoll_island_worker.session.shard import ISLAND_TRANSITIONS, LocalIsland, Shard
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 

@@ -24,25 +24,16 @@ from atoll_core.wire.messages.epochs import (
 )
 from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import State, split_states
-from atoll_island_worker.session.actions import (
+from atoll_island_worker.session.interface import (
+    Abandoned,
     AskPeer,
+    Broken,
+    Computed,
     Discard,
     DiscardJob,
     FetchJob,
     FetchPlacements,
     FetchStates,
-    Respond,
-    RunTask,
-    Send,
-    SendHeartbeat,
-    SendReport,
-    StopAt,
-)
-from atoll_island_worker.session.epoch_tasks import ShardKey, TaskKey
-from atoll_island_worker.session.events import (
-    Abandoned,
-    Broken,
-    Computed,
     JobReady,
     LoadFailed,
     Mailed,
@@ -50,8 +41,16 @@ from atoll_island_worker.session.events import (
     PullAsked,
     Rejected,
     Reset,
+    Respond,
+    RunTask,
+    Send,
+    SendHeartbeat,
+    SendReport,
+    ShardKey,
     Snapshot,
     StatesCame,
+    StopAt,
+    TaskKey,
     Tick,
 )
 from atoll_island_worker.session.worker_session import Session
@@ -391,7 +390,7 @@ def test_reports_can_be_pulled_until_all_islands_have_reported_them(session: Ses
 def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atoll_island_worker.session.retransmit_buffer.ADDITIONS_PER_ANSWER", 1)
+    monkeypatch.setattr("atoll_island_worker.session.kept_messages.ADDITIONS_PER_ANSWER", 1)
     begun(session, "me")
     addition = Addition(complexity=1, error=0.1, mse=0.1, generation=1, program=b"")
     for epoch in range(3):
@@ -502,7 +501,7 @@ def test_a_dataset_that_cannot_be_read_is_trouble(session: Session) -> None:
 
 def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
     begun(session, "me", "peer")
-    with pytest.raises(LocalProtocolError, match="nobody asked"):
+    with pytest.raises(LocalProtocolError, match="not asked for"):
         session.handle(computed(key(0, 1), {}))
 
 

@@ -1,7 +1,7 @@
 """A worker in a few lines, for tests that kill it: has one task run, and prints what comes of it.
 
 ``python -m tests.unit.island_worker.tasks.strange_worker interpreter|server FUNCTION INPUT...``. With a server the
-worker is forked from this process after the server, as `atoll_island_worker.launch` does it, and prints its number
+worker is forked from this process after the server, as `atoll_island_worker.cli` does it, and prints its number
 first.
 """
 
@@ -15,7 +15,7 @@ import sys
 from atoll_core.task_frames import Ended, Failed, Finished, Run, Said
 from atoll_island_worker.processes.fork_server import Forked
 from atoll_island_worker.tasks import task_process
-from atoll_island_worker.tasks.task_server import TaskServer
+from atoll_island_worker.tasks.task_process import TaskServer
 
 FUNCTIONS = "tests.unit.island_worker.tasks.strange_tasks"
 KNOWING = task_process._PROGRAM.replace("from atoll", f"import {FUNCTIONS}\nfrom atoll", 1)

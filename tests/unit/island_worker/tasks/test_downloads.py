@@ -3,7 +3,7 @@
 import hashlib
 
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_island_worker.tasks.downloads import ByteCache, Download
+from atoll_island_worker.downloads import ByteCache, Download
 
 DATA = bytes(2 * CHUNK_SIZE) + b"rest"
 DIGEST = hashlib.sha256(DATA).hexdigest()

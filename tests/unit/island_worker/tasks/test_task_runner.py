@@ -38,7 +38,7 @@ from atoll_core.wire.messages.tasks import (
     TaskFailed,
     TaskInput,
 )
-from atoll_island_worker.connection.requests import Request
+from atoll_island_worker.connection import PendingRequest
 from atoll_island_worker.tasks.task_runner import TASK_TRANSITIONS, TaskRunner
 
 A, B = "a" * 64, "b" * 64
@@ -121,13 +121,13 @@ class Scene:
         return self.runner.process_said(Said(self.process.life if life is None else life, message))
 
     def answer(self, task: str, data: bytes, index: int, payload: bytes | None) -> None:
-        self.runner.answered(Request("input", task, index, digest(data)), payload)
+        self.runner.answered(PendingRequest("input", task, index, digest(data)), payload)
 
     def states(self) -> dict[str, str]:
         return {held.task: held.state for held in self.runner.statuses()}
 
     def running(self, task: str = A, function="refine") -> None:
-        self.runner.told(lease(task, function=function))
+        self.runner.handle(lease(task, function=function))
         self.say(Begun(task))
         self.process.said.clear()
 
@@ -135,7 +135,7 @@ class Scene:
         given = GivenBatch(
             number=number, function="f", digest=digest(context), context=b"" if known else context, item=b"i"
         )
-        self.runner.answered(Request("batch", B), encode(PullAnswer(body=given)))
+        self.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=given)))
 
 
 @pytest.fixture
@@ -149,7 +149,7 @@ def test_every_state_can_be_released() -> None:
 
 def test_a_lease_with_its_inputs_runs_and_its_result_is_pushed_and_kept(scene: Scene) -> None:
     assert scene.runner.is_idle
-    scene.runner.told(lease())
+    scene.runner.handle(lease())
     assert scene.process.told(Run) == [Run(A, "prepare", (SMALL,), None, 2, "j")]
     assert (scene.states(), scene.runner.is_idle) == ({A: "waiting"}, False)
     assert scene.say(Begun(A))
@@ -159,7 +159,7 @@ def test_a_lease_with_its_inputs_runs_and_its_result_is_pushed_and_kept(scene: S
     assert (chunk.data, chunk.digest, chunk.size) == (b"made", digest(b"made"), 4)  # type: ignore[union-attr]
     assert scene.states() == {A: "done"}
     assert scene.process.loaded == ["refine"]
-    scene.runner.told(Release(task=A))
+    scene.runner.handle(Release(task=A))
     assert scene.runner.is_idle
     assert scene.process.is_started  # it is kept for the next one
 
@@ -177,7 +177,7 @@ def test_a_result_goes_in_chunks_also_an_empty_one(scene: Scene) -> None:
     scene.say(Finished(A, LARGE))
     assert [(one.offset, len(one.data)) for one in scene.requests.reports] == [(0, CHUNK_SIZE), (CHUNK_SIZE, 1)]  # type: ignore[union-attr]
     assert b"".join(one.data for one in scene.requests.reports) == LARGE  # type: ignore[union-attr]
-    scene.runner.told(Release(task=A))
+    scene.runner.handle(Release(task=A))
     scene.requests.reports.clear()
     scene.running(B)
     scene.say(Finished(B, b""))
@@ -185,20 +185,20 @@ def test_a_result_goes_in_chunks_also_an_empty_one(scene: Scene) -> None:
 
 
 def test_inputs_are_fetched_in_chunks_and_kept_for_later_tasks(scene: Scene) -> None:
-    scene.runner.told(lease(A, SMALL, LARGE))
+    scene.runner.handle(lease(A, SMALL, LARGE))
     assert scene.requests.inputs == [(A, digest(LARGE), 0), (A, digest(LARGE), 1)]
     assert (scene.process.said, scene.states()) == ([], {A: "fetching"})
     scene.answer(A, LARGE, 1, b"y")
     scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
     assert [run.inputs for run in scene.process.told(Run)] == [(SMALL, LARGE)]
     scene.say(Failed(A, "error", "it broke"))
-    scene.runner.told(lease(B, LARGE))
+    scene.runner.handle(lease(B, LARGE))
     assert len(scene.requests.inputs) == 2
     assert [run.inputs for run in scene.process.told(Run)] == [(LARGE,)]
 
 
 def test_what_does_not_come_or_is_something_else_is_fetched_again(scene: Scene) -> None:
-    scene.runner.told(lease(A, LARGE))
+    scene.runner.handle(lease(A, LARGE))
     scene.requests.inputs.clear()
     scene.answer(A, LARGE, 1, None)
     scene.answer(A, LARGE, 0, b"short")
@@ -218,7 +218,7 @@ def test_what_does_not_come_or_is_something_else_is_fetched_again(scene: Scene) 
 def test_inputs_larger_than_the_cache_reach_the_process_too(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene.runner._cache, "_limit", CHUNK_SIZE)
     other = b"z" * CHUNK_SIZE
-    scene.runner.told(lease(A, LARGE, other))
+    scene.runner.handle(lease(A, LARGE, other))
     scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
     scene.answer(A, LARGE, 1, b"y")
     scene.answer(A, other, 0, other)
@@ -228,44 +228,44 @@ def test_inputs_larger_than_the_cache_reach_the_process_too(scene: Scene, monkey
 def test_inputs_and_contexts_share_one_cache(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Docs say how much a worker keeps, in all."""
     monkeypatch.setattr(scene.runner._cache, "_limit", 2 * CHUNK_SIZE)
-    scene.runner.told(lease(A, LARGE))
+    scene.runner.handle(lease(A, LARGE))
     scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
     scene.answer(A, LARGE, 1, b"y")
-    scene.runner.told(Release(task=A))
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Release(task=A))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
     scene.give_batch(context=b"c" * CHUNK_SIZE)
     scene.requests.inputs.clear()
-    scene.runner.told(lease(A, LARGE))
+    scene.runner.handle(lease(A, LARGE))
     assert scene.requests.inputs == [(A, digest(LARGE), 0), (A, digest(LARGE), 1)], "the context took its room"
 
 
 def test_what_comes_for_a_task_that_was_released_changes_nothing(scene: Scene) -> None:
-    scene.runner.told(lease(A, LARGE))
-    scene.runner.told(Release(task=A))
+    scene.runner.handle(lease(A, LARGE))
+    scene.runner.handle(Release(task=A))
     scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
     scene.runner.fetch(A)
     assert (scene.process.said, scene.runner.is_idle) == ([], True)
 
 
 def test_a_lease_that_is_said_twice_is_one_task_and_pushes_what_is_there(scene: Scene) -> None:
-    scene.runner.told(lease())
-    scene.runner.told(lease())
+    scene.runner.handle(lease())
+    scene.runner.handle(lease())
     assert len(scene.process.told(Run)) == 1
     scene.say(Begun(A))
     scene.say(Finished(A, b"made"))
-    scene.runner.told(lease(term=2))
+    scene.runner.handle(lease(term=2))
     assert len(scene.requests.reports) == 2
     assert scene.requests.reports[0] == scene.requests.reports[1]
 
 
 def test_a_failure_is_said_again_until_a_new_term_has_it_tried_again(scene: Scene) -> None:
-    scene.runner.told(lease())
+    scene.runner.handle(lease())
     scene.say(Failed(A, "error", "it broke"))
-    scene.runner.told(lease())
+    scene.runner.handle(lease())
     failed = TaskFailed(task=A, term=1, failure="error", sentence="it broke")
     assert scene.requests.reports == [failed, failed]
     assert len(scene.process.told(Run)) == 1
-    scene.runner.told(lease(term=2))  # though no release came
+    scene.runner.handle(lease(term=2))  # though no release came
     assert len(scene.process.told(Run)) == 1
     scene.say(Failed(A, "error", "it broke"))
     assert scene.requests.reports[-1] == failed.model_copy(update={"term": 2})
@@ -273,7 +273,7 @@ def test_a_failure_is_said_again_until_a_new_term_has_it_tried_again(scene: Scen
 
 def test_a_lease_of_another_term_is_that_of_what_runs(scene: Scene) -> None:
     scene.running()
-    scene.runner.told(lease(term=4, function="refine"))
+    scene.runner.handle(lease(term=4, function="refine"))
     assert scene.process.said == []
     scene.say(Failed(A, "memory", "memory ran out"))
     assert scene.requests.reports == [TaskFailed(task=A, term=4, failure="memory", sentence="memory ran out")]
@@ -281,9 +281,9 @@ def test_a_lease_of_another_term_is_that_of_what_runs(scene: Scene) -> None:
 
 def test_the_release_of_what_runs_ends_its_process(scene: Scene) -> None:
     scene.running()
-    scene.runner.told(Release(task=B))
+    scene.runner.handle(Release(task=B))
     assert scene.process.is_started
-    scene.runner.told(Release(task=A))
+    scene.runner.handle(Release(task=A))
     assert not scene.process.is_started
     assert not scene.say(Finished(A, b"late"))
     assert scene.requests.reports == []
@@ -291,8 +291,8 @@ def test_the_release_of_what_runs_ends_its_process(scene: Scene) -> None:
 
 def test_what_a_process_said_that_was_stopped_is_not_taken_for_the_next_one_s(scene: Scene) -> None:
     scene.running()
-    scene.runner.told(Release(task=A))
-    scene.runner.told(lease(term=2, function="refine"))
+    scene.runner.handle(Release(task=A))
+    scene.runner.handle(lease(term=2, function="refine"))
     first = scene.process.life - 1
     for late in (Begun(A), Finished(A, b"late"), Failed(A, "error", "late"), Ended("crash", "late")):
         assert not scene.say(late, first)
@@ -304,12 +304,12 @@ def test_what_a_process_said_that_was_stopped_is_not_taken_for_the_next_one_s(sc
 
 def test_tasks_run_one_after_the_other_and_the_end_of_one_ends_no_other(scene: Scene) -> None:
     scene.running(A)
-    scene.runner.told(lease(B))
+    scene.runner.handle(lease(B))
     assert scene.states() == {A: "running", B: "fetching"}
-    scene.runner.told(Release(task=A))
+    scene.runner.handle(Release(task=A))
     assert [run.task for run in scene.process.told(Run)] == [B]
     scene.say(Begun(B))
-    scene.runner.told(lease(A, term=2))
+    scene.runner.handle(lease(A, term=2))
     scene.say(Finished(B, b"made"))
     assert [run.task for run in scene.process.told(Run)] == [A]
     assert scene.process.loaded == []  # there is something else to do
@@ -319,10 +319,10 @@ def test_tasks_run_one_after_the_other_and_the_end_of_one_ends_no_other(scene: S
 
 @pytest.mark.parametrize("is_begun", [False, True])
 def test_a_process_that_dies_fails_its_task_and_no_other(scene: Scene, is_begun: bool) -> None:
-    scene.runner.told(lease(A))
+    scene.runner.handle(lease(A))
     if is_begun:
         scene.say(Begun(A))
-    scene.runner.told(lease(B, LARGE))
+    scene.runner.handle(lease(B, LARGE))
     assert scene.say(Ended("memory", "it was killed"))
     assert scene.requests.reports == [TaskFailed(task=A, term=1, failure="memory", sentence="it was killed")]
     assert scene.states() == {A: "failed", B: "fetching"}
@@ -331,7 +331,7 @@ def test_a_process_that_dies_fails_its_task_and_no_other(scene: Scene, is_begun:
 
 def test_another_store_s_coordinator_leaves_nothing(scene: Scene) -> None:
     scene.running(A)
-    scene.runner.told(lease(B, LARGE))
+    scene.runner.handle(lease(B, LARGE))
     scene.runner.reset()
     assert (scene.runner.is_idle, scene.process.is_started) == (True, False)
 
@@ -346,8 +346,8 @@ def test_the_end_of_a_worker_ends_its_process(scene: Scene) -> None:
 
 
 def test_a_helper_pulls_batch_after_batch_and_names_the_contexts_it_has(scene: Scene) -> None:
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
     assert scene.requests.pulls == [("w1", PullBatch(task=B))]
     assert scene.states() == {B: "helping"}
     scene.give_batch()
@@ -364,19 +364,19 @@ def test_a_helper_pulls_batch_after_batch_and_names_the_contexts_it_has(scene: S
 
 @pytest.mark.parametrize("answer", [None, encode(PullAnswer(body=NoTask()))])
 def test_helping_ends_where_there_is_no_task(scene: Scene, answer: bytes | None) -> None:
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
-    scene.runner.answered(Request("batch", B), encode(PullAnswer(body=NotYet())))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
+    scene.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=NotYet())))
     assert len(scene.requests.pulls) == 2
-    scene.runner.answered(Request("batch", B), answer)
+    scene.runner.answered(PendingRequest("batch", B), answer)
     assert scene.runner.is_idle
 
 
 def test_helping_ends_with_what_cannot_be_read_so_that_it_begins_again(scene: Scene) -> None:
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
     with pytest.raises(RemoteProtocolError):
-        scene.runner.answered(Request("batch", B), b"nonsense")
+        scene.runner.answered(PendingRequest("batch", B), b"nonsense")
     assert scene.runner.is_idle
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
     with pytest.raises(RemoteProtocolError, match="which is not here"):
         scene.give_batch(known=True)
     assert scene.runner.is_idle
@@ -384,29 +384,29 @@ def test_helping_ends_with_what_cannot_be_read_so_that_it_begins_again(scene: Sc
 
 
 def test_a_context_is_known_by_its_own_digest_whatever_who_gives_it_says(scene: Scene) -> None:
-    scene.runner.told(Help(task=B, job="k", worker="peer"))
+    scene.runner.handle(Help(task=B, job="k", worker="peer"))
     given = GivenBatch(number=7, function="f", digest=digest(b"anothers"), context=b"false", item=b"i")
     with pytest.raises(RemoteProtocolError, match="which is not here"):
-        scene.runner.answered(Request("batch", B), encode(PullAnswer(body=given)))
+        scene.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=given)))
 
 
 def test_its_own_task_goes_before_helping(scene: Scene) -> None:
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
     scene.give_batch()
-    scene.runner.told(lease(A))
+    scene.runner.handle(lease(A))
     assert scene.states() == {A: "waiting"}
     scene.say(Computed(7, b"made"))
     assert len(scene.requests.pulls) == 1
-    scene.runner.told(Help(task=B, job="j", worker="w1"))  # late
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))  # late
     assert scene.states() == {A: "waiting"}
     scene.say(Begun(A))
     scene.say(Finished(A, b"made"))
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
     assert scene.states() == {A: "done", B: "helping"}
 
 
 def test_a_batch_that_ends_the_process_ends_helping(scene: Scene) -> None:
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
     scene.give_batch()
     scene.say(Ended("crash", "its process ended"), scene.process.life - 1)
     assert scene.states() == {B: "helping"}
@@ -415,8 +415,8 @@ def test_a_batch_that_ends_the_process_ends_helping(scene: Scene) -> None:
 
 
 def test_a_release_ends_helping(scene: Scene) -> None:
-    scene.runner.told(Help(task=B, job="j", worker="w1"))
-    scene.runner.told(Release(task=B))
+    scene.runner.handle(Help(task=B, job="j", worker="w1"))
+    scene.runner.handle(Release(task=B))
     assert scene.runner.is_idle
     scene.give_batch()
     assert scene.process.said == []
@@ -446,7 +446,7 @@ def test_helpers_get_batches_of_what_runs_and_hand_in_results(scene: Scene) -> N
 
 def test_who_asks_for_batches_of_what_does_not_run_is_told(scene: Scene) -> None:
     scene.runner.batch_asked(query(1), PullBatch(task=A))
-    scene.runner.told(lease())
+    scene.runner.handle(lease())
     scene.runner.batch_asked(query(2), PullBatch(task=A))
     assert scene.replies == [(query(1), NoTask()), (query(2), NoTask())]
 
@@ -459,7 +459,7 @@ def test_the_end_of_a_task_answers_its_helpers(scene: Scene, end: FromProcess | 
     scene.runner.batch_asked(query(1), PullBatch(task=A))
     (ask,) = scene.process.told(Ask)
     if end is None:
-        scene.runner.told(Release(task=A))
+        scene.runner.handle(Release(task=A))
     else:
         scene.say(end)
     assert scene.replies == [(query(1), NoTask())]

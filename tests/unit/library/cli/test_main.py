@@ -1,6 +1,7 @@
 """The one place where errors become a sentence and an exit code."""
 
 import argparse
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -10,8 +11,14 @@ from types import SimpleNamespace
 import pytest
 
 from atoll.cli import main as entry
+from atoll.cli.exit_codes import ending
 from atoll.cli.main import main
+from atoll.cli.options import VERBS, build_parser, parse
+from atoll_coordinator.result.result import schema_text
+from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import AtollError, DataError, StoreError, UnreachableError, UsageError
+from atoll_core.wire.messages.views import VariableView
+from tests.views import job_view
 
 Handler = Callable[[argparse.Namespace], int]
 
@@ -133,3 +140,153 @@ def test_output_that_cannot_be_written_is_said() -> None:
         done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "the output cannot be written" in done.stderr
+
+
+def test_help_lists_the_verbs() -> None:
+    text = build_parser().format_help()
+    assert all(f"    {verb}" in text for verb in VERBS)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("run", ["DATA is missing; see coordinator run --help"]),
+        ("result", ["ID is missing"]),
+        ("run a.csv --bogus", ["unknown option --bogus"]),
+        ("run a.csv --seed", ["--seed needs a value; see coordinator run --help"]),
+        ("run a.csv --workers 0", ["--workers", "from 1 to 1024", "'0'"]),
+        ("run a.csv --workers two", ["--workers", "from 1 to 1024", "'two'"]),
+        ("run a.csv --workers 100000", ["--workers", "from 1 to 1024", "'100000'"]),
+        ("result abc --format yaml", ["--format must be one of", "json", "'yaml'"]),
+        ("frobnicate", ["must be one of", "submit", "'frobnicate'"]),
+        ("sumbit a.csv", ["must be one of", "see coordinator --help; did you mean 'submit'?"]),
+        ("run a.csv --stats x", ["unknown option --stats x; see coordinator run --help; did you mean '--states'?"]),
+        ("run a.csv --sede=3", ["did you mean '--seed'?"]),
+        ("jobs one two", ["one word too many: two; see coordinator jobs --help\n"]),
+        ("result a --format jsn", ["'jsn' was given", "did you mean 'json'?"]),
+        ("", ["no command was given"]),
+        ("run a.csv --max", ["unknown option --max"]),
+        ("delete", ["ID is missing"]),
+        ("run a.csv --report=x", ["--report takes no value, but 'x' was given"]),
+        *(
+            (f"serve --keep {keep}", ["--keep", "90d,8G", repr(keep)])
+            for keep in ("90", "1d,2d", "0d", "8g", "1.5d", "1d,")
+        ),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence_and_exit_code_2(
+    line: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(line.split()) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("coordinator: ")
+    assert printed.err.count("\n") == 1
+    assert all(word in printed.err for word in words)
+
+
+@pytest.mark.parametrize("line", ["--operators -,+", "--operators=-,+"])
+def test_a_list_of_operators_may_begin_with_minus(line: str) -> None:
+    assert parse(["run", "a.csv", *line.split()]).operators == ["-,+"]
+
+
+@pytest.mark.parametrize(
+    ("text", "limits"),
+    [("90d,8G", (90 * 86400, 8 * 10**9)), ("500M", (None, 500 * 10**6)), ("12h", (43200, None)), ("all", (None, None))],
+)
+def test_what_serve_keeps_is_an_age_and_a_size(text: str, limits: tuple[int | None, int | None]) -> None:
+    assert parse(["serve", "--keep", text]).keep == limits
+    assert parse(["serve"]).keep == (90 * 86400, 8 * 10**9)
+
+
+def test_options_and_files_may_come_in_any_order() -> None:
+    options = parse(["run", "--seed", "3", "a.csv", "b.csv", "--json"])
+    assert options.data == ["a.csv", "b.csv"]
+    assert (options.seed, options.json, options.verb) == ("3", True, "run")
+
+
+def test_submit_knows_every_option_of_the_data_the_search_and_the_budget_that_run_knows() -> None:
+    run, submit = vars(parse(["run", "a"])), vars(parse(["submit", "a"]))
+    assert set(run) - set(submit) == {"web", "workers"}
+
+
+def test_abbreviated_options_are_not_guessed() -> None:
+    with pytest.raises(UsageError, match="unknown option"):
+        parse(["run", "a.csv", "--tar", "y"])
+
+
+def test_help_imports_none_of_the_heavy_libraries() -> None:
+    """The promise of an instant ``--help`` is kept by what is not imported, which can be asserted; time cannot."""
+    script = (
+        "import sys, contextlib, io\n"
+        "from atoll.cli.main import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
+        "    main(['run', '--help'])\n"
+        "heavy = {'numpy', 'pydantic', 'zenoh', 'numba', 'sympy', 'polars', 'rich', 'scipy', 'msgpack'}\n"
+        "print(sorted(heavy & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_kernels_are_for_the_processes_that_compute() -> None:
+    script = (
+        "import sys\n"
+        "import atoll.cli.verbs.submit, atoll_coordinator.service.service_loop\n"
+        "print(sorted({'numba', 'scipy', 'sympy', 'polars'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_schema_has_every_setting_with_its_description(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed["properties"]) == set(JobConfig.model_fields)
+    assert printed["additionalProperties"] is False
+    data = printed["$defs"]["DataConfig"]["properties"]
+    assert set(data) == set(DataConfig.model_fields)
+    assert "time column" in data["time"]["description"]
+
+
+def test_the_schema_of_results_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", "result"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(schema_text())
+
+
+def finished(converged: bool) -> tuple[VariableView, ...]:
+    return (VariableView(variable="x", lhs="dx/dt", epoch=3, converged=converged, finished=True),)
+
+
+FOUND = (VariableView(variable="x", lhs="dx/dt", epoch=3, expression="2.0*x"),)
+
+
+@pytest.mark.parametrize(
+    ("changes", "target", "code", "words"),
+    [
+        ({"state": "done", "variables": finished(True)}, None, 0, None),
+        ({"state": "done", "variables": finished(False)}, None, 0, None),
+        ({"state": "done", "variables": finished(True)}, 1e-4, 0, None),
+        ({"state": "done", "variables": finished(False)}, 1e-4, 4, "--target-error 0.0001 was not met"),
+        ({"state": "failed", "reason": "two workers diverged", "fault": "diverged"}, None, 1, "two workers diverged"),
+        ({"state": "failed", "reason": "column x is constant", "fault": "data"}, None, 2, "column x is constant"),
+        ({"state": "cancelled"}, None, 130, "was cancelled, before it found any equation"),
+        ({"state": "cancelled", "variables": FOUND}, None, 130, "was cancelled; what it had found is kept"),
+    ],
+)
+def test_the_end_of_a_job_decides_the_exit_code(
+    changes: dict[str, object], target: float | None, code: int, words: str | None
+) -> None:
+    found, sentence = ending(job_view(target_error=target, **changes))
+    assert found == code
+    assert (sentence is None) == (words is None)
+    assert words is None or words in (sentence or "")
+
+
+def test_a_known_equation_misses_no_target() -> None:
+    known = VariableView(variable="y", lhs="dy/dt", epoch=0, finished=True, why="known", normalized_error=0.5)
+    searched = VariableView(variable="x", lhs="dx/dt", epoch=1, finished=True, why="target", converged=True)
+    missed = searched.model_copy(update={"converged": False, "why": "max-epochs"})
+    assert ending(job_view(state="done", target_error=1e-6, variables=(known, searched))) == (0, None)
+    sentence = "--target-error 1e-06 was not met within the budget by dx/dt"
+    assert ending(job_view(state="done", target_error=1e-6, variables=(known, missed))) == (4, sentence)

@@ -8,10 +8,10 @@ from typing import Final
 
 import pytest
 
-from atoll.cli.adapt.batch import Batch, BatchError
-from atoll.cli.doctor.network import check_coordinator
+from atoll.cli.adapt import Batch, BatchError
+from atoll.cli.doctor import check_coordinator
 from atoll.cli.main import main
-from atoll.cli.options.parser import HANDLERS
+from atoll.cli.options import VERBS
 from atoll_coordinator.service.store.store import Store
 from atoll_core.wire.bus.interface import Event, Reply
 from atoll_core.wire.codec import decode, encode
@@ -114,8 +114,8 @@ def no_batch_system(_: Batch) -> str:
 @pytest.fixture
 def terminal(lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Terminal:
     made = Terminal(lab, tmp_path, capsys)
-    monkeypatch.setattr("atoll.cli.doctor.network.check_address", lambda _: ())
-    monkeypatch.setattr("atoll.cli.doctor.doctor.CHECKS", (check_coordinator,))
+    monkeypatch.setattr("atoll.cli.doctor.check_address", lambda _: ())
+    monkeypatch.setattr("atoll.cli.doctor.CHECKS", (check_coordinator,))
     monkeypatch.setattr("atoll_core.wire.bus.zenoh_bus.open_client", made.line)
     monkeypatch.setattr(Batch, "jobs", lambda _: ())
     monkeypatch.setattr(Batch, "submit", no_batch_system)
@@ -125,7 +125,7 @@ def terminal(lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
 
 
 def test_every_verb_is_asked_here_or_an_entrance_of_its_own() -> None:
-    assert set(HANDLERS) == {*ASKED, *ASKS_NOTHING, *SERVES}
+    assert set(VERBS) == {*ASKED, *ASKS_NOTHING, *SERVES}
     assert {verb for verb, words in ASKED.items() if JOB not in words} >= OF_ADMINS
     assert {verb for verb, words in ASKED.items() if JOB in words} >= CHANGES
 

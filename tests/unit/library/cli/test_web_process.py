@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from atoll.cli import web_process as module
+from atoll.cli.verbs import web as module
 from atoll.client.over_http import TOKEN
 from atoll_core.wire.security.credentials import Credentials
 

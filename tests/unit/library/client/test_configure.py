@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.cli.options.parser import parse
-from atoll.cli.options.values import job_id
+from atoll.cli.options import job_id, parse
 from atoll.cli.request import config_of as configure
 from atoll.client.options import epochs, names, seconds
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, PRESETS, JobConfig

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from atoll.cli.options.arguments import EXPORT_FORMATS
+from atoll.cli.options import EXPORT_FORMATS
 from atoll.export.formats import LANGUAGES, NAMES
 from atoll.model.arguments import times_of
 from atoll.model.model import Model

@@ -8,7 +8,7 @@ import pytest
 from atoll_core.expression.operators import MULTIPLY, VARIABLE
 from atoll_core.expression.program import check_program_bytes
 from atoll_core.expression.simplification import complexity
-from atoll_island_worker.evolution.formula import from_book, from_tape, to_program
+from atoll_island_worker.evolution.front import from_book, from_tape, to_program
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
 from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (

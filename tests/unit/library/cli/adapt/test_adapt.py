@@ -11,13 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from atoll.cli.adapt import adapt as verb
-from atoll.cli.adapt.adapt import Adapting, need_of, worker_command
-from atoll.cli.adapt.adapt_policy import AdaptPolicy, BatchJob, Limits, Need
-from atoll.cli.adapt.batch import Batch
-from atoll.cli.adapt.batch_systems import SYSTEMS, BatchError
+from atoll.cli import adapt as verb
+from atoll.cli.adapt import SYSTEMS, Adapting, Batch, BatchError, need_of, worker_command
+from atoll.cli.adapt_policy import AdaptPolicy, BatchJob, Limits, Need
 from atoll.cli.main import main
-from atoll.cli.options.parser import parse
+from atoll.cli.options import parse
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.machine import job_of
 from atoll_core.wire.addresses import destination

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from atoll.cli.adapt.adapt_policy import MOST_FAILURES, AdaptPolicy, BatchJob, BatchState, Decision, Limits, Need
+from atoll.cli.adapt_policy import MOST_FAILURES, AdaptPolicy, BatchJob, BatchState, Decision, Limits, Need
 from atoll_core.errors import AtollError
 
 LIMITS = Limits(minimum=1, maximum=5, workers=4, idle_s=100.0)

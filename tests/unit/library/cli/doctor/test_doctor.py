@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from atoll.cli.doctor import doctor
-from atoll.cli.doctor import machine as doctor_machine
-from atoll.cli.doctor import network as doctor_network
-from atoll.cli.doctor.doctor import check_data
-from atoll.cli.doctor.finding import Finding, as_text, as_tree, fine
-from atoll.cli.options import parser as arguments
+from atoll.cli import doctor
+from atoll.cli import doctor as doctor_machine
+from atoll.cli import doctor as doctor_network
+from atoll.cli import options as arguments
+from atoll.cli.doctor import Finding, as_text, as_tree, check_data, fine
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION

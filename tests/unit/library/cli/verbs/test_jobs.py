@@ -1,18 +1,71 @@
 """The verbs about jobs, on a client that knows three jobs and three workers."""
 
 import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from atoll.cli.main import main
+from atoll.cli.verbs import jobs as verb
 from atoll.cli.verbs import jobs as verbs
+from atoll.cli.verbs.jobs import coordinator_lines, line, size, trouble, worker_table
+from atoll_coordinator.service.service_loop import Service
+from atoll_coordinator.service.store.store import Store
+from atoll_core import VERSION
 from atoll_core.errors import RefusedError
 from atoll_core.wire.addresses import Destination
+from atoll_core.wire.bus.zenoh_bus import open_router
 from atoll_core.wire.messages.clients import Change, Following
-from atoll_core.wire.messages.views import JobView, VariableView, WorkerView, Workforce
+from atoll_core.wire.messages.views import (
+    CoordinatorView,
+    Counters,
+    EventView,
+    JobView,
+    StoreView,
+    Traffic,
+    VariableView,
+    WorkerService,
+    WorkerView,
+    Workforce,
+)
 from tests.views import VARIABLE, job_view
+
+
+def test_a_coordinator_that_answers_is_told_from_one_whose_loop_does_not_turn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stop = threading.Event()
+    with Store.open(tmp_path) as store, open_router("tcp/127.0.0.1:0") as bus:
+        service = Service(bus, store)
+        service.start()
+        ask = ["ping", "--connect", bus.endpoint]
+        assert main([*ask, "--wait", "0.5"]) == 3  # the port is open, and nobody takes in what comes
+        said = capsys.readouterr().err
+        assert (
+            f"the coordinator at {bus.endpoint} did not answer within 0." in said
+        )  # what the connection has left of it
+        assert said.count("\n") == 1
+        loop = threading.Thread(target=service.work, args=(stop,))
+        loop.start()
+        try:
+            assert main([*ask, "--wait", "20"]) == 0
+            assert capsys.readouterr().out.startswith(f"coordinator {VERSION} at {bus.endpoint} answers, in ")
+            assert main([*ask, "--json"]) == 0
+            assert json.loads(capsys.readouterr().out)["incarnation"] == 1
+        finally:
+            stop.set()
+            loop.join()
+
+
+def test_nobody_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ping", "--connect", "tcp/127.0.0.1:9", "--wait", "0.1"]) == 3
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "within 0.1 s" in said
 
 
 def job(name: str, state: str) -> JobView:
@@ -188,13 +241,13 @@ def test_cancel_says_where_the_end_takes_longer_than_it_waits(
     client.__init__(job("one", "running"))  # type: ignore[misc]
     monkeypatch.setattr(client, "cancel_and_wait", client.status)
     assert main(["cancel"]) == 0
-    assert "job one is being cancelled; its result is still composed" in capsys.readouterr().out
+    assert "job one is being cancelled; its result is not complete" in capsys.readouterr().out
 
 
 def test_cancel_without_a_name_refuses_to_choose(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
     client.__init__(job("one", "running"), job("two", "queued"))  # type: ignore[misc]
     assert main(["cancel"]) == 2
-    assert "name one of those under way: one, two" in capsys.readouterr().err
+    assert "one, two; name one" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("verb", ["jobs", "status", "workers"])
@@ -206,3 +259,316 @@ def test_an_address_is_needed_and_checked(
     assert "--connect" in capsys.readouterr().err
     assert main([verb, "--connect", "there:7447"]) == 2
     assert "tcp/HOST:PORT" in capsys.readouterr().err
+
+
+class ControlClient:
+    """A coordinator with one job, `alpha`, and three workers."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[object, ...]] = []
+
+    def resolve(self, prefix: str) -> str:
+        if not "alpha".startswith(prefix):
+            raise RefusedError(f"the coordinator has no job {prefix!r}")
+        return "alpha"
+
+    def _job(self, *asked: object, **changes: object) -> JobView:
+        self.asked.append(asked)
+        return job_view(job="alpha", **changes)
+
+    def pause_job(self, job: str, *, paused: bool = True) -> JobView:
+        return self._job("pause", job, paused, paused=paused, reason="waits for its turn (it is next)")
+
+    def set_priority(self, job: str, priority: int) -> JobView:
+        return self._job("priority", job, priority, priority=priority)
+
+    def share(self, job: str, *, shared: bool = True) -> JobView:
+        return self._job("share", job, shared, shared=shared)
+
+    def retry(self, job: str, again: str) -> JobView:
+        return self._job("retry", job, again).model_copy(update={"job": again})
+
+    def workers(self) -> tuple[WorkerView, ...]:
+        return tuple(
+            WorkerView(worker=name, host="h", pid=7, state="computing", islands=8, silent=0.1, version="0.1.0")
+            for name in ("lab-0", "lab-1", "den-0")
+        )
+
+    def set_worker(self, worker: str, service: WorkerService) -> tuple[WorkerView, ...]:
+        self.asked.append(("worker", worker, service))
+        return tuple(view.model_copy(update={"service": service}) for view in self.workers())
+
+    def coordinator(self) -> CoordinatorView:
+        return CoordinatorView(
+            version="0.1.0", incarnation=1, seconds=1.0, counters=Counters(), store=StoreView(), queued=5, under_way=4
+        )
+
+    def pause_queue(self, *, paused: bool = True) -> CoordinatorView:
+        self.asked.append(("queue", paused))
+        return self.coordinator().model_copy(update={"paused": paused})
+
+
+@pytest.fixture
+def control(monkeypatch: pytest.MonkeyPatch) -> ControlClient:
+    fake = ControlClient()
+
+    @contextmanager
+    def connected(address: Destination, wait_s: float) -> Iterator[ControlClient]:
+        yield fake
+
+    monkeypatch.setattr(verbs, "connected", connected)
+    monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
+    return fake
+
+
+@pytest.mark.parametrize(
+    ("words", "asked", "printed"),
+    [
+        (["pause", "al"], ("pause", "alpha", True), "job alpha is paused; continue it with: coordinator resume"),
+        (["resume", "al"], ("pause", "alpha", False), "job alpha continues: it waits for its turn"),
+        (["priority", "al", "-3"], ("priority", "alpha", -3), "job alpha has priority -3"),
+        (["share", "al"], ("share", "alpha", True), "job alpha is shared with everybody"),
+        (["share", "al", "--private"], ("share", "alpha", False), "job alpha is private"),
+        (["retry", "al", "--id", "beta"], ("retry", "alpha", "beta"), "beta"),
+        (["cordon", "den"], ("worker", "den-0", "cordoned"), "worker den-0 keeps the islands that it has"),
+        (["uncordon", "lab-1"], ("worker", "lab-1", "open"), "worker lab-1 gets islands again"),
+        (["drain", "gone"], ("worker", "gone", "draining"), "worker gone hands over its islands"),
+        (["queue", "pause"], ("queue", True), "the queue is paused"),
+        (["queue", "resume"], ("queue", False), "the queue is open; 4 jobs are under way, 5 wait"),
+    ],
+)
+def test_what_is_asked_and_printed(
+    control: ControlClient,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    asked: tuple[object, ...],
+    printed: str,
+) -> None:
+    assert main(words) == 0
+    assert control.asked == [asked]
+    assert capsys.readouterr().out.startswith(printed)
+
+
+def test_the_queue_is_shown_without_changing_it(control: ControlClient, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["queue", "--json"]) == 0
+    assert control.asked == []
+    assert json.loads(capsys.readouterr().out)["queued"] == 5
+
+
+def test_json_has_the_job_or_the_worker(control: ControlClient, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["pause", "al", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["paused"] is True
+    assert main(["cordon", "den", "--json"]) == 0
+    assert [view["service"] for view in json.loads(capsys.readouterr().out)] == ["cordoned"]
+
+
+@pytest.mark.usefixtures("control")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["cordon", "lab"], "lab-0, lab-1"),
+        (["pause", "beta"], "the coordinator has no job 'beta'"),
+        (["priority", "alpha", "11"], "expected a whole number from -10 to 10"),
+        (["retry", "alpha", "--id", "a b"], "--id must be 1 to 64 letters"),
+        (["queue", "stop"], "must be one of"),
+    ],
+)
+def test_what_cannot_be_is_said(capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+    assert main(words) == 2
+    assert said in capsys.readouterr().err
+
+
+PLACED = EventView(
+    number=7, time="2026-01-01T10:11:12.123+00:00", event="placed", text="4 islands on w0", job="alpha", variable="x",
+    term=2, details={"workers": 1},
+)  # fmt: skip
+DONE = EventView(number=9, time="2026-01-01T10:11:13.000+00:00", event="done", text="done", job="alpha")
+
+
+class LogClient:
+    """A coordinator on which something more has happened each time it is asked."""
+
+    def __init__(self) -> None:
+        self.log = [PLACED]
+        self.looks = 0
+        self.clock = 0.0
+        self.asked: list[tuple[str | None, int, int]] = []
+
+    def resolve(self, prefix: str) -> str:
+        return "alpha"
+
+    def events(
+        self, job: str | None, after: int = 0, limit: int = 200, *, of_workers: bool = False
+    ) -> tuple[EventView, ...]:  # fmt: skip
+        self.asked.append((job, after, limit))
+        asked = [event for event in self.log if event.number > after and (event.event == "log" or not of_workers)]
+        return tuple(asked)[:limit]
+
+    def follow(self, job: str, after: int | None, sequence: int) -> Following:
+        self.looks += 1
+        if self.looks == 3:
+            self.log.append(DONE)
+        events = tuple(event for event in self.log if event.number > (after or 0))
+        change = Change(
+            job=job,
+            sequence=self.looks,
+            previous=sequence,
+            view=self._view(),
+            events=events,
+            last=events[-1].number if events else 0,
+        )
+        return Following(lease_s=30.0, change=change)
+
+    def next_change(self, limit_s: float) -> None:
+        self.clock += limit_s
+
+    def now(self) -> float:
+        return self.clock
+
+    def _view(self) -> JobView:
+        state: Any = "done" if self.looks >= 3 else "running"
+        return JobView(
+            job="alpha", name="n", state=state, seed=0, preset="default", submitted="", elapsed=1.0, workers=1,
+            point_evaluations=self.looks, target_error=1e-9,
+        )  # fmt: skip
+
+
+@pytest.fixture
+def logged(monkeypatch: pytest.MonkeyPatch) -> LogClient:
+    fake = LogClient()
+
+    @contextmanager
+    def connected(address: str, wait_s: float) -> Iterator[LogClient]:
+        yield fake
+
+    monkeypatch.setattr(verb, "connected", connected)
+    monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
+    return fake
+
+
+def test_an_event_is_one_line_with_where_it_happened() -> None:
+    assert line(PLACED) == "2026-01-01 10:11:12.123  placed         4 islands on w0  [job=alpha variable=x term=2]"
+
+
+def test_the_log_of_a_job_is_lines_or_a_list(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["logs", "al", "--lines", "5"]) == 0
+    assert capsys.readouterr().out == line(PLACED) + "\n"
+    assert logged.asked == [("alpha", 0, 5)]
+    assert main(["logs", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == [PLACED.model_dump(mode="json")]
+    assert logged.asked[-1] == (None, 0, 200)
+
+
+def test_lines_of_workers_and_warnings_can_be_asked_for(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
+    said = {"time": "2026-01-01T10:11:12.123+00:00", "event": "log", "job": "alpha", "worker": "w0"}
+    for number, level in ((20, "info"), (21, "warning")):
+        logged.log.append(
+            EventView.model_validate({**said, "number": number, "text": level, "details": {"level": level}})
+        )
+    stalled = EventView(number=22, time="2026-01-01T10:11:13.000+00:00", event="stalled", text="waits", job="alpha")
+    logged.log.append(stalled)
+
+    def shown(*words: str) -> list[str]:
+        assert main(["logs", "al", *words]) == 0
+        out = capsys.readouterr().out
+        return [row.split("  ")[-2].strip() if "  " in row else row for row in out.splitlines()]
+
+    assert shown() == ["4 islands on w0", "info", "warning", "waits"]
+    assert shown("--workers") == ["info", "warning"]
+    assert shown("--level", "warning") == ["warning", "waits"]
+    assert shown("--workers", "--level", "error") == ["no events of job alpha"]
+
+
+def test_an_empty_log_says_so(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
+    logged.log.clear()
+    assert main(["logs", "al"]) == 0
+    assert capsys.readouterr().out == "no events of job alpha\n"
+
+
+def test_followed_logs_end_with_the_job_and_miss_nothing(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["logs", "al", "--follow"]) == 0
+    assert capsys.readouterr().out.splitlines() == [line(PLACED), line(DONE)]
+    logged.looks, logged.log = 0, []
+    assert main(["logs", "al", "--follow", "--json"]) == 0
+    assert [json.loads(cell)["event"] for cell in capsys.readouterr().out.splitlines()] == ["done"]
+
+
+@pytest.mark.parametrize(
+    "words", [["submit", "x", "--priority", "11"], ["logs", "--lines", "0"], ["logs", "--lines", "x"]]
+)
+def test_numbers_out_of_range_are_refused_with_the_range(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 2
+    assert "expected a whole number from" in capsys.readouterr().err
+
+
+TRAFFIC = (Traffic(kind="mail", messages_in=2, bytes_in=1500), Traffic(kind="report", messages_out=1, bytes_out=20))
+COUNTERS = Counters(traffic=TRAFFIC, memory_bytes=123_400_000, cpu_s=61.0, waited_s=1.5, refused=2, duplicates=1)
+WORKER = WorkerView(
+    worker="lab2", host="lab", pid=7, state="computing", islands=8, silent=0.1, version="0.1.0", counters=COUNTERS,
+    doing="alpha/x island 3 epoch 17", standing=40.0,
+)  # fmt: skip
+COORDINATOR = CoordinatorView(
+    version="0.1.0", incarnation=3, seconds=125.0, counters=COUNTERS,
+    store=StoreView(transactions=4, total_s=0.01, worst_s=0.005),
+)  # fmt: skip
+
+
+class WorkerClient:
+    """A coordinator's answers."""
+
+    def __init__(self) -> None:
+        self.views = (WORKER,)
+
+    def workers(self, prefix: str = "") -> tuple[WorkerView, ...]:
+        return tuple(view for view in self.views if view.worker.startswith(prefix))
+
+    def coordinator(self) -> CoordinatorView:
+        return COORDINATOR
+
+
+@pytest.fixture
+def listed(monkeypatch: pytest.MonkeyPatch) -> WorkerClient:
+    fake = WorkerClient()
+
+    @contextmanager
+    def connected(address: Destination, wait_s: float) -> Iterator[WorkerClient]:
+        assert str(address) == "tcp/there:7447"
+        yield fake
+
+    monkeypatch.setattr(verb, "connected", connected)
+    monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
+    return fake
+
+
+def test_workers_show_what_they_do_and_take(listed: WorkerClient, capsys: pytest.CaptureFixture[str]) -> None:
+    del listed
+    heads, row = worker_table([WORKER]).splitlines()
+    cells = dict(zip(heads.split(), [cell for cell in row.split("  ") if cell], strict=True))
+    assert {name: cells[name].strip() for name in ("MEMORY", "CPU", "IN", "OUT", "WAITED", "TROUBLE", "DOING")} == {
+        "MEMORY": "123 MB", "CPU": "1:01", "IN": "1.5 kB", "OUT": "20 B", "WAITED": "1.5 s",
+        "TROUBLE": "2 refused, 1 twice", "DOING": "alpha/x island 3 epoch 17, 40 s without progress",
+    }  # fmt: skip
+    assert main(["workers", "--json"]) == 0
+    (view,) = json.loads(capsys.readouterr().out)
+    assert view["counters"]["traffic"][0]["bytes_in"] == 1500
+
+
+def test_workers_may_be_filtered(listed: WorkerClient, capsys: pytest.CaptureFixture[str]) -> None:
+    listed.views = tuple(WORKER.model_copy(update={"worker": name}) for name in ("lab-0", "lab-1", "den-0"))
+    assert main(["workers", "lab", "--json"]) == 0
+    assert [view["worker"] for view in json.loads(capsys.readouterr().out)] == ["lab-0", "lab-1"]
+
+
+def test_the_coordinators_own_counters(listed: WorkerClient, capsys: pytest.CaptureFixture[str]) -> None:
+    del listed
+    assert main(["workers", "--coordinator"]) == 0
+    out = capsys.readouterr().out
+    assert out == coordinator_lines(COORDINATOR) + "\n"
+    assert "store: 4 transactions, 2.5 ms each, 5.0 ms at most" in out
+    assert main(["workers", "--coordinator", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["store"]["transactions"] == 4
+
+
+def test_sizes_and_troubles_are_short() -> None:
+    assert [size(count) for count in (0, 999, 1000, 999_600, 5_000_000_000)] == ["0 B", "999 B", "1 kB", "1 MB", "5 GB"]
+    assert trouble(Counters()) == "-"

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.options.parser import parse
+from atoll.cli.options import parse
 from atoll.cli.verbs import run as module
 from atoll.client import local_coordinator
 

@@ -3,6 +3,8 @@
 import argparse
 from typing import Final
 
+from argcomplete.shell_integration import shellcode
+
 from atoll.cli.exit_codes import DONE
 from atoll.terminal.output import as_json, say
 from atoll_core.config import JobConfig
@@ -19,4 +21,13 @@ def schema(options: argparse.Namespace) -> int:
     else:
         head = {"$schema": _DIALECT, "title": "Job file of coordinator run and submit"}
         say(as_json(head | JobConfig.model_json_schema() | head))
+    return DONE
+
+
+_PROGRAMS = ("coordinator", "island-worker")
+
+
+def completion(options: argparse.Namespace) -> int:
+    """Print the lines for ``options.shell``; return the exit code."""
+    say(shellcode(_PROGRAMS, shell=options.shell))
     return DONE

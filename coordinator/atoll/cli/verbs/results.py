@@ -1,0 +1,402 @@
+"""The verbs about a result, saved or of a job: ``result``, ``report``, ``compare``, ``simulate``, ``analyse``,
+``suggest`` and ``export``.
+
+Analyses of a saved result run in this process; analyses of a coordinator's job run on a worker. Both go through `ask`.
+What only some verbs need is imported in these, because ``coordinator result`` should print at once.
+"""
+
+import argparse
+import json
+import re
+import shlex
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from atoll.cli.exit_codes import DONE
+from atoll.cli.options import finite_number, if_given, interval, intervals, natural_number, numbers
+from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result, result_of
+from atoll.cli.result_files import REPORT, write_page
+from atoll.client.client import connected
+from atoll.model.arguments import FileStart, ReadColumns, start_of_file, times_until
+from atoll.model.files import write_text
+from atoll.model.model import Model
+from atoll.model.simulation import SimulationWarning
+from atoll.terminal.output import as_json, note, say
+from atoll_coordinator.data.differentiation.inputs import InputCurve
+from atoll_coordinator.result.result import Result
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.table import Table
+from atoll_core.errors import AtollError, UsageError
+from atoll_core.wire.values import encode_value
+
+if TYPE_CHECKING:
+    from atoll.tasks.analyses import Analysed, Question
+
+
+def result(options: argparse.Namespace) -> int:
+    """Print the result of ``options.job``, a job's id or a saved result; of a running job, the best so far."""
+    from atoll.text.render import parse_picks, pick, render, render_text
+
+    if options.json and options.format not in (None, "json"):
+        raise UsageError(f"--json and --format {options.format} contradict each other; give one of them")
+    found = result_of(options.job, options)
+    if options.pick:
+        found = pick(found, parse_picks(options.pick))
+    if options.json or options.format == "json":
+        say(as_json(found.as_dict()))
+    elif options.format in (None, "text"):
+        reason = f": {found.reason}" if found.reason else ""
+        heading = "" if found.state == "done" else f"job {found.job} is {found.state}{reason}\n"
+        say(heading + render_text(found, fronts=True))
+    else:
+        say(render(found, options.format))
+    return DONE
+
+
+# ------------------------------------------------------------------------------------------- simulate
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Simulate the model of ``options.result``, or draw paths; warnings and an early end are printed on stderr."""
+    model = _load(options)
+    if model.is_regression:
+        raise UsageError("the model is a regression without time, so there is nothing to simulate; see its result")
+    start = _start_of(model, options.initial)
+    times = _chosen_times(model, start, options)
+    inputs: dict[str, InputCurve | float] = {**start.inputs, **_held_inputs(model, options)}
+    paths = if_given(natural_number, options.paths, "--paths")
+    seed = if_given(natural_number, options.seed, "--seed")
+    if paths is None and (options.each_path or seed is not None):
+        option = "--each-path" if options.each_path else "--seed"
+        raise UsageError(f"{option} needs --paths; add the number of paths, as in --paths 100")
+    if paths is not None:
+        with warnings.catch_warnings(record=True) as raised:
+            ensemble = model.simulate(start.state, times, inputs, paths=paths, seed=seed or 0)
+        for warning in raised:
+            note(f"coordinator: warning: {warning.message}")
+        is_each = options.each_path
+        text = as_json(ensemble.as_dict(has_paths=is_each)) if options.json else ensemble.to_csv(has_paths=is_each)
+        deliver(text, options.output)
+        if len(ensemble.finite) < paths:
+            note(f"coordinator: {ensemble.message}")
+        return DONE
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulationWarning)  # printed below, one a line
+        simulation = model.simulate(start.state, times, inputs)
+    deliver(as_json(simulation.as_dict()) if options.json else simulation.to_csv(), options.output)
+    if model.result.process is not None:
+        note("coordinator: the drift was simulated, without the noise of the process; --paths draws paths with it")
+    if simulation.remark:
+        note(f"coordinator: warning: {simulation.remark}")
+    if simulation.status != "finished":
+        note(f"coordinator: the simulation ended early: {simulation.message}")
+    return DONE
+
+
+def _start_of(model: Model, text: str | None) -> FileStart:
+    """Return the initial state of ``--initial``: numbers by name, or a data file; raises UsageError or DataError."""
+    if text is None:
+        return FileStart()
+    if Path(text).is_file():
+        return start_of_file(model, Path(text))
+    if "=" not in text:
+        raise UsageError(f"--initial wants numbers such as x=1,y=3 or a data file, and {text!r} is neither")
+    return FileStart(numbers([text], "--initial", "NAME=NUMBER, separated by commas"))
+
+
+def _chosen_times(model: Model, start: FileStart, options: argparse.Namespace) -> FloatArray:
+    end = if_given(finite_number, options.until, "--until")
+    return times_until(model, start, end, if_given(finite_number, options.step, "--step"))
+
+
+def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
+    """Return the inputs of ``--hold`` by symbol; raises UsageError."""
+    held, symbols = numbers(options.hold, "--hold", "u=1"), model.result.symbols
+    unknown = next((name for name in held if symbols.get(name, name) not in model.inputs), None)
+    if unknown is not None:
+        raise UsageError(f"--hold names {unknown!r}; the inputs are {', '.join(model.inputs) or 'none'}")
+    return {symbols.get(name, name): value for name, value in held.items()}
+
+
+# -------------------------------------------------------------------------- analyse, suggest, report
+
+
+def ask(options: argparse.Namespace, *questions: "Question", name: str | None = None) -> "list[Analysed]":
+    """Return the answers to questions about the result `name` (None: `options.result`), in order.
+
+    With ``--data``, these measurements are used in place of those in the result.
+    """
+    from atoll.api.tables import table_of
+    from atoll.experiments.fits import config_of
+    from atoll.tasks.analyses import FUNCTIONS, answer, answered
+
+    name = options.result if name is None else name
+    questions = tuple(replace(question, group=options.group) for question in questions)
+    files: list[str] | None = getattr(options, "data", None)
+
+    def table(found: Result) -> Table | None:
+        return None if files is None else table_of(files, config_of(found).data)
+
+    if is_saved(name, options):
+        saved = load_result(name)
+        measurements = table(saved)
+        return [answer(saved, question, measurements) for question in questions]
+    with connected(address_of(options), CONNECT_LIMIT_S) as client:
+        job = client.resolve(name)
+        measurements = None if files is None else table(Result.of(client.result(job)))
+        rows = None if measurements is None else measurements.to_bytes()
+        return [
+            answered(
+                client.analyse(
+                    job, FUNCTIONS[type(question)], encode_value(question), rows,
+                    lambda reason: note(f"coordinator: the analysis {reason}"),
+                )
+            )
+            for question in questions
+        ]  # fmt: skip
+
+
+def analyse(options: argparse.Namespace) -> int:
+    """Analyse the model of ``options.result``."""
+    from atoll.tasks.analyses import Analyse, Form, Profile, Question
+
+    if (options.parameter is None) != (options.range is None):
+        present, missing = ("--parameter", "--range A:B") if options.parameter else ("--range", "--parameter c1")
+        raise UsageError(f"{present} was given without {missing}; give both")
+    vary = None if options.parameter is None else (options.parameter, interval(options.range, "--range"))
+    bounds, held = intervals(options.box, "--box"), numbers(options.hold, "--hold", "u=1")
+    if options.data is not None and not options.identifiability:
+        raise UsageError("--data was given without --identifiability, which alone uses it; give both")
+    form: Form = "json" if options.json else "text"
+    questions: list[Question] = [Analyse(box=bounds, inputs=held, vary=vary, form=form)]
+    if options.identifiability:
+        questions.append(Profile(form=form))
+    texts = [answered.text for answered in ask(options, *questions)]
+    if options.json:
+        analysis, *known = map(json.loads, texts)
+        text = as_json(analysis | {"identifiability": known[0] if known else None})
+    else:
+        text = "\n".join(texts)
+    deliver(text, options.output)
+    return DONE
+
+
+def suggest(options: argparse.Namespace) -> int:
+    """Suggest experiments for ``options.result``."""
+    from atoll.experiments.designs import DesignRequest
+    from atoll.tasks.analyses import Suggest
+
+    request = DesignRequest(
+        bounds=intervals(options.box, "--box"),
+        duration=if_given(finite_number, options.duration, "--duration"),
+        samples=if_given(natural_number, options.samples, "--samples"),
+        cost=options.cost,
+        count=natural_number(options.count, "--count"),
+        rivals=[_alternative(text) for text in options.rival],
+        seed=natural_number(options.seed, "--seed"),
+    )
+    (suggested,) = ask(options, Suggest(request=request, form="json" if options.json else "text"))
+    deliver(suggested.text, options.output)
+    return DONE
+
+
+def _alternative(text: str) -> dict[str, str]:
+    """Split ``dx=EXPR; dy=EXPR`` into right-hand sides by left-hand side."""
+    equations: dict[str, str] = {}
+    for equation in filter(None, (part.strip() for part in text.split(";"))):
+        side, separator, right = (part.strip() for part in equation.partition("="))
+        if not separator or not side or not right:
+            raise UsageError(f"--rival wants dx=EXPR, several separated by ';', but got {text!r}")
+        equations[side] = right
+    if not equations:
+        raise UsageError("--rival wants dx=EXPR, but got nothing")
+    return equations
+
+
+def report(options: argparse.Namespace) -> int:
+    """Write the page of each of ``options.result``, and its pictures if ``--pictures`` names a folder.
+
+    If one of several results cannot be read, the pages of the others are written all the same; the exit code is that
+    of the first error.
+    """
+    paths = [Path(name) for name in options.result]
+    if len(paths) == 1:
+        _write_report(paths[0], options)
+        return DONE
+    for option, place in (("--output", options.output), ("--pictures", options.pictures)):
+        if place is not None:
+            raise UsageError(f"{option} names one place, but {len(paths)} results were given; leave it out")
+    pages = [_page(path, options) for path in paths]
+    twice = next((page for page in pages if pages.count(page) > 1), None)
+    if twice is not None:
+        raise UsageError(f"two of these results would be written to {twice}; give them one by one, with --output")
+    code = DONE
+    for path in paths:
+        try:
+            _write_report(path, options)
+        except AtollError as error:
+            note(f"coordinator: {error.on_command_line}")
+            code = code or error.exit_code
+    return code
+
+
+def _page(path: Path, options: argparse.Namespace) -> Path:
+    """Return where the page of a result is written without --output; the page of a job goes to the current folder."""
+    if not is_saved(str(path), options):
+        return Path(f"{path.name}.html")
+    return (path if path.is_dir() else path.parent) / REPORT
+
+
+def _write_report(path: Path, options: argparse.Namespace) -> None:
+    from atoll.tasks.analyses import Report
+
+    output = _page(path, options) if options.output is None else Path(options.output)
+    (page,) = ask(options, Report(pictures=options.pictures is not None), name=str(path))
+    write_page(output, page.text)
+    if options.pictures is None:
+        return
+    folder = Path(options.pictures)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"the folder {folder} cannot be made ({error.strerror}); name another") from error
+    for name, text in page.pictures.items():
+        write_text(folder / name, text)
+    note(f"{len(page.pictures)} pictures in {folder}")
+
+
+# -------------------------------------------------------------------------------------------- compare
+
+
+def compare(options: argparse.Namespace) -> int:
+    """Compare the models ``options.first`` and ``options.second``."""
+    from atoll.api.tables import table_of
+    from atoll.experiments.comparison import compare as compare_results
+    from atoll.experiments.fits import config_of
+
+    first, number = _name_and_candidate(options.first)
+    second, other = _name_and_candidate(options.second)
+    if not first:
+        raise UsageError(f"A is {options.first!r}, but a result was expected, such as runs/JOB{options.first}")
+    models = [_candidate(name, place, options) for name, place in ((first, number), (second or first, other))]
+    files: list[str] | None = options.data
+    table = None if files is None else table_of(files, config_of(models[0].result).data)
+    names = (options.first, options.second if second else f"{first}{options.second}")
+    comparison = compare_results(models[0].result, models[1].result, names, table)
+    deliver(as_json(comparison.as_dict()) if options.json else str(comparison), options.output)
+    return DONE
+
+
+def _name_and_candidate(text: str) -> tuple[str, int | None]:
+    """Return the name of a result, and the number of its candidate; None: the equations that it shows."""
+    found = re.fullmatch(r"(.*):(\d+)", text, re.DOTALL)
+    if found is None or Path(text).exists():
+        return text, None
+    return found[1], int(found[2])
+
+
+def _candidate(name: str, number: int | None, options: argparse.Namespace) -> Model:
+    model = Model(result_of(name, options))
+    model = model if options.group is None else model.of_group(options.group)
+    if number is None:
+        return model
+    if not 1 <= number <= len(model.candidates):
+        present = f"it has candidates 1 to {len(model.candidates)}" if model.candidates else "it has no candidates"
+        raise UsageError(f"{shlex.quote(name)} has no candidate {number}: {present}")
+    return model.candidates[number - 1]
+
+
+# --------------------------------------------------------------------------------------------- export
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write the model of ``options.result`` in ``options.format``."""
+    from atoll.export.description import describe
+    from atoll.export.formats import LANGUAGES, OF_RESULTS, PETAB, write
+
+    if options.format == PETAB:
+        model = _chosen(_load(options), options)
+        if options.output is None:
+            raise UsageError("petab is a folder of several files; name it with -o FOLDER")
+        model.to_petab(options.output, None if options.data is None else _trajectories(model, options.data))
+        return DONE
+    if options.data is not None:
+        raise UsageError("--data belongs to --format petab, which holds measurements; leave it out")
+    if options.format in OF_RESULTS:
+        # A result without a model will do, unless a group or other equations are chosen.
+        is_plain = options.group is None and options.candidate is None and not options.pick
+        found = result_of(options.result, options) if is_plain else _chosen(_load(options), options).result
+        deliver(OF_RESULTS[options.format](found), options.output)
+        return DONE
+    model = _chosen(_load(options), options)
+    language = LANGUAGES[options.format]
+    description = describe(model, *_beginning(model, options), language.without_tables)
+    deliver(write(description, language), options.output)
+    for sentence in description.zeros:
+        note(f"coordinator: {sentence}; give --hold{' or --initial FILE' if language.has_tables else ''}")
+    return DONE
+
+
+def _chosen(model: Model, options: argparse.Namespace) -> Model:
+    """Return the selected model, or the members of fronts or the candidate that options choose instead."""
+    if options.pick and options.candidate is not None:
+        raise UsageError("--pick and --candidate both choose equations; give one of them")
+    if options.candidate is not None:
+        number: int = options.candidate
+        candidates = model.candidates
+        if number > len(candidates):
+            raise UsageError(f"--candidate {number} is not there: the result has {len(candidates)} candidates")
+        return candidates[number - 1]
+    if options.pick:
+        from atoll.text.render import parse_picks, pick
+
+        update = {"simulation": model.result.simulation}  # the initial state belongs to the data
+        return Model(pick(model.result, parse_picks(options.pick)).model_copy(update=update))
+    return model
+
+
+def _beginning(
+    model: Model, options: argparse.Namespace
+) -> tuple[Mapping[str, float] | None, FloatArray | None, dict[str, InputCurve | float] | None]:
+    """Return initial state, times and inputs, as far as options give them."""
+    if model.is_regression:
+        return None, None, None
+    start = _start_of(model, options.initial)
+    has_times = options.until is not None or options.step is not None or start.times is not None
+    times = _chosen_times(model, start, options) if has_times else None
+    return start.state, times, {**start.inputs, **_held_inputs(model, options)}
+
+
+def _trajectories(model: Model, files: list[str]) -> list[ReadColumns]:
+    """Return the measured columns of files, trajectory by trajectory, read like the data of the result."""
+    from atoll_coordinator.data.columns.examination import examine
+    from atoll_coordinator.data.reading.files import read_table
+    from atoll_core.config import DataConfig, JobConfig
+
+    config = DataConfig.model_validate(model.result.data_settings)
+    table = read_table([Path(file) for file in files], config)
+    examination = examine(table, JobConfig(data=config))
+    roles, measured = examination.roles, examination.measurements
+    unwrapped: dict[str, Sequence[FloatArray]] = dict(zip(roles.inputs, measured.inputs, strict=True))
+    if measured.trajectories is not None:
+        unwrapped |= measured.trajectories.states
+    plain = [{name: column[first:last] for name, column in measured.columns.items()} for first, last in measured.ranges]
+    parts = [part | {name: along[place] for name, along in unwrapped.items()} for place, part in enumerate(plain)]
+    return [ReadColumns(part) for part in parts]
+
+
+def _load(options: argparse.Namespace) -> Model:
+    """Return the model of ``options.result``, for ``options.group`` if one is named; raises UsageError."""
+    model = Model(result_of(options.result, options))
+    return model if options.group is None else model.of_group(options.group)
+
+
+def deliver(text: str, output: str | None) -> None:
+    """Write a text with a newline at its end to the file `output`, or on stdout; raises UsageError."""
+    if output is None:
+        say(text)
+    else:
+        write_text(output, text.removesuffix("\n") + "\n")

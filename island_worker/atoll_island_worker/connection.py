@@ -1,0 +1,427 @@
+"""The connection of a worker to its coordinator: requests, handshake, absence, drain, and how the worker ends.
+
+A worker greets twice: as soon as it is connected, so that the coordinator knows it, and again with the fingerprint of
+its kernels once they are ready. Only then are islands placed here. If the coordinator is silent, it is asked whether it
+would accept us (an enquiry, which changes nothing); if it stays away too long, the worker ends. A coordinator that has
+opened the store again has a later incarnation; an earlier one that answers late, or hangs, is never joined again.
+
+A worker that is told to end (SIGTERM, its lifetime) drains: its heartbeats say ``leaving``, the coordinator places its
+islands elsewhere and answers ``shutdown``. Without that answer the worker ends when its grace, or a shorter absence of
+the coordinator, is over.
+"""
+
+import logging
+import os
+import socket
+from dataclasses import dataclass
+from typing import Final
+from uuid import uuid4
+
+from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
+from atoll_core.errors import AtollError, RefusedError, RemoteProtocolError, UnreachableError
+from atoll_core.logs import fields
+from atoll_core.machine import total_memory_bytes, usable_cores
+from atoll_core.wire import topics
+from atoll_core.wire.bus.interface import Bus
+from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.epochs import Mail, Pull, PullAnswer, PullStates
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
+from atoll_core.wire.messages.limits import MAX_MESSAGE
+from atoll_core.wire.messages.tasks import PullBatch, TaskChunk, TaskFailed, TaskReport
+from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
+from atoll_island_worker.session import interface as io
+
+PULL_TIMEOUT_S: Final = 5.0
+FETCH_TIMEOUT_S: Final = 20.0
+FETCH_PAUSE_S: Final = 0.5
+FETCH: Final = "fetch/"
+FETCH_INPUTS: Final = "inputs/"
+"""Beginnings of the names of timers, after which a dataset or the inputs of a task are asked for again."""
+
+
+@dataclass(frozen=True, slots=True)
+class PendingRequest:
+    """A request that has no reply yet: a `question` about `subject` (a job, task, peer or fingerprint) or `states`.
+
+    `index` is the number of a chunk, of the blob `digest` if the subject is a task; for a greeting it is the number of
+    welcomes before it.
+    """
+
+    question: str
+    subject: str = ""
+    index: int = 0
+    digest: str = ""
+    states: PullStates | None = None
+
+
+class Requests:
+    """The messages and queries of one worker. `cluster` is the id of the coordinator's cluster, "" before a welcome."""
+
+    def __init__(self, bus: Bus, name: str) -> None:
+        self.cluster = ""
+        self._bus = bus
+        self._name = name
+        self._open: dict[int, PendingRequest] = {}
+
+    def ask(self, key: str, payload: bytes, timeout_s: float, request: PendingRequest) -> None:
+        """Send a query; the reply will answer `request`."""
+        self._open[self._bus.get(key, payload, timeout_s)] = request
+
+    def pop(self, token: int) -> PendingRequest | None:
+        """Remove and return the request that a reply answers."""
+        return self._open.pop(token, None)
+
+    def ask_announcement(self, job: str) -> None:
+        """Ask the coordinator for a job's announcement."""
+        self.ask(topics.job(self.cluster, job), b"", PULL_TIMEOUT_S, PendingRequest("job", job))
+
+    def ask_chunk(self, job: str, blob: str, index: int) -> None:
+        """Ask the coordinator for one chunk of a job's dataset."""
+        self.ask(topics.blob(self.cluster, blob, index), b"", FETCH_TIMEOUT_S, PendingRequest("chunk", job, index))
+
+    def ask_later(self, job: str) -> None:
+        """Start the timer after which a job's dataset is asked for again."""
+        self._bus.call_later(FETCH_PAUSE_S, FETCH + job)
+
+    def ask_input(self, task: str, digest: str, index: int) -> None:
+        """Ask the coordinator for one chunk of an input of a task."""
+        key = topics.blob(self.cluster, digest, index)
+        self.ask(key, b"", FETCH_TIMEOUT_S, PendingRequest("input", task, index, digest))
+
+    def ask_inputs_later(self, task: str) -> None:
+        """Start the timer after which the inputs of a task are asked for again."""
+        self._bus.call_later(FETCH_PAUSE_S, FETCH_INPUTS + task)
+
+    def ask_batch(self, peer: str, pull: PullBatch) -> None:
+        """Ask another worker for a batch of its task."""
+        key = topics.worker(self.cluster, peer, "pull")
+        self.ask(key, encode(Pull(body=pull)), PULL_TIMEOUT_S, PendingRequest("batch", pull.task))
+
+    def send_task_report(self, body: TaskChunk | TaskFailed) -> None:
+        """Send the coordinator a part of a task's result, or its failure."""
+        self._bus.put(topics.worker(self.cluster, self._name, "result"), encode(TaskReport(body=body)))
+
+    def send_status(self, status: WorkerStatus) -> None:
+        """Send a heartbeat."""
+        self._bus.put(topics.worker(self.cluster, self._name, "status"), encode(status))
+
+    def send_log(self, log: WorkerLog) -> None:
+        """Send log lines."""
+        self._bus.put(topics.worker(self.cluster, self._name, "log"), encode(log))
+
+    def send(self, action: io.Outgoing) -> None:
+        """Carry out an action of the session: a message, an answer or a request."""
+        match action:
+            case io.Send():
+                self._bus.put(topics.mail(self.cluster, self._name, action.peer), encode(Mail(body=action.body)))
+            case io.SendReport():
+                self._bus.put(topics.worker(self.cluster, self._name, "report"), encode(action.report))
+            case io.AskPeer():
+                key = topics.worker(self.cluster, action.peer, "pull")
+                self.ask(key, encode(Pull(body=action.body)), PULL_TIMEOUT_S, PendingRequest("pull", action.peer))
+            case io.Respond():
+                self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
+            case io.FetchStates():
+                key, request = (
+                    topics.job(self.cluster, action.body.job, "state"),
+                    PendingRequest("states", states=action.body),
+                )
+                self.ask(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, request)
+            case io.FetchPlacements():
+                key = topics.job(self.cluster, action.job, "placement")
+                self.ask(key, b"", PULL_TIMEOUT_S, PendingRequest("placement", action.job))
+
+
+_LOG = logging.getLogger(__name__)
+
+START_S: Final = 10.0
+RETURN_S: Final = 3600.0
+"""Defaults for how long a worker waits for a coordinator: at the start, when the address may be wrong, and later, when
+the coordinator is being restarted or upgraded, or waits for space on its disk."""
+
+GREET_TIMEOUT_S: Final = 2.0
+GREET_PAUSE_S: Final = 0.2
+STALE_PAUSE_S: Final = 2.0
+"""Pause between greetings while a former coordinator answers; once it runs again it ends within a tick."""
+
+GRACE_S: Final = 30.0
+"""Default for how long a drain may take."""
+ALONE_S: Final = 3.0
+"""How long a draining worker waits for a coordinator that is away."""
+
+QUIET_S: Final = 15.0
+"""After this silence the coordinator is asked whether it is there: behind a router a lost link does not show. The
+coordinator tolerates the same silence of a worker."""
+
+GREET: Final = "greet"
+LIFETIME: Final = "lifetime"
+GRACE: Final = "grace"
+"""Names of timers."""
+
+
+class CoordinatorConnection:
+    """Greets the coordinator, subscribes in its cluster, waits while it is away, and drains the worker before it ends.
+
+    `welcome`: the coordinator's last answer to a greeting; None before the first. `is_accepted`: the coordinator knows
+    that the kernels here are ready. `is_draining`: heartbeats tell that this worker wants to end. `exit_code`: None
+    while the worker runs; `error`: the error with which it ends, if any.
+    """
+
+    def __init__(
+        self, bus: Bus, requests: Requests, name: str, wait_s: float | None, lifetime_s: float | None, grace_s: float
+    ) -> None:
+        """Set up, without a greeting yet.
+
+        Args:
+            wait_s: how long the coordinator may be away, at the start or later; None: `START_S`, then `RETURN_S`.
+            lifetime_s: seconds after which the worker drains; None: never.
+            grace_s: how long a drain may take; 0: the worker ends at once.
+        """
+        self.instance: Final = uuid4().hex
+        self.welcome: Welcome | None = None
+        self.is_accepted = False
+        self.is_draining = False
+        self.exit_code: int | None = None
+        self.error: AtollError | None = None
+        self._bus = bus
+        self._requests = requests
+        self._name = name
+        self._given_wait_s = wait_s
+        self._lifetime_s = lifetime_s
+        self._grace_s = grace_s
+        self._fingerprint = ""
+        self._is_reachable = False  # an enquiry was answered although no greeting was
+        self._away_since: float | None = bus.now()
+        self._heard_at = self._asked_at = bus.now()
+        self._clusters: set[str] = set()
+        self._welcomes = 0
+        self._newest = 0
+        self._stale: int | None = None
+
+    def fail(self, error: AtollError) -> None:
+        """End the worker with an error and its exit code."""
+        self.error, self.exit_code = error, error.exit_code
+
+    # -------------------------------------------------------------------------------------- handshake
+
+    def start(self) -> None:
+        """Greet the coordinator; start the timer of the worker's lifetime."""
+        self.greet()
+        if self._lifetime_s is not None:
+            self._bus.call_later(self._lifetime_s, LIFETIME)
+
+    def greet(self) -> None:
+        """Ask to be accepted."""
+        request = PendingRequest("hello", self._fingerprint, self._welcomes)
+        self._requests.ask(topics.hello(self._name), self._hello(), GREET_TIMEOUT_S, request)
+
+    def handle_answer(self, fingerprint: str, payload: bytes | None, welcomes: int | None = None) -> io.Reset | None:
+        """Handle the answer (None: none came) to a greeting that carried `fingerprint` ("": kernels not ready).
+
+        Returns a Reset if the coordinator, or its store, has changed. Without an answer, or after a late answer of a
+        former coordinator, another greeting follows; a refusal ends the worker. `welcomes`: the number of welcomes and
+        later incarnations when the greeting was sent; None: as now.
+        """
+        if payload is None:
+            self._enquire()
+            self._bus.call_later(GREET_PAUSE_S, GREET)
+            return None
+        try:
+            welcome = _welcome(payload)
+        except RefusedError as error:
+            self.fail(error)
+            return None
+        former = self.welcome
+        is_late = welcomes not in (None, self._welcomes)  # and may come from a former coordinator
+        is_stale = former is not None and former.realm == welcome.realm and welcome.incarnation < self._newest
+        if former and is_late and (former.realm != welcome.realm or is_stale):
+            self.greet()
+            return None
+        if is_stale:
+            self._refuse_stale(welcome.incarnation)
+            return None
+        self.welcome, self._away_since, self._stale = welcome, None, None
+        self._welcomes, self._newest = self._welcomes + 1, welcome.incarnation
+        self._requests.cluster = welcome.realm
+        self.is_accepted = self.is_accepted or bool(fingerprint)
+        if welcome.realm not in self._clusters:
+            self._subscribe(welcome.realm)
+        if self._fingerprint and not self.is_accepted:
+            self.greet()  # the kernels became ready after the greeting was sent
+        if former is None or (former.realm, former.incarnation) == (welcome.realm, welcome.incarnation):
+            return None
+        _LOG.info("the coordinator was restarted; islands and tasks of the former one are dropped")
+        return io.Reset(welcome.incarnation if former.realm == welcome.realm else 0)
+
+    def _refuse_stale(self, incarnation: int) -> None:
+        """Do not join a coordinator after a later incarnation of it: it was hanging, or its store was copied back."""
+        if self._stale != incarnation:
+            self._stale = incarnation
+            _LOG.warning(
+                "a former coordinator answers, and is not joined; was its store copied back without `restore`?",
+                extra=fields(incarnation=incarnation, newest=self._newest),
+            )
+        if self._away_since is None:
+            self._away_since = self._bus.now()
+        self._bus.call_later(STALE_PAUSE_S, GREET)
+
+    def incarnation_heard(self, incarnation: int) -> None:
+        """Take in the incarnation of a placement: answers of a former coordinator to older greetings may still come.
+
+        Raises:
+            RemoteProtocolError: A former coordinator has sent the placement.
+        """
+        if incarnation < self._newest:
+            raise RemoteProtocolError(
+                f"a placement by incarnation {incarnation} of the coordinator came, and incarnation {self._newest} "
+                "has taken over"
+            )
+        if incarnation > self._newest:
+            self._welcomes, self._newest = self._welcomes + 1, incarnation
+
+    def _enquire(self) -> None:
+        """Ask whether the coordinator would accept us, which changes nothing."""
+        self._asked_at = self._bus.now()
+        self._requests.ask(topics.HELLO, self._hello(), GREET_TIMEOUT_S, PendingRequest("enquiry"))
+
+    def handle_enquiry(self, payload: bytes | None) -> None:
+        """Handle the answer to an enquiry; None: none came.
+
+        An enquiry is sent when a greeting is not answered, and when the coordinator has been silent for long.
+        """
+        if payload is None:
+            self._away_since = self._away_since if self._away_since is not None else self._asked_at
+            return
+        if self.welcome is not None and self._stale is None:
+            self._away_since = None
+        try:
+            _welcome(payload)
+        except RefusedError as error:
+            self.fail(error)
+        self._is_reachable = True
+
+    def kernels_ready(self, fingerprint: str) -> None:
+        """Greet again, now with the fingerprint of the kernels."""
+        self._fingerprint = fingerprint
+        if self.welcome is not None:
+            self.greet()
+
+    # ---------------------------------------------------------------------------------------- absence
+
+    @property
+    def _wait_s(self) -> float:
+        """How long the coordinator may be away now."""
+        if self._given_wait_s is not None:
+            return self._given_wait_s
+        return START_S if self.welcome is None else RETURN_S
+
+    def coordinator_heard(self) -> None:
+        """Take in that a message of the coordinator came."""
+        self._heard_at = self._bus.now()
+
+    def link_lost(self) -> None:
+        """Start to count the coordinator's absence."""
+        self._away_since = self._bus.now()
+        _LOG.warning("connection to the coordinator lost; waiting for it")
+
+    def check_absence(self) -> None:
+        """End the worker if the coordinator has been away too long; send an enquiry if it has been silent for long."""
+        now = self._bus.now()
+        pause_s = QUIET_S if self._away_since is None else GREET_TIMEOUT_S
+        if self.welcome is not None and now - max(self._heard_at, self._asked_at) >= pause_s:
+            self._enquire()
+        absence = now - self._away_since if self._away_since is not None else 0.0
+        if self.is_draining and absence > ALONE_S:
+            self.exit_code = 0  # no coordinator can take the islands, and what was committed is not lost
+        elif absence > self._wait_s:
+            self.fail(UnreachableError(self._absence_sentence()))
+
+    # ------------------------------------------------------------------------------------------ drain
+
+    def drain(self) -> bool:
+        """Start to drain, or end at once before a welcome or without a grace.
+
+        Returns whether the coordinator should get a heartbeat.
+        """
+        if self.welcome is None or self._grace_s <= 0.0:
+            self.exit_code = 0
+            return False
+        if self.is_draining:
+            return False
+        self.is_draining = True
+        _LOG.info("leaving: islands are handed over", extra=fields(at_most_s=self._grace_s))
+        self._bus.call_later(self._grace_s, GRACE)
+        return True
+
+    def grace_over(self) -> None:
+        """End although islands have not been handed over."""
+        _LOG.warning(
+            "not released in time; uncommitted epochs are computed again",
+            extra=fields(seconds=self._grace_s),
+        )
+        self.exit_code = 0
+
+    def shut_down(self, body: Shutdown) -> None:
+        """End because the coordinator says so."""
+        if body.refused:
+            self.fail(RefusedError(body.sentence))
+        else:
+            _LOG.info("this worker ends", extra=fields(reason=body.sentence or "the coordinator ended"))
+            self.exit_code = 0
+
+    # ---------------------------------------------------------------------------------------- private
+
+    def _hello(self) -> bytes:
+        hello = Hello(
+            role="worker",
+            name=self._name,
+            instance=self.instance,
+            protocol=PROTOCOL_VERSION,
+            version=VERSION,
+            engine=ENGINE_REVISION,
+            fingerprint=self._fingerprint,
+            host=socket.gethostname()[:256],
+            pid=os.getpid(),
+            cores=usable_cores(os.environ)[0],
+            memory_bytes=total_memory_bytes(),
+        )
+        return encode(Greeting(body=hello))
+
+    def _subscribe(self, cluster: str) -> None:
+        """Subscribe to, serve and announce all keys of a worker in a cluster."""
+        self._clusters.add(cluster)
+        self._bus.subscribe(topics.control(cluster))
+        self._bus.subscribe(topics.control(cluster, self._name))
+        self._bus.subscribe(topics.inbox(cluster, self._name))
+        self._bus.serve(topics.worker(cluster, self._name, "pull"))
+        self._bus.announce(topics.worker(cluster, self._name, "alive"))
+        _LOG.info("joined", extra=fields(realm=cluster))
+
+    def _absence_sentence(self) -> str:
+        if self._is_reachable and self.welcome is None:
+            return (
+                f"the coordinator did not answer the greeting of {self._name!r} within {self._wait_s:.0f} s, but it "
+                "can be reached: access control of the router probably does not know this name; restart the router "
+                "with the roster of the coordinator"
+            )
+        if self._stale is not None:
+            return (
+                f"for {self._wait_s:.0f} s only a coordinator of incarnation {self._stale} has answered, though "
+                f"incarnation {self._newest} has taken over; if its store was copied back, install the copy with "
+                "`coordinator restore`"
+            )
+        return f"the coordinator has not answered for {self._wait_s:.0f} s; start it again"
+
+
+def _welcome(payload: bytes) -> Welcome:
+    """Return the welcome in an answer to a greeting; raises RefusedError with the reason if it is a refusal."""
+    try:
+        answer = decode(payload, GreetingAnswer, MAX_MESSAGE).body
+    except RemoteProtocolError as error:
+        raise RefusedError(
+            f"the coordinator's answer was not understood ({error}); this worker is Atoll {VERSION} (protocol "
+            f"{PROTOCOL_VERSION}), install the same version on both sides"
+        ) from error
+    if isinstance(answer, Refusal):
+        raise RefusedError(answer.sentence)
+    return answer

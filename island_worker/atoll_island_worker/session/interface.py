@@ -1,0 +1,271 @@
+"""What goes into a worker's session and what comes out: keys of shards and epochs, events, actions. Plain data."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.wire.bus.interface import Query
+from atoll_core.wire.messages import epochs
+from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement
+
+
+class ShardKey(NamedTuple):
+    """One archipelago under one term."""
+
+    job: str
+    variable: str
+    term: int
+
+
+@dataclass(frozen=True, slots=True)
+class TaskKey:
+    """One epoch of one island under one term."""
+
+    job: str
+    variable: str
+    term: int
+    island: int
+    epoch: int
+
+    @property
+    def shard(self) -> ShardKey:
+        """The archipelago and its term."""
+        return ShardKey(self.job, self.variable, self.term)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Begin epoch `key.epoch` with the immigrants `blocks`, and finish it.
+
+    `blocks` are by source island; None at the first epoch of a term. Emigrants are wanted unless the epoch `is_last`.
+    The `commit_order` ranks its slices. `state` is the island's state when its term begins at a checkpoint. At a
+    checkpoint a snapshot is wanted; an epoch that `is_at_barrier` is begun for the snapshot alone.
+    """
+
+    key: TaskKey
+    blocks: Mapping[int, bytes] | None
+    is_last: bool
+    commit_order: CommitOrder
+    state: bytes | None = None
+    takes_snapshot: bool = False
+    is_at_barrier: bool = False
+
+
+# ---------------------------------------------------------------------------------------------- events
+
+
+@dataclass(frozen=True, slots=True)
+class JobReady:
+    """The configuration and dataset of the job are loaded: its islands can be computed."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFailed:
+    """The dataset of a job cannot be read, although its bytes have the announced digest."""
+
+    job: str
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Mailed:
+    """Another worker sent migrants, or a message that none will come."""
+
+    sender: str
+    body: epochs.Migrants | epochs.Finished
+
+
+@dataclass(frozen=True, slots=True)
+class PullAsked:
+    """Another worker or the coordinator asks for what we sent; the answer refers to `handle`."""
+
+    handle: Query
+    body: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
+
+
+@dataclass(frozen=True, slots=True)
+class PullAnswered:
+    """Worker `peer` answered our pull."""
+
+    peer: str
+    body: epochs.Sent | epochs.Reports | epochs.States | epochs.NotYet | epochs.NewerTerm
+
+
+@dataclass(frozen=True, slots=True)
+class StatesCame:
+    """The coordinator answered a request for states; None: not in time, or it has none."""
+
+    asked: epochs.PullStates
+    body: epochs.States | None
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The state of an island before generation 0 of an epoch; at a barrier nothing else is computed."""
+
+    key: TaskKey
+    data: bytes
+    is_at_barrier: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """An island finished an epoch, or the part of it that is needed.
+
+    `emigrants`: blocks by destination island, its own included (only after a whole epoch that is not the last);
+    `senders`: the other islands whose blocks it needs to begin the next epoch.
+    """
+
+    key: TaskKey
+    report: epochs.IslandReport
+    emigrants: Mapping[int, bytes]
+    senders: frozenset[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """An island refused its immigrants' blocks as malformed, and is unchanged."""
+
+    key: TaskKey
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """An island raised an unexpected error."""
+
+    key: TaskKey
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Abandoned:
+    """Nothing of a task is needed, because the target was met before."""
+
+    key: TaskKey
+
+
+Outcome = Computed | Rejected | Broken | Abandoned
+"""The end of a task that is not at a barrier."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time has passed; `now` is the bus's monotonic seconds."""
+
+    now: float
+
+
+@dataclass(frozen=True, slots=True)
+class Reset:
+    """Another coordinator, or another incarnation of ours, has taken over: placements by others are void.
+
+    Placements by `incarnation`, of our coordinator, are kept; 0: none are.
+    """
+
+    incarnation: int = 0
+
+
+SessionEvent = (
+    Placement | Commit | Close | CloseJob | JobReady | LoadFailed | Mailed | PullAsked | PullAnswered | StatesCame
+    | Snapshot | Outcome | Tick | Reset
+)  # fmt: skip
+
+
+# --------------------------------------------------------------------------------------------- actions
+
+
+@dataclass(frozen=True, slots=True)
+class FetchJob:
+    """Load the job's configuration and dataset; JobReady follows."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class FetchPlacements:
+    """Ask the coordinator for the job's current placements; Placement follows."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class FetchStates:
+    """Ask the coordinator for states of a checkpoint; StatesCame follows."""
+
+    body: epochs.PullStates
+
+
+@dataclass(frozen=True, slots=True)
+class SendHeartbeat:
+    """Send the coordinator a heartbeat at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunTask:
+    """Give the task to the compute thread; a Snapshot or an Outcome follows."""
+
+    task: Task
+
+
+@dataclass(frozen=True, slots=True)
+class StopAt:
+    """Compute nothing more of the shard that is not needed after the target was met at `hit`."""
+
+    shard: ShardKey
+    hit: Position
+    commit_order: CommitOrder
+
+
+@dataclass(frozen=True, slots=True)
+class Discard:
+    """Forget the islands of one archipelago under one term, also while they are computed."""
+
+    shard: ShardKey
+
+
+@dataclass(frozen=True, slots=True)
+class DiscardJob:
+    """Forget the job's dataset."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Send mail to worker `peer`."""
+
+    peer: str
+    body: epochs.Migrants | epochs.Finished
+
+
+@dataclass(frozen=True, slots=True)
+class SendReport:
+    """Report to the coordinator."""
+
+    report: epochs.EpochReport
+
+
+@dataclass(frozen=True, slots=True)
+class AskPeer:
+    """Pull from worker `peer`; PullAnswered may follow."""
+
+    peer: str
+    body: epochs.PullMigrants
+
+
+@dataclass(frozen=True, slots=True)
+class Respond:
+    """Answer the pull that came under `handle`."""
+
+    handle: Query
+    body: epochs.Sent | epochs.Reports | epochs.States | epochs.NotYet | epochs.NewerTerm
+
+
+Outgoing = Send | SendReport | AskPeer | Respond | FetchPlacements | FetchStates
+"""What goes out on the bus."""
+
+Action = RunTask | StopAt | Discard | DiscardJob | FetchJob | SendHeartbeat | Outgoing

@@ -1,0 +1,166 @@
+"""Messages that a worker keeps: immigrants, mail that came before its placement, and what others may ask for. Pure.
+
+Immigrants are filed by (epoch, destination, source), each once, so the order in which mail arrives cannot matter.
+Emigrants and reports are kept until every island has reported their epoch; snapshots are kept until they, or a later
+checkpoint, are durable at the coordinator.
+"""
+
+import math
+from collections.abc import Collection, Container, Iterable, KeysView, Mapping
+from typing import Any, Final
+
+from atoll_core.wire.messages import epochs
+from atoll_core.wire.messages.workers import Placement
+from atoll_core.wire.state_pieces import State, split_states
+from atoll_island_worker.session.interface import Mailed
+
+MAX_PENDING: Final = 256
+"""Messages kept of terms whose placement has not come yet."""
+
+ADDITIONS_PER_ANSWER: Final = 20_000
+"""An answer with reports ends after this many additions to the front; the rest is asked for again."""
+
+
+class Mailbox:
+    """The immigrants that have arrived for the islands of a shard and have not been handed over."""
+
+    def __init__(self) -> None:
+        self._blocks: dict[tuple[int, int], dict[int, bytes]] = {}
+
+    def file(self, epoch: int, block: epochs.Block) -> bool:
+        """File a block of an epoch; return whether it is the first of its source and destination."""
+        filed = self._blocks.setdefault((epoch, block.destination), {})
+        is_first = block.source not in filed
+        filed.setdefault(block.source, block.data)
+        return is_first
+
+    def sources(self, epoch: int, destination: int) -> KeysView[int]:
+        """Return the islands whose blocks of an epoch for `destination` have arrived."""
+        return self._blocks.get((epoch, destination), {}).keys()
+
+    def blocks(self, epoch: int, destination: int, sources: Iterable[int]) -> dict[int, bytes]:
+        """Return the blocks of these sources, by source in ascending order; all of them have arrived."""
+        filed = self._blocks[epoch, destination]
+        return {source: filed[source] for source in sorted(sources)}
+
+    def keep_only(self, epoch: int, destination: int, sources: Container[int]) -> None:
+        """Forget the blocks of other sources than these."""
+        filed = self._blocks[epoch, destination]
+        self._blocks[epoch, destination] = {source: data for source, data in filed.items() if source in sources}
+
+    def forget(self, epoch: int, destination: int) -> None:
+        """Forget the blocks of an epoch for `destination`, if any."""
+        self._blocks.pop((epoch, destination), None)
+
+    def filed(self) -> KeysView[tuple[int, int]]:
+        """Return (epoch, destination) of all blocks."""
+        return self._blocks.keys()
+
+
+class PendingMessages:
+    """The last messages of terms whose placement has not come yet, in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._messages: list[Mailed] = []
+
+    def keep(self, mail: Mailed) -> bool:
+        """Keep a message; return whether it is the first of its archipelago."""
+        key = (mail.body.job, mail.body.variable)
+        is_first = all((message.body.job, message.body.variable) != key for message in self._messages)
+        self._messages = [*self._messages[-(MAX_PENDING - 1) :], mail]
+        return is_first
+
+    def take(self, job: str, variable: str) -> list[Mailed]:
+        """Remove the messages of an archipelago and return them."""
+        taken = [message for message in self._messages if (message.body.job, message.body.variable) == (job, variable)]
+        self.forget(job, variable)
+        return taken
+
+    def forget(self, job: str, variable: str | None = None, term: float = math.inf) -> None:
+        """Forget the messages of an archipelago, or of a whole job (`variable` None), up to a term."""
+        self._messages = [
+            message
+            for message in self._messages
+            if message.body.job != job or variable not in (None, message.body.variable) or message.body.term > term
+        ]
+
+    def clear(self) -> None:
+        """Forget all messages."""
+        self._messages.clear()
+
+
+class RetransmitBuffer:
+    """Emigrants, reports and snapshots of the islands `islands` of one worker under one term."""
+
+    def __init__(self, placement: Placement, islands: Collection[int]) -> None:
+        self._shard: dict[str, Any] = {"job": placement.job, "variable": placement.variable, "term": placement.term}
+        self._islands = islands
+        self._sent: dict[tuple[int, int], dict[int, bytes]] = {}
+        self._reports: dict[int, dict[int, epochs.IslandReport]] = {}
+        self._snapshots: dict[int, dict[int, State]] = {}
+
+    def keep_emigrants(self, epoch: int, island: int, emigrants: Mapping[int, bytes]) -> None:
+        """Keep the emigrants of an island, by destination."""
+        self._sent[epoch, island] = dict(emigrants)
+
+    def keep_report(self, epoch: int, report: epochs.IslandReport) -> None:
+        """Keep the report of an island on an epoch."""
+        self._reports.setdefault(epoch, {})[report.island] = report
+
+    def keep_snapshot(self, epoch: int, island: int, data: bytes) -> None:
+        """Keep the state of an island at a checkpoint."""
+        self._snapshots.setdefault(epoch, {})[island] = State.of(data)
+
+    def reporters(self, epoch: int) -> Collection[int]:
+        """Return the islands whose reports of an epoch are kept."""
+        return self._reports.get(epoch, {}).keys()
+
+    def snapshots(self) -> tuple[int, ...]:
+        """Return the epochs of which every island has a snapshot."""
+        return tuple(sorted(epoch for epoch, states in self._snapshots.items() if len(states) == len(self._islands)))
+
+    def epochs_sent(self) -> Iterable[int]:
+        """Return the epochs of which emigrants are kept."""
+        return (epoch for epoch, _ in self._sent)
+
+    def forget(self, reported: int, commit: int) -> None:
+        """Forget emigrants and reports of epochs below `reported`, and snapshots up to `commit`."""
+        self._sent = {key: blocks for key, blocks in self._sent.items() if key[0] >= reported}
+        self._reports = {epoch: reports for epoch, reports in self._reports.items() if epoch >= reported}
+        self._snapshots = {epoch: states for epoch, states in self._snapshots.items() if epoch > commit}
+
+    def report(self, epoch: int) -> epochs.EpochReport:
+        """Return the report of one epoch, islands in order."""
+        kept = self._reports[epoch]
+        islands = tuple(kept[island] for island in sorted(kept))
+        return epochs.EpochReport(**self._shard, epoch=epoch, islands=islands)
+
+    def migrants(self, epoch: int, blocks: Iterable[epochs.Block]) -> epochs.Migrants:
+        """Return a message with blocks of one epoch."""
+        return epochs.Migrants(**self._shard, epoch=epoch, blocks=tuple(blocks))
+
+    def sent(self, pull: epochs.PullMigrants) -> epochs.Migrants | None:
+        """Return the emigrants of islands here to one destination in one epoch; None: none are kept."""
+        blocks = [
+            epochs.Block(source=source, destination=pull.destination, data=data)
+            for source in pull.sources
+            if (data := self._sent.get((pull.epoch, source), {}).get(pull.destination)) is not None
+        ]
+        return self.migrants(pull.epoch, blocks) if blocks else None
+
+    def answer_reports(self, pull: epochs.PullReports, reported: int) -> epochs.Reports | epochs.NotYet:
+        """Return the reports asked for, of epochs below `reported` that are kept, as many as fit one message."""
+        reports: list[epochs.EpochReport] = []
+        additions = 0
+        for epoch in range(pull.first, min(pull.last, reported)):
+            if epoch in self._reports and additions < ADDITIONS_PER_ANSWER:
+                reports.append(self.report(epoch))
+                additions += sum(len(island.additions) for island in reports[-1].islands)
+        return epochs.Reports(reports=tuple(reports)) if reports else epochs.NotYet()
+
+    def answer_states(self, pull: epochs.PullStates) -> epochs.States | epochs.NotYet:
+        """Return states of a checkpoint, as many as fit one message."""
+        states = self._snapshots.get(pull.epoch, {})
+        if not states.keys() >= set(pull.islands) or pull.offset >= len(states[pull.islands[0]].data):
+            return epochs.NotYet()
+        return epochs.States(pieces=split_states(pull.islands, pull.offset, states.__getitem__))
