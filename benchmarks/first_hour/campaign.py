@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from atoll.cli.options import parse
-from atoll.cli.request import Request, request_of
+from atoll.cli.request import JobRequest, request_of
 from atoll.terminal.output import table
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.errors import AtollError, DataError, UsageError
@@ -37,7 +37,7 @@ def judge_again(names: Sequence[str], journal: Journal[Outcome]) -> None:
     campaign.judge_again(names, journal, lambda name, old, answer: replace(old, equations=judge(CASES[name], answer)))
 
 
-def request(case: Case, folder: Path) -> Request:
+def request(case: Case, folder: Path) -> JobRequest:
     """Write the file of a case into `folder` and return what the command line makes of it."""
     path = folder / "table.csv"
     path.write_text(csv_of(case.make(), case.header), "utf-8")

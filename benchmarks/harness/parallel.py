@@ -9,7 +9,7 @@ from typing import Final, TypeVar
 from atoll_core.compilation.cache import WarmUpDisplay
 from atoll_core.errors import AtollError
 from atoll_island_worker.compute.warmup import warm_up
-from atoll_island_worker.processes.fork_server import end_with_parent
+from atoll_island_worker.processes import end_with_parent
 
 RUN_LIMIT_S: Final = 4 * 3600.0
 """How long to wait for the next run to end: far longer than any takes, short enough to learn of a lost process."""

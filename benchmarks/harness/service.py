@@ -44,7 +44,7 @@ _LOOK_S: Final = 0.1
 TIED_COORDINATOR: Final = """
 import sys
 from atoll.cli.main import main
-from atoll_island_worker.processes.fork_server import end_with_parent
+from atoll_island_worker.processes import end_with_parent
 end_with_parent(int(sys.argv[1]))
 sys.exit(main(sys.argv[2:]))
 """

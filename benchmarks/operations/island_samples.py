@@ -11,7 +11,7 @@ from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.wire.codec import dataset_to_bytes, decode, encode
 from atoll_core.wire.messages.epochs import EpochReport, IslandReport, Reports
 from atoll_island_worker.compute.compute_thread import Engine
-from atoll_island_worker.session.interface import Computed, Task, TaskKey
+from atoll_island_worker.session.interface import EpochComputed, EpochTask, TaskKey
 from benchmarks.harness.jobs import UNMET, configured
 from benchmarks.harness.systems import table_of, trajectories
 
@@ -60,7 +60,7 @@ def sampled(noise: float = 0.0) -> Samples:
     reports, done = [], []
     for epoch in range(EPOCHS):
         keys = [TaskKey(_JOB, variable, 1, island, epoch) for island in range(ISLANDS)]
-        done = [_computed(engine, Task(key, blocks[key.island], False, commit_order)) for key in keys]
+        done = [_computed(engine, EpochTask(key, blocks[key.island], False, commit_order)) for key in keys]
         blocks = {
             to: {at: computed.emigrants[to] for at, computed in enumerate(done) if to in computed.emigrants}
             for to in blocks
@@ -69,11 +69,11 @@ def sampled(noise: float = 0.0) -> Samples:
         reports.append(EpochReport(job=_JOB, variable=variable, term=1, epoch=epoch, islands=islands))
     sent = sum(len(block) for computed in done for block in computed.emigrants.values())
     key = TaskKey(_JOB, variable, 1, 0, EPOCHS)
-    last = engine.begin(Task(key, blocks[0], False, commit_order, takes_snapshot=True))
+    last = engine.begin(EpochTask(key, blocks[0], False, commit_order, takes_snapshot=True))
     return Samples(tuple(reports), round(sent / (ISLANDS * config.evolution.population)), len(last.snapshot or b""))
 
 
-def _computed(engine: Engine, task: Task) -> Computed:
+def _computed(engine: Engine, task: EpochTask) -> EpochComputed:
     work = engine.begin(task)
     while not work.advance():
         pass

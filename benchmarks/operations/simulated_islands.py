@@ -29,7 +29,7 @@ from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_core.wire.messages.epochs import Addition, IslandReport
 from atoll_island_worker.compute.compute_thread import WarmedUp
-from atoll_island_worker.session.interface import Computed, JobReady, ShardKey, Snapshot, Task, TaskKey
+from atoll_island_worker.session.interface import EpochComputed, EpochTask, JobReady, ShardKey, Snapshot, TaskKey
 from atoll_island_worker.worker import Worker
 from benchmarks.harness.command_line import option, program
 from benchmarks.operations.island_samples import Samples
@@ -161,7 +161,7 @@ class PacedCompute:
         self._config[job] = config
         self._post(JobReady(job))
 
-    def run(self, task: Task) -> None:
+    def run(self, task: EpochTask) -> None:
         """See `ComputeThread.run`. The first epochs of different archipelagos end at different times."""
         now, key = time.monotonic(), task.key
         self.current = key
@@ -188,7 +188,7 @@ class PacedCompute:
     def close(self) -> None:
         """See `ComputeThread.close`."""
 
-    def _end(self, task: Task) -> None:
+    def _end(self, task: EpochTask) -> None:
         key = task.key
         if key.shard in self._dropped:
             return
@@ -199,7 +199,7 @@ class PacedCompute:
         self.progress += 1
         self._books.note_epoch()
         self._ended[key.shard, key.island] = time.monotonic()
-        self._post(Computed(key, report, emigrants, frozenset(emigrants) - {key.island}))
+        self._post(EpochComputed(key, report, emigrants, frozenset(emigrants) - {key.island}))
 
 
 def pretended(samples: Samples, epoch: int, island: int, name: str) -> IslandReport:

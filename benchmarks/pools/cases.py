@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from atoll.cli.request import Request
+from atoll.cli.request import JobRequest
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.data.table import Table
@@ -206,7 +206,7 @@ def _real(words: Sequence[str], folders: Folders) -> Job:
     return Job(case.table(folders.real), case.config(0, None), judged)
 
 
-def _read(request: Request) -> tuple[Table, JobConfig]:
+def _read(request: JobRequest) -> tuple[Table, JobConfig]:
     return read_table(request.files, request.config.data), request.config
 
 

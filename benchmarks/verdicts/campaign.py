@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from atoll.cli.options import parse
-from atoll.cli.request import Request, request_of
+from atoll.cli.request import JobRequest, request_of
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.errors import AtollError, DataError, UsageError
 from benchmarks.harness import campaign
@@ -97,7 +97,7 @@ def judge_again(wanted: Sequence[Key], journal: Journal[Outcome]) -> None:
     campaign.judge_again(wanted, journal, again)
 
 
-def request(text: str, words: Sequence[str], folder: Path, name: str = "table.csv") -> Request:
+def request(text: str, words: Sequence[str], folder: Path, name: str = "table.csv") -> JobRequest:
     """Write a table into `folder` and return what the command line makes of it."""
     path = folder / name
     path.write_text(text, "utf-8")
@@ -127,7 +127,7 @@ class JobEnd:
     seconds: float
 
 
-def run_job(searches: Searches, name: str, request: Callable[[], Request], patience_s: float) -> JobEnd:
+def run_job(searches: Searches, name: str, request: Callable[[], JobRequest], patience_s: float) -> JobEnd:
     """Read the files of a request and run its job; raises AtollError where a process of the service has ended."""
     begun = time.monotonic()
     result: dict[str, Any] = {}

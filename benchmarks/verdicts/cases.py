@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from atoll.cli.options import parse
-from atoll.cli.request import Request, request_of
+from atoll.cli.request import JobRequest, request_of
 from atoll.terminal.output import clipped, say, table
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.errors import DataError, UsageError
@@ -50,7 +50,7 @@ class Case:
         """The file and options, which no two cases share."""
         return f"{self.file} {self.options}".strip()
 
-    def request(self, folder: Path) -> Request:
+    def request(self, folder: Path) -> JobRequest:
         """Return what the command line makes of it; raises UsageError where an option is wrong."""
         return request_of(parse(["run", str(folder / self.file), *shlex.split(self.options)]))
 

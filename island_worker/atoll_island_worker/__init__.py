@@ -1,6 +1,6 @@
 """The island worker: one process that computes islands and tasks for a coordinator.
 
-- ``cli``: the command line; one worker in this process, or several under ``processes``.
+- ``cli``: the command line; one worker in this process, or several that ``processes`` watches.
 - ``worker``: the loop. It hands events of the bus to ``session``, and the session's actions to the bus and to the
   compute thread; it sends heartbeats.
 - ``connection``: handshake, absence of the coordinator, drain, and all requests to the coordinator and other workers.

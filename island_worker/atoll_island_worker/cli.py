@@ -1,7 +1,7 @@
-"""The entry of the ``island-worker`` program: options, help, exit codes. Light, because ``--help`` must be instant.
+"""The ``island-worker`` program: options, help, exit codes. Light, because ``--help`` must be instant.
 
-One process is one worker. With more than one, this process loads what workers need, forks them, starts again those that
-die, and ends with them; it has no bus itself, since that would not survive a fork.
+One process is one worker. With more than one, this process loads what workers need, forks them, restarts them when they
+die, and ends with them; see `atoll_island_worker.processes`.
 """
 
 import argparse
@@ -18,12 +18,12 @@ from atoll_core.command_line import Parser, add_log_options, add_tls_options, co
 from atoll_core.machine import batch_job
 from atoll_core.main_program import exit_code_of
 from atoll_core.signals import draining, exiting, raise_interrupts
-from atoll_island_worker.processes.supervisor import ExitReasons, complain, report_to
+from atoll_island_worker import processes
+from atoll_island_worker.processes import Child, ExitReasons, complain, report_to
 
 if TYPE_CHECKING:
     from atoll_core.wire.addresses import Destination
     from atoll_core.wire.security.credentials import Credentials
-    from atoll_island_worker.processes.supervisor import Child
     from atoll_island_worker.tasks.task_process import TaskServer
 
 _GRACE_S: Final = 30.0
@@ -31,15 +31,15 @@ _MOST_PROCESSES: Final = 1024
 
 _EPILOG: Final = """\
 exit codes: 0 the coordinator ended or the worker was told to end, 1 failed, 2 bad usage or refused by the coordinator,
-3 coordinator not reachable, 130 interrupted; of several processes the worst. One of several that dies is started again
-after 1 s, then 2 s and so on up to 30 s; one that dies five times within a minute is not, and counts as failed
+3 coordinator not reachable, 130 interrupted; of several processes the worst. A process that dies is started again
+after 1 s, then 2 s and so on up to 30 s; after five deaths within a minute it is given up, and counts as failed
 
 examples:
-  island-worker --connect tcp/192.168.1.5:7447               one process per core; for a restart of it they wait an hour
+  island-worker --connect tcp/192.168.1.5:7447               one process per core; they wait an hour for a restart
   ATOLL_CONNECT=tcp/lab1:7447 island-worker --processes 4    the address from the environment
   island-worker --connect tcp/lab1:7447 --wait 3600          wait up to an hour for a coordinator to come (back)
   island-worker --connect tls/lab1:7447 --tls-ca authority.pem --tls-cert certificate.pem --tls-key key.pem
-  island-worker --connect tcp/lab1:7447 --lifetime 55m       hand over and end before the hour that was reserved is over
+  island-worker --connect tcp/lab1:7447 --lifetime 55m       hand over and end before a reserved hour is over
 """
 
 
@@ -54,7 +54,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
     parser = Parser(
         prog="island-worker",
-        description="Evolve islands for a coordinator: connects to it, computes what it places here, ends with it.",
+        description="Evolve islands for a coordinator: connect to it, compute its islands, end with it.",
         epilog=_EPILOG,
     )
     parser.add_argument(
@@ -65,17 +65,19 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--connect-file",
         metavar="FILE",
-        help="read the address from the file that coordinator serve --connect-file writes, waiting for it up to --wait",
+        help="read the address from the file that coordinator serve --connect-file writes; wait for it up to --wait",
     )
     parser.add_argument(
         "--processes",
         metavar="auto|N",
         type=_processes,
         default=None,
-        help="worker processes; auto (default): one per core that may be used",
+        help="worker processes; auto (default): one per usable core",
     )
     parser.add_argument(
-        "--name", type=_name, help="name in lists and logs (default: host and process id, behind the certificate's)"
+        "--name",
+        type=_name,
+        help="name in lists and logs (default: host and process id, after the name in the certificate)",
     )
     parser.add_argument(
         "--wait",
@@ -87,19 +89,19 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         "--lifetime",
         metavar="TIME",
         type=duration,
-        help="leave after this time, such as 90s, 30m or 12h: what is computed here is handed over, nothing is lost",
+        help="end after this time, such as 90s, 30m or 12h: islands are handed over, nothing is lost",
     )
     parser.add_argument(
         "--grace",
         metavar="TIME",
         type=duration,
         default=_GRACE_S,
-        help="how long handing over may take, then and after SIGTERM; a second SIGTERM ends at once (default: 30s)",
+        help="how long this may take, also after SIGTERM; a second SIGTERM ends at once (default: 30s)",
     )
     add_log_options(parser)
     add_tls_options(parser)
     parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # end with this process
-    parser.add_argument("--exit-reasons", type=int, help=argparse.SUPPRESS)  # why we end is written there
+    parser.add_argument("--exit-reasons", type=int, help=argparse.SUPPRESS)  # where to report why we end
     parser.add_argument("--supervise", action="store_true", help=argparse.SUPPRESS)  # restart one worker, too
     parser.add_argument("--version", action="version", version=f"atoll {VERSION}")
     complete(parser)
@@ -126,10 +128,10 @@ def _dispatch(options: argparse.Namespace) -> int:
 
 
 def _destination(options: argparse.Namespace, credentials: "Credentials | None") -> "Destination":
-    """Return where the coordinator is, from the options or ``ATOLL_CONNECT``, once that is known.
+    """Return the address of the coordinator, from the options or ``ATOLL_CONNECT``; wait for the file with it.
 
     Raises:
-        UsageError: none was given, or two, or it is none.
+        UsageError: no address, two addresses or an invalid one was given.
         UnreachableError: the file did not come in time, or nothing accepts connections at the addresses in it.
     """
     from atoll_core.errors import UsageError
@@ -152,10 +154,10 @@ def _destination(options: argparse.Namespace, credentials: "Credentials | None")
 
 
 def _name_for(principal: str | None, wanted: str | None) -> str:
-    """Return the worker's name; it is that of our certificate, if we have one, or that and a hyphen and more.
+    """Return the worker's name; with a certificate it must be the name in it, alone or followed by a hyphen and more.
 
     Raises:
-        UsageError: the name that is wanted is not.
+        UsageError: the wanted name does not agree with the certificate.
     """
     from atoll_core.errors import UsageError
 
@@ -166,7 +168,7 @@ def _name_for(principal: str | None, wanted: str | None) -> str:
         return name if name.startswith(f"{principal}-") else f"{principal}-{name[-(57 - len(principal)) :].lstrip('-')}"
     if wanted != principal and not wanted.startswith(f"{principal}-"):
         raise UsageError(
-            f"--name must be {principal} or begin with {principal}-, as the certificate says, but {wanted!r} was given"
+            f"--name must be {principal}, as in the certificate, or begin with {principal}-, but {wanted!r} was given"
         )
     return wanted
 
@@ -199,54 +201,51 @@ def _name(text: str) -> str:
 
 
 def work_together(connect: "Destination", names: Sequence[str], options: argparse.Namespace) -> int:
-    """Have one process for each name work, as often as it dies; forked, where that can be, after all is loaded once."""
-    from atoll_island_worker.processes.fork_server import can_fork, load_ahead, request_parent_death_signal
-    from atoll_island_worker.processes.supervisor import supervise
+    """Run one process for each name, and restart it when it dies; if possible forked, after loading once."""
     from atoll_island_worker.tasks.task_process import TaskServer
 
     end = time.monotonic() + options.lifetime if options.lifetime is not None else None
     with contextlib.ExitStack() as held:
-        # First of all, since it is forked: of what is loaded and opened below it is to have nothing.
-        start = partial(_fork, held.enter_context(contextlib.closing(TaskServer()))) if can_fork() else _start
+        # First, because it is a fork, too: it must not have what is loaded and opened below.
+        start = partial(_fork, held.enter_context(contextlib.closing(TaskServer()))) if processes.can_fork() else _start
         exit_reasons = held.enter_context(ExitReasons())
-        if can_fork():
+        if processes.can_fork():
             with exiting():
                 if options.parent is not None:
-                    request_parent_death_signal()
-                load_ahead()
+                    processes.request_parent_death_signal()
+                processes.load_ahead()
                 if options.parent not in (None, os.getppid()):
                     return 0
         starts = {name: partial(start, connect, name, options, end, exit_reasons) for name in names}
-        return supervise(starts, exit_reasons, options.parent, options.grace)
+        return processes.supervise(starts, exit_reasons, options.parent, options.grace)
 
 
 def _start(
     connect: "Destination", name: str, options: argparse.Namespace, end: float | None, exit_reasons: ExitReasons
-) -> "Child":
-    """Start a process that works until `end` of the monotonic clock (None: without end)."""
-    from atoll_island_worker.processes.command import worker_command
-    from atoll_island_worker.processes.supervisor import start_process
-
-    further = ["--log-format", options.log_format, "--log-level", options.log_level]
-    further += ["--exit-reasons", str(exit_reasons.writing_end)]
-    command = worker_command(connect, name, options.wait, options.grace, _seconds_until(end), further)
-    return start_process(command, exit_reasons)
+) -> Child:
+    """Start an interpreter that works until `end` of the monotonic clock (None: no end), and ends with this one."""
+    words = ["--connect", str(connect), "--processes", "1", "--name", name, "--grace", f"{options.grace:g}"]
+    if (files := connect.credentials) is not None:
+        words += ["--tls-ca", str(files.authority), "--tls-cert", str(files.certificate), "--tls-key", str(files.key)]
+    words += ["--wait", f"{options.wait:g}"] if options.wait is not None else []
+    words += ["--lifetime", f"{_seconds_until(end):g}"] if end is not None else []
+    words += ["--log-format", options.log_format, "--log-level", options.log_level]
+    words += ["--exit-reasons", str(exit_reasons.writing_end), "--parent", str(os.getpid())]
+    return processes.start_process([sys.executable, "-m", "atoll_island_worker", *words], exit_reasons)
 
 
 def _fork(
     tasks: "TaskServer", connect: "Destination", name: str, options: argparse.Namespace, end: float | None,
     exit_reasons: ExitReasons,
-) -> "Child":  # fmt: skip
+) -> Child:  # fmt: skip
     """Start a fork of this process that works until `end`; `tasks` forks its processes for tasks."""
-    from atoll_island_worker.processes.fork_server import Forked
-
     parent = os.getpid()
 
     def act() -> int:
         options.lifetime = _seconds_until(end)
         return exit_code_of(partial(work, connect, name, options, parent, tasks), exit_reasons.report)
 
-    return Forked(act)
+    return processes.Forked(act)
 
 
 def _seconds_until(end: float | None) -> float | None:
@@ -257,16 +256,15 @@ def work(
     connect: "Destination", name: str, options: argparse.Namespace, parent: int | None,
     tasks: "TaskServer | None" = None,
 ) -> int:  # fmt: skip
-    """Be one worker until there is nothing more to do; `parent`: the process with which this one ends.
+    """Be one worker until it ends; `parent`: the process with which this one ends.
 
-    `tasks` starts processes for tasks; interpreters of their own unless given.
+    `tasks` starts processes for tasks, by default new interpreters.
     """
     from atoll_core.logs import configure
-    from atoll_island_worker.processes.fork_server import end_with_parent
 
     with exiting():
         if parent is not None:
-            end_with_parent(parent)
+            processes.end_with_parent(parent)
         configure(options.log_format, options.log_level, worker=name)
         from atoll_core.compilation.cache import WarmUpDisplay
         from atoll_island_worker.worker import run_worker

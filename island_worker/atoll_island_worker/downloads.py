@@ -1,4 +1,4 @@
-"""Bytes by digest: which chunks are missing, whether the whole is what was announced, and a cache of what came."""
+"""Bytes that a worker fetches in chunks, by digest: downloads, a cache of them, and the datasets of jobs."""
 
 import hashlib
 import itertools
@@ -17,7 +17,7 @@ WINDOW: Final = 2
 """Chunks asked for at the same time."""
 
 MAX_CACHED: Final = 256 * 1024 * 1024
-"""Bytes of inputs and contexts that a worker keeps for later tasks; the last used are kept."""
+"""Bytes of inputs and contexts that a worker keeps for later tasks; the least recently used are dropped."""
 
 
 class Download:
@@ -38,11 +38,11 @@ class Download:
         return taken
 
     def give_back(self, index: int) -> None:
-        """Have chunk `index` asked for again, which did not come."""
+        """Mark chunk `index`, which did not come, as missing again."""
         self._under_way.discard(index)
 
     def offer(self, index: int, data: bytes) -> bool:
-        """Take in chunk `index`; return False when it has not the right size."""
+        """Take in chunk `index`; return False if it has the wrong size."""
         if len(data) != min(CHUNK_SIZE, self.size - index * CHUNK_SIZE):
             return False
         self._under_way.discard(index)
@@ -50,7 +50,7 @@ class Download:
         return True
 
     def finish(self) -> bytes | None:
-        """Return the whole when it is complete. When it is not what was announced, begin anew and return None."""
+        """Return all bytes once they are complete; None before. If the digest is wrong, start again and return None."""
         if len(self._chunks) < self._count:
             return None
         data = b"".join(self._chunks[index] for index in range(self._count))
@@ -61,7 +61,7 @@ class Download:
 
 
 class ByteCache:
-    """Bytes by digest, the last used of them, up to a limit in all."""
+    """Bytes by digest, the most recently used, up to a total limit."""
 
     def __init__(self, limit: int = MAX_CACHED) -> None:
         self._limit = limit
@@ -73,18 +73,18 @@ class ByteCache:
 
     @property
     def digests(self) -> tuple[str, ...]:
-        """Of what is held, the last used last."""
+        """The digests in the cache, the most recently used last."""
         return tuple(self._held)
 
     def get(self, digest: str) -> bytes | None:
-        """Return what has this digest, if it is held."""
+        """Return the bytes with this digest, if they are in the cache."""
         data = self._held.get(digest)
         if data is not None:
             self._held.move_to_end(digest)
         return data
 
     def add(self, digest: str, data: bytes) -> None:
-        """Hold bytes, and forget those that were used longest ago where that is too much."""
+        """Add bytes, and drop the least recently used if the limit is exceeded."""
         if digest not in self._held:
             self._held[digest] = data
             self._total += len(data)
@@ -95,10 +95,10 @@ class ByteCache:
 
 
 class Datasets:
-    """The datasets of all jobs: announced, on their way, here."""
+    """The datasets of all jobs: announced, loading, loaded."""
 
     def __init__(self, requests: Requests, compute: ComputeThread, is_wanted: Callable[[str], bool]) -> None:
-        """`is_wanted` tells whether islands of a job are placed here."""
+        """`is_wanted` tells whether islands of a job are placed on this worker."""
         self._requests = requests
         self._compute = compute
         self._is_wanted = is_wanted
@@ -108,9 +108,9 @@ class Datasets:
         self._loading: dict[str, int] = {}
 
     def announced(self, announcement: JobAnnouncement) -> None:
-        """Begin to fetch a job's dataset, once; a later announcement may give it another share of the worker.
+        """Start to fetch a job's dataset, once; a later announcement may change the job's share of the worker.
 
-        Raises RemoteProtocolError when the announcement cannot be.
+        Raises RemoteProtocolError for an invalid announcement.
         """
         job, size = announcement.job, announcement.size
         if announcement.chunks != chunk_count(size):
@@ -125,7 +125,7 @@ class Datasets:
             self.fetch(job)
 
     def announcement_came(self, job: str, payload: bytes | None) -> None:
-        """Take in the answer to `Requests.ask_announcement`; raises RemoteProtocolError for another message."""
+        """Handle the answer to `Requests.ask_announcement`; raises RemoteProtocolError for another message."""
         if payload is None:
             if self._is_wanted(job):
                 self._requests.ask_later(job)
@@ -136,7 +136,7 @@ class Datasets:
         self.announced(body)
 
     def chunk_came(self, job: str, index: int, payload: bytes | None) -> None:
-        """Take in the answer to `Requests.ask_chunk`."""
+        """Handle the answer to `Requests.ask_chunk`."""
         download = self._downloads.get(job)
         if download is None:
             return
@@ -168,14 +168,14 @@ class Datasets:
             self._requests.ask_announcement(job)
 
     def finish_loading(self, job: str) -> bool:
-        """Return whether a dataset that has been loaded is the one that is here, and not one forgotten since."""
+        """Return whether a dataset that was loaded is still the current one, and was not forgotten meanwhile."""
         left = self._loading.pop(job, 1) - 1
         if left:
             self._loading[job] = left
         return left == 0 and job in self._here
 
     def forget(self, job: str) -> None:
-        """Stop fetching a job's dataset; have it discarded when it is here."""
+        """Stop fetching a job's dataset; discard it if it is loaded."""
         self._downloads.pop(job, None)
         self._announcements.pop(job, None)
         if job in self._here:
@@ -183,5 +183,5 @@ class Datasets:
             self._compute.discard_job(job)
 
     def jobs(self) -> tuple[str, ...]:
-        """Return the jobs whose datasets are here or on their way."""
+        """Return the jobs whose datasets are loaded or loading."""
         return (*self._downloads, *self._here)

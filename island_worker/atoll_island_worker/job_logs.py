@@ -1,7 +1,7 @@
-"""Log lines on their way to the coordinator: what this worker says of a job, and its warnings; bounded in number.
+"""Log lines for the coordinator: lines about a job, and warnings; limited in number.
 
-Lines go beside heartbeats, in small batches. What comes faster than `RATE` is counted in place of being kept: whoever
-reads the log of a job is told how many lines there were not.
+Lines are sent with heartbeats, in small batches. Lines that come faster than `RATE` are dropped and counted; the event
+log of the job shows their number.
 """
 
 import logging
@@ -15,17 +15,17 @@ from atoll_core import logs
 from atoll_core.wire.messages.workers import MAX_LINES, LogLine, WorkerLog
 
 RATE: Final = 20.0
-"""Lines a second in the long run, of all jobs: more than anybody reads."""
+"""Lines a second in the long run, of all jobs together."""
 
 BURST: Final = 200
-"""Lines that may come at once, such as one for each island of many archipelagos; as many are kept."""
+"""Lines that may come at once, such as one for each island of many archipelagos; also the most that are kept."""
 
 _PLACES: Final = ("variable", "island", "epoch", "term")
 _LEVELS: Final = {logging.INFO: "info", logging.WARNING: "warning", logging.ERROR: "error", logging.CRITICAL: "error"}
 
 
 class JobLogs(logging.Handler):
-    """Keeps the lines that are to be sent. Any thread may log."""
+    """Keeps the lines to send. Any thread may log."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         """`now` gives monotonic seconds."""
@@ -38,13 +38,13 @@ class JobLogs(logging.Handler):
         self._counted_at = now()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a line that says something of a job, or a warning."""
+        """Keep a line about a job, or a warning."""
         fields = logs.fields_of(record)
         if fields.get("job") is None and record.levelno < logging.WARNING:
             return
         try:
             line = line_of(record, fields)
-        except Exception:  # a line that cannot be told is no reason to end what it tells of
+        except Exception:  # a faulty log line must not stop the work that it describes
             line = None
         with self._lines_lock:
             now = self._now()
@@ -57,7 +57,7 @@ class JobLogs(logging.Handler):
             self._lines.append(line)
 
     def take(self) -> WorkerLog | None:
-        """Return the lines that are to be sent now; None when there are none."""
+        """Return the lines to send now; None if there are none."""
         with self._lines_lock:
             if not self._lines and not self._dropped:
                 return None
@@ -67,7 +67,7 @@ class JobLogs(logging.Handler):
 
 
 def line_of(record: logging.LogRecord, fields: dict[str, object]) -> LogLine:
-    """Return a record as it is sent: its words and all fields that have no place of their own, as text."""
+    """Return a record as a message: its text, with all fields that the message has no field for."""
     rest = " ".join(f"{name}={value}" for name, value in fields.items() if name not in ("job", *_PLACES))
     trace = logs.trace_of(record)
     text = " ".join(part for part in (record.getMessage(), rest, trace or "") if part)

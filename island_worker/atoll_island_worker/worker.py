@@ -168,7 +168,7 @@ class Worker:
                     else:
                         _LOG.error("data cannot be read", extra=fields(job=item.job, reason=item.sentence))
                     self._handle(item)
-            case io.Snapshot() | io.Computed() | io.Rejected() | io.Broken() | io.Abandoned():
+            case io.Snapshot() | io.EpochComputed() | io.Rejected() | io.Broken() | io.Abandoned():
                 if isinstance(item, io.Broken):
                     key = item.key
                     where = {"variable": key.variable, "island": key.island, "epoch": key.epoch, "term": key.term}

@@ -12,8 +12,8 @@ from atoll_coordinator.model.refinement import Refinement
 from atoll_core.config import BudgetConfig, DataConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_island_worker.compute.compute_thread import Engine
-from atoll_island_worker.compute.run_queue import Work
-from atoll_island_worker.session.interface import ShardKey, Task
+from atoll_island_worker.compute.run_queue import RunningEpoch
+from atoll_island_worker.session.interface import EpochTask, ShardKey
 from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.simulated_cluster import World, comparable
 from tests.simulation.harness.stub_islands import StubCompute
@@ -76,7 +76,7 @@ class RealCompute(StubCompute):
         super().discard_job(job)
         self.engine.forget_job(job)
 
-    def begin(self, task: Task) -> Work:
+    def begin(self, task: EpochTask) -> RunningEpoch:
         if task.state is not None:
             self.restored.append((task.key.term, task.key.epoch, task.key.island))
         return self.engine.begin(task)

@@ -11,7 +11,7 @@ from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, Migratio
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.search.pareto import FrontEntry, merge
 from atoll_core.wire.messages.epochs import IslandReport
-from atoll_island_worker.session.interface import Task, TaskKey
+from atoll_island_worker.session.interface import EpochTask, TaskKey
 from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.simulated_cluster import World
 from tests.simulation.harness.stub_islands import Shuffle, StubIsland, StubWork, hits_of, parse_slots
@@ -42,7 +42,9 @@ def reports_of(config: JobConfig, variable: str, epochs: int) -> Iterator[list[I
     states = [StubIsland(hashlib.sha256(seed).digest()) for seed in seeds]
     for epoch in range(epochs):
         works = [
-            StubWork(Task(TaskKey("job", variable, 1, island, epoch), None, False, order), state, config, lambda: None)
+            StubWork(
+                EpochTask(TaskKey("job", variable, 1, island, epoch), None, False, order), state, config, lambda: None
+            )
             for island, state in enumerate(states)
         ]
         for work in works:

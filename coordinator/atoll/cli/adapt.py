@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from atoll.cli.adapt_policy import AdaptPolicy, BatchJob, BatchState, Decision, Limits, Need
+from atoll.cli.adapt_policy import AdaptDecision, AdaptLimits, AdaptPolicy, BatchJob, BatchState, Need
 from atoll.cli.exit_codes import DONE
 from atoll.cli.request import CONNECT_LIMIT_S, bus_address_of
 from atoll.client.client import Client, connected
@@ -185,7 +185,7 @@ ANSWER_LIMIT_S: Final = 60.0
 """How long a program of a batch system may take; one that is busy keeps them waiting for ten seconds and more."""
 
 
-class Batch:
+class BatchJobs:
     """Those jobs of this user that carry one name."""
 
     def __init__(
@@ -282,8 +282,8 @@ def adapt(options: argparse.Namespace) -> int:
         with connected(address, CONNECT_LIMIT_S) as client:
             name = f"atoll-{client.welcome.realm}"
         given = [*_words(options.sbatch, "--sbatch"), *_words(options.batch_options, "--batch-options")]
-        batch = Batch(SYSTEMS[options.batch], name, worker_command(options, address), options.cores, given)
-        limits = Limits(options.minimum, options.maximum, options.cores, options.idle)
+        batch = BatchJobs(SYSTEMS[options.batch], name, worker_command(options, address), options.cores, given)
+        limits = AdaptLimits(options.minimum, options.maximum, options.cores, options.idle)
         batch.jobs()
         say(
             f"adapt keeps {limits.minimum} to {limits.maximum} jobs of {batch.title} called {name}, {limits.workers} "
@@ -313,7 +313,7 @@ class Adapting:
     Either may be away for `patience_s` seconds; meanwhile nothing is changed.
     """
 
-    def __init__(self, address: Destination, batch: Batch, policy: AdaptPolicy, patience_s: float) -> None:
+    def __init__(self, address: Destination, batch: BatchJobs, policy: AdaptPolicy, patience_s: float) -> None:
         self._address = address
         self._batch = batch
         self._policy = policy
@@ -342,7 +342,7 @@ class Adapting:
             need = need_of(client, {job.id for job in jobs})
         self._do(self._policy.decide(now, need, jobs), need)
 
-    def _do(self, decision: Decision, need: Need) -> None:
+    def _do(self, decision: AdaptDecision, need: Need) -> None:
         for _ in range(decision.submit):
             job = self._batch.submit()
             self._has_submitted = True

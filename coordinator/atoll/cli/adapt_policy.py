@@ -18,7 +18,7 @@ BatchState = Literal["pending", "running", "ending", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class AdaptLimits:
     """Bounds: jobs at least and at most, worker processes in each, seconds for which fewer must do before one ends."""
 
     minimum: int
@@ -49,7 +49,7 @@ class Need:
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class AdaptDecision:
     """What is to be done: so many jobs submitted; these, which do not run, taken back; these, which run, drained."""
 
     submit: int = 0
@@ -62,7 +62,7 @@ class AdaptPolicy:
     were, and which have joined.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: AdaptLimits) -> None:
         self._limits = limits
         self._began_at: float | None = None
         self._needs: list[tuple[float, int]] = []
@@ -70,7 +70,7 @@ class AdaptPolicy:
         self._waited_for: set[str] = set()
         self._failures = 0
 
-    def decide(self, now: float, need: Need, jobs: Sequence[BatchJob]) -> Decision:
+    def decide(self, now: float, need: Need, jobs: Sequence[BatchJob]) -> AdaptDecision:
         """Take in a look at `now`, in seconds that only rise; return what is to be done.
 
         Raises:
@@ -83,7 +83,7 @@ class AdaptPolicy:
         ends = sorted(kept, key=lambda job: self._order(job, need))[: max(0, len(kept) - target.most)]
         self._told |= {job.id: job.state for job in (*failed, *ends)}
         self._waited_for -= {job.id for job in ends}
-        return Decision(
+        return AdaptDecision(
             submit=max(0, target.least - len(kept)),
             take_back=tuple(job.id for job in (*failed, *ends) if job.state != "running"),
             drain=tuple(job.id for job in ends if job.state == "running"),

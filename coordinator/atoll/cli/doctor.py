@@ -30,7 +30,7 @@ _MARKS: Final[dict[Grade, str]] = {"fine": "ok     ", "warning": "warning", "pro
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Diagnosis:
     """`found` is what was found of `subject`; `advice` what to do, "" where nothing needs to be done."""
 
     subject: str
@@ -39,15 +39,15 @@ class Finding:
     advice: str = ""
 
 
-def fine(subject: str, fact: str) -> Finding:
+def fine(subject: str, fact: str) -> Diagnosis:
     """Return a finding about which nothing needs to be done."""
-    return Finding(subject, "fine", fact)
+    return Diagnosis(subject, "fine", fact)
 
 
-def problem(subject: str, error: AtollError) -> Finding:
+def problem(subject: str, error: AtollError) -> Diagnosis:
     """Return a finding in the words of an error: what was found, and after a semicolon what to do."""
     fact, _, advice = error.on_command_line.partition("; ")
-    return Finding(subject, "problem", fact, advice)
+    return Diagnosis(subject, "problem", fact, advice)
 
 
 def counted(count: int, noun: str) -> str:
@@ -55,7 +55,7 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" + ("" if count == 1 else "es" if noun.endswith("s") else "s")
 
 
-def as_text(findings: Sequence[Finding]) -> str:
+def as_text(findings: Sequence[Diagnosis]) -> str:
     """Return one line for each finding, the advice on a line of its own, and a summary."""
     width = max(len(finding.subject) for finding in findings)
     lines = []
@@ -69,7 +69,7 @@ def as_text(findings: Sequence[Finding]) -> str:
     return "\n".join([*lines, f"{counted(problems, 'problem')}, {counted(warnings, 'warning')}"])
 
 
-def as_tree(findings: Sequence[Finding]) -> dict[str, object]:
+def as_tree(findings: Sequence[Diagnosis]) -> dict[str, object]:
     """Return the findings for JSON."""
     return {
         "fine": all(finding.grade != "problem" for finding in findings),
@@ -91,7 +91,7 @@ _MEMINFO: Final = Path("/proc/meminfo")
 _CGROUP: Final = Path("/sys/fs/cgroup")
 
 
-def check_versions(options: argparse.Namespace) -> Iterator[Finding]:
+def check_versions(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Say what is installed here."""
     from importlib.metadata import version
 
@@ -100,13 +100,13 @@ def check_versions(options: argparse.Namespace) -> Iterator[Finding]:
     yield fine("versions", f"{fact}, Python {platform.python_version()}, {libraries}, {platform.machine()}")
 
 
-def check_cores(options: argparse.Namespace) -> Iterator[Finding]:
+def check_cores(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """How many workers this machine has room for."""
     cores, reason = usable_cores(os.environ)
     yield fine("cores", f"{counted(cores, 'worker process')} by default: {reason}")
 
 
-def check_memory(options: argparse.Namespace) -> Iterator[Finding]:
+def check_memory(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Whether memory suffices for a worker per core."""
     free = available_memory()
     if free is None:
@@ -118,7 +118,7 @@ def check_memory(options: argparse.Namespace) -> Iterator[Finding]:
         yield fine("memory", fact)
     else:
         advice = f"start fewer: island-worker --processes {max(1, free // WORKER_BYTES)}"
-        yield Finding("memory", "warning" if free >= WORKER_BYTES else "problem", fact, advice)
+        yield Diagnosis("memory", "warning" if free >= WORKER_BYTES else "problem", fact, advice)
 
 
 def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | None:
@@ -133,7 +133,7 @@ def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | 
     return min(amounts, default=None)
 
 
-def check_open_files(options: argparse.Namespace) -> Iterator[Finding]:
+def check_open_files(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Whether a coordinator here could have many connections."""
     try:
         import resource
@@ -145,14 +145,14 @@ def check_open_files(options: argparse.Namespace) -> Iterator[Finding]:
         yield fine("open files", fact)
     else:
         most = "unlimited" if hard == resource.RLIM_INFINITY else str(hard)
-        yield Finding("open files", "warning", fact, f"before serve: ulimit -n {FEW_FILES} (at most {most} here)")
+        yield Diagnosis("open files", "warning", fact, f"before serve: ulimit -n {FEW_FILES} (at most {most} here)")
 
 
-def check_kernels(options: argparse.Namespace) -> Iterator[Finding]:
+def check_kernels(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Whether a worker here would compile first, and whether it could."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         fact = "NUMBA_DISABLE_JIT is set: everything is interpreted, a thousand times slower"
-        yield Finding("kernels", "warning", fact, "unset it for real work")
+        yield Diagnosis("kernels", "warning", fact, "unset it for real work")
         return
     from atoll_core.compilation.cache import cache_directory, is_compiled
 
@@ -165,16 +165,16 @@ def check_kernels(options: argparse.Namespace) -> Iterator[Finding]:
         yield fine("kernels", f"not compiled yet; that takes about a minute of one processor, once, into {directory}")
     else:
         fact = f"not compiled yet, and {existing} cannot be written"
-        yield Finding("kernels", "problem", fact, "set ATOLL_KERNEL_CACHE to a folder that can be")
+        yield Diagnosis("kernels", "problem", fact, "set ATOLL_KERNEL_CACHE to a folder that can be")
 
 
-def check_state(options: argparse.Namespace) -> Iterator[Finding]:
+def check_state(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Whether a job store can be kept in the state folder (the current one unless it is named)."""
     wanted = Path(options.state or ".").absolute()
     place = _existing(wanted)
     if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
         fact = f"{place} cannot be written" if place.is_dir() else f"{place} is a file"
-        yield Finding("state folder", "problem", fact, "name another folder with --state")
+        yield Diagnosis("state folder", "problem", fact, "name another folder with --state")
         return
     free = shutil.disk_usage(place).free
     fact = f"{wanted}: {free / GB:.1f} GB free"
@@ -182,14 +182,14 @@ def check_state(options: argparse.Namespace) -> Iterator[Finding]:
         yield fine("state folder", fact)
     else:
         advice = "make room, or name a folder on another disk with --state"
-        yield Finding("state folder", "problem" if free < LITTLE_ROOM else "warning", fact, advice)
+        yield Diagnosis("state folder", "problem" if free < LITTLE_ROOM else "warning", fact, advice)
     kind = file_system(place)
     if is_networked(kind):
         fact = f"{place} is on a network file system ({kind})"
         advice = (
             "keep the store on a disk of the coordinator's machine: SQLite relies on locks that many such systems lack"
         )
-        yield Finding("state folder", "warning", fact, advice)
+        yield Diagnosis("state folder", "warning", fact, advice)
 
 
 def _existing(path: Path) -> Path:
@@ -209,16 +209,16 @@ EXPIRY_S: Final = 30 * 86400.0
 """A certificate that expires sooner is pointed out."""
 
 
-def check_address(options: argparse.Namespace) -> Iterator[Finding]:
+def check_address(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Whether the coordinator's address accepts connections, and nothing more."""
     text = options.connect or os.environ.get("ATOLL_CONNECT")
     if not text:
-        yield Finding("address", "problem", "none was named", "give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
+        yield Diagnosis("address", "problem", "none was named", "give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
         return
     try:
         addresses = addresses_in(text)
     except UsageError as error:
-        yield Finding("address", "problem", str(error), "write it as `coordinator serve` printed it")
+        yield Diagnosis("address", "problem", str(error), "write it as `coordinator serve` printed it")
         return
     reasons = {address: why_unreachable(address, LIMIT_S) for address in addresses}
     is_enough = None in reasons.values()  # of the others each may be that of a coordinator on standby
@@ -228,7 +228,7 @@ def check_address(options: argparse.Namespace) -> Iterator[Finding]:
         elif is_enough:
             yield fine("address", f"{address} does not ({reason}), as a coordinator on standby")
         else:
-            yield Finding("address", "problem", f"{address} cannot be reached: {reason}", _advice(reason))
+            yield Diagnosis("address", "problem", f"{address} cannot be reached: {reason}", _advice(reason))
 
 
 def _advice(reason: str) -> str:
@@ -239,7 +239,7 @@ def _advice(reason: str) -> str:
     return "check that the machine is on and that no firewall keeps this port closed"
 
 
-def check_listen(options: argparse.Namespace) -> Iterator[Finding]:
+def check_listen(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Whether a coordinator could listen at ``--listen``."""
     if options.listen is None:
         return
@@ -251,14 +251,14 @@ def check_listen(options: argparse.Namespace) -> Iterator[Finding]:
         yield problem("port", error)
 
 
-def check_certificates(options: argparse.Namespace) -> Iterator[Finding]:
+def check_certificates(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Whether our certificate can be shown: key, authority, purpose, dates; for ``--listen`` also the names in it."""
     files = _shown(options)
     if files is not None:
-        yield files if isinstance(files, Finding) else certificate_finding(files, time.time())
+        yield files if isinstance(files, Diagnosis) else certificate_finding(files, time.time())
 
 
-def certificate_finding(files: Credentials, now: float) -> Finding:
+def certificate_finding(files: Credentials, now: float) -> Diagnosis:
     """Say whose certificate this is and how long it will do; `now` is in seconds of Unix time."""
     hosts = f", for {', '.join(files.hosts)}" if files.hosts else ""
     if files.expires is None:
@@ -268,10 +268,10 @@ def certificate_finding(files: Credentials, now: float) -> Finding:
     if left >= EXPIRY_S:
         return fine("certificate", fact)
     advice = f"renew it in time: deploy/tls/make-authority DIR --renew {files.name}"
-    return Finding("certificate", "warning", fact, advice)
+    return Diagnosis("certificate", "warning", fact, advice)
 
 
-def _shown(options: argparse.Namespace) -> Credentials | Finding | None:
+def _shown(options: argparse.Namespace) -> Credentials | Diagnosis | None:
     """Return what is to be shown to the other side, or what is wrong with it."""
     try:
         return credentials_of(vars(options), os.environ, "serve" if options.listen else "connect")
@@ -279,7 +279,7 @@ def _shown(options: argparse.Namespace) -> Credentials | Finding | None:
         return problem("certificate", error)
 
 
-def check_coordinator(options: argparse.Namespace) -> Iterator[Finding]:
+def check_coordinator(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Whether the coordinator answers, fits us, and has workers."""
     text = options.connect or os.environ.get("ATOLL_CONNECT")
     if not text:
@@ -288,7 +288,7 @@ def check_coordinator(options: argparse.Namespace) -> Iterator[Finding]:
     findings = list(check_address(options))
     yield from findings
     files = _shown(options)
-    if any(finding.grade == "problem" for finding in findings) or isinstance(files, Finding):
+    if any(finding.grade == "problem" for finding in findings) or isinstance(files, Diagnosis):
         return
     try:
         yield from _greeted(destination(text, files))
@@ -296,7 +296,7 @@ def check_coordinator(options: argparse.Namespace) -> Iterator[Finding]:
         yield problem("coordinator", error)
 
 
-def _greeted(address: Destination) -> Iterator[Finding]:
+def _greeted(address: Destination) -> Iterator[Diagnosis]:
     from atoll.client.client import connected
 
     with connected(address, LIMIT_S) as client:
@@ -309,16 +309,16 @@ def _greeted(address: Destination) -> Iterator[Finding]:
     yield from worker_findings(workers, str(address))
 
 
-def version_findings(welcome: "Welcome") -> Iterator[Finding]:
+def version_findings(welcome: "Welcome") -> Iterator[Diagnosis]:
     """Say whether a worker of this installation would be taken; a client, which greeted, was."""
     versions = (welcome.version, welcome.protocol, welcome.engine)
     if versions != (VERSION, PROTOCOL_VERSION, ENGINE_REVISION):
         here = f"here is Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
         fact = f"{here}: workers would be refused"
-        yield Finding("versions", "problem", fact, f"install Atoll {welcome.version} here, or this version there")
+        yield Diagnosis("versions", "problem", fact, f"install Atoll {welcome.version} here, or this version there")
 
 
-def clock_findings(clock: str, now: datetime) -> Iterator[Finding]:
+def clock_findings(clock: str, now: datetime) -> Iterator[Diagnosis]:
     """Compare the coordinator's time of day with ours; it was on its way for less than `LIMIT_S`."""
     try:
         moment = datetime.fromisoformat(clock)
@@ -330,27 +330,27 @@ def clock_findings(clock: str, now: datetime) -> Iterator[Finding]:
         yield fine("clock", "agrees with the coordinator's")
         return
     fact = f"the coordinator's clock is {abs(offset):.0f} s {'ahead of' if offset > 0 else 'behind'} this machine's"
-    yield Finding("clock", "warning", fact, "let both follow a time server: logs and certificates go by the clock")
+    yield Diagnosis("clock", "warning", fact, "let both follow a time server: logs and certificates go by the clock")
 
 
-def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[Finding]:
+def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[Diagnosis]:
     """Say which workers are there and which ones one should look after."""
     here = [worker for worker in workers if worker.state != "lost"]
     if not here:
-        yield Finding("workers", "warning", "none is there", f"start one: island-worker --connect {address}")
+        yield Diagnosis("workers", "warning", "none is there", f"start one: island-worker --connect {address}")
         return
     yield fine("workers", f"{len(here)} on {counted(len({worker.host for worker in here}), 'machine')}")
     silent = [worker for worker in here if worker.silent > SILENT_S]
     if silent:
         fact = ", ".join(f"{one.worker} on {one.host} has been silent for {one.silent:.0f} s" for one in silent[:5])
-        yield Finding("workers", "warning", fact, "look at these machines; their islands are placed anew soon")
+        yield Diagnosis("workers", "warning", fact, "look at these machines; their islands are placed anew soon")
     late = [worker for worker in here if worker.state == "compiling"]
     if late:
         fact = ", ".join(f"{worker.worker}: {worker.detail or 'getting ready'}" for worker in late[:5])
         yield fine("workers", f"not ready yet: {fact}")
 
 
-Check = Callable[[argparse.Namespace], Iterable[Finding]]
+Check = Callable[[argparse.Namespace], Iterable[Diagnosis]]
 
 
 def doctor(options: argparse.Namespace) -> int:
@@ -360,20 +360,20 @@ def doctor(options: argparse.Namespace) -> int:
     return FAILED if any(finding.grade == "problem" for finding in findings) else DONE
 
 
-def examine(options: argparse.Namespace, checks: Sequence[Check]) -> list[Finding]:
+def examine(options: argparse.Namespace, checks: Sequence[Check]) -> list[Diagnosis]:
     """Return what these checks find."""
-    findings: list[Finding] = []
+    findings: list[Diagnosis] = []
     for check in checks:
         try:
             findings += list(check(options))
         except Exception as error:  # whatever is wrong with one check, the others are made
             name = check.__name__.removeprefix("check_")
             fact = f"could not be examined ({type(error).__name__}: {error})"
-            findings.append(Finding(name, "problem", fact, "report this; the other findings hold"))
+            findings.append(Diagnosis(name, "problem", fact, "report this; the other findings hold"))
     return findings
 
 
-def check_data(options: argparse.Namespace) -> Iterator[Finding]:
+def check_data(options: argparse.Namespace) -> Iterator[Diagnosis]:
     """Read DATA with the data options that were given, as ``submit`` does; nothing is smoothed."""
     if not options.data:
         return
@@ -394,9 +394,9 @@ def check_data(options: argparse.Namespace) -> Iterator[Finding]:
         return
     yield fine("data", text)
     for found in examined.findings:
-        yield Finding("data", "warning", found.found, found.advice)
+        yield Diagnosis("data", "warning", found.found, found.advice)
     for remark in examined.measurements.warnings[len(examined.findings) :]:
-        yield Finding("data", "warning", remark, "check that this is what you mean")
+        yield Diagnosis("data", "warning", remark, "check that this is what you mean")
 
 
 CHECKS: Sequence[Check] = (

@@ -35,7 +35,7 @@ CONNECT_LIMIT_S: Final = 3.0
 
 
 @dataclass(frozen=True)
-class Request:
+class JobRequest:
     """A job as the user asked for it, before its data are read."""
 
     job: str
@@ -67,7 +67,7 @@ class Request:
         """Upload `table` and submit the job."""
         return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority, shared=self.shared)
 
-    def after(self, seconds: float) -> "Request":
+    def after(self, seconds: float) -> "JobRequest":
         """Return the request with so many seconds of `--max-time` gone, but no more than half of them."""
         budget = self.config.budget
         if budget.max_time is None:
@@ -96,12 +96,12 @@ class Request:
         say(as_json(result.as_dict()) if self.json else render_text(result))
 
 
-def request_of(options: argparse.Namespace) -> Request:
+def request_of(options: argparse.Namespace) -> JobRequest:
     """Return the job that the options describe; raises UsageError, or DataError where a file is not there."""
     files = tuple(Path(name) for name in options.data)
     name = options.name if options.name is not None else files[0].name
     config = config_of(options)
-    request = Request(
+    request = JobRequest(
         job_id(options.id), name, config, files, options.json,
         priority=getattr(options, "priority", 0), shared=getattr(options, "share", False),
     )  # fmt: skip

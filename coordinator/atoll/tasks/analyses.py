@@ -32,7 +32,7 @@ class Question:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Analyse(Question):
+class AnalyseDynamics(Question):
     """The dynamics of the model, see `atoll.Model.analyse`."""
 
     box: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -82,7 +82,7 @@ class Outcome:
 
 
 FUNCTIONS: Final[Mapping[type[Question], AnalysisFunction]] = {
-    Analyse: "analyse", Profile: "profile", Suggest: "suggest", Report: "report",
+    AnalyseDynamics: "analyse", Profile: "profile", Suggest: "suggest", Report: "report",
 }  # fmt: skip
 """The function that answers each kind of question."""
 
@@ -103,7 +103,7 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
         AtollError: the model cannot be simulated.
     """
     match question:
-        case Analyse():
+        case AnalyseDynamics():
             model = _model(result, question)
             analysis = model.analyse(question.box, inputs=question.inputs, vary=question.vary)
             return _formed(question.form, analysis.as_dict, analysis.__str__)

@@ -18,7 +18,7 @@ Call = Callable[[Sequence[bytes], float | None, "Team"], bytes]
 
 
 @dataclass(frozen=True, slots=True)
-class Function:
+class TaskHandler:
     """`call` runs it; `load` loads what that needs, `ready` compiles kernels as well, for tasks whose time counts."""
 
     load: Callable[[], None]
@@ -78,7 +78,7 @@ def load_analyses() -> None:
     import atoll.tasks.analyses  # noqa: F401
 
 
-def _analysis(function: AnalysisFunction) -> Function:
+def _analysis(function: AnalysisFunction) -> TaskHandler:
     def call(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> bytes:
         from atoll.tasks.analyses import analyse
         from atoll_coordinator.model.batches import spreading
@@ -88,12 +88,12 @@ def _analysis(function: AnalysisFunction) -> Function:
         with spreading(team, team.threads, Deadline(seconds)) as spread:
             return analyse(function, result, question, tables[0] if tables else None, spread)
 
-    return Function(load_analyses, load_analyses, call)
+    return TaskHandler(load_analyses, load_analyses, call)
 
 
-FUNCTIONS: Final[Mapping[TaskFunction, Function]] = {
-    "prepare": Function(load_preparation, ready_preparation, _prepare),
-    "refine": Function(load_refinement, load_refinement, _refine),
+FUNCTIONS: Final[Mapping[TaskFunction, TaskHandler]] = {
+    "prepare": TaskHandler(load_preparation, ready_preparation, _prepare),
+    "refine": TaskHandler(load_refinement, load_refinement, _refine),
     "analyse": _analysis("analyse"),
     "profile": _analysis("profile"),
     "suggest": _analysis("suggest"),

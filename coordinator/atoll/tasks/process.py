@@ -51,7 +51,7 @@ def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level:
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")
     collect_rarely()
     _turn_away_streams()
-    TaskProcess(connection, level).work()
+    TaskLoop(connection, level).work()
 
 
 def _turn_away_streams() -> None:
@@ -62,7 +62,7 @@ def _turn_away_streams() -> None:
     os.dup2(_STDERR, _STDOUT)
 
 
-class TaskProcess:
+class TaskLoop:
     """Runs the tasks, and computes the batches of others, that come through a pipe."""
 
     def __init__(self, connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int) -> None:

@@ -15,7 +15,7 @@ from distributed.diagnostics.plugin import WorkerPlugin
 
 from atoll.workers.handle import Handle, MachineWorkers
 from atoll.workers.limited import limited
-from atoll.workers.program import Program, ProgramOptions, drain_limit_s
+from atoll.workers.program import ProgramOptions, WorkerProgram, drain_limit_s
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 
 ANSWER_LIMIT_S: Final = 30.0
@@ -26,7 +26,7 @@ _NO_ANSWER: Final = "the Dask cluster has not answered"
 _NOT_ENDED: Final = "the island workers of the Dask cluster have not ended"
 
 
-class IslandWorkers(WorkerPlugin):  # type: ignore[misc]  # Dask's classes have no types
+class DaskIslandWorkers(WorkerPlugin):  # type: ignore[misc]  # Dask's classes have no types
     """Starts the program on a Dask worker. What is sent there is the name of this class, strings and numbers."""
 
     def __init__(self, name: str, options: ProgramOptions, processes: int | None) -> None:
@@ -34,11 +34,11 @@ class IslandWorkers(WorkerPlugin):  # type: ignore[misc]  # Dask's classes have 
         self.name: Final = name
         self._options = options
         self._processes = processes
-        self._program: Program | None = None
+        self._program: WorkerProgram | None = None
 
     def setup(self, worker: Worker) -> None:
         """Start the program; called once on each Dask worker."""
-        self._program = Program(self._options, self._processes or worker.state.nthreads)
+        self._program = WorkerProgram(self._options, self._processes or worker.state.nthreads)
 
     async def teardown(self, worker: Worker) -> None:
         """Have the islands handed over; called when the Dask worker closes in order, or when we are removed."""
@@ -90,7 +90,7 @@ def start(client: Client | str, options: ProgramOptions, processes: int | None) 
         raise UsageError("an asynchronous distributed.Client was given; give one made without asynchronous=True")
     name = f"atoll-island-workers-{uuid.uuid4().hex[:12]}"
     handle = DaskHandle(dask, name, options, owns=owns)
-    plugin = IslandWorkers(name, options, processes)
+    plugin = DaskIslandWorkers(name, options, processes)
     try:
         limited(lambda: dask.register_plugin(plugin, name=name), ANSWER_LIMIT_S, _NO_ANSWER)
     except BaseException as error:

@@ -38,7 +38,7 @@ def drain_limit_s(options: ProgramOptions) -> float:
     return options.grace_s + STOP_LIMIT_S
 
 
-class Program:
+class WorkerProgram:
     """So many worker processes: one program, which starts them again when they die, and ends with this process.
 
     Should this process be killed, they hand over their islands before they end, see ADR 0062.

@@ -15,7 +15,7 @@ from ray.exceptions import ActorDiedError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from atoll.workers.handle import Handle, MachineWorkers
-from atoll.workers.program import Program, ProgramOptions, drain_limit_s
+from atoll.workers.program import ProgramOptions, WorkerProgram, drain_limit_s
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 
 LOOK_S: Final = 2.0
@@ -25,11 +25,11 @@ ANSWER_LIMIT_S: Final = 10.0
 """How long an actor may take to say how its program is; one that has no place yet says nothing."""
 
 
-class IslandWorkers:
+class RayIslandWorkers:
     """An actor: keeps the program on its node. What is sent there is the name of this class, strings and numbers."""
 
     def __init__(self, options: ProgramOptions, processes: int) -> None:
-        self._program = Program(options, processes)
+        self._program = WorkerProgram(options, processes)
 
     def state(self) -> tuple[int, int | None]:
         """Return the number of processes and the program's exit code."""
@@ -108,7 +108,7 @@ class RayHandle(Handle):
 
     def _started(self, node: str, cores: int) -> Any:
         place = NodeAffinitySchedulingStrategy(node_id=node, soft=False)
-        actor = ray.remote(IslandWorkers).options(
+        actor = ray.remote(RayIslandWorkers).options(
             num_cpus=cores, scheduling_strategy=place, max_restarts=-1, max_task_retries=0
         )
         return actor.remote(self._options, self._processes or cores)

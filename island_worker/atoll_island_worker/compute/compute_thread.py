@@ -1,7 +1,8 @@
 """The thread that computes islands: it takes commands, runs the queue of tasks slice by slice, and posts results.
 
-It never touches the bus itself. `ComputeThread.progress` rises while it gets on, so that a heartbeat can tell slow work
-from a hung process.
+It never touches the bus. Commands are functions in a queue, so that every change of `RunQueue` and `Engine` happens on
+this thread, between two slices. `ComputeThread.progress` rises with every slice, so that heartbeats distinguish slow
+work from a hung process.
 """
 
 import logging
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from atoll_island_worker.evolution.island import Island
 
 _MOST: Final = 10
-"""Generations at a time, however long a slice is: in between it is asked what else there is to do."""
+"""Generations at a time, however long a slice is; in between the thread looks for commands."""
 
 
 class Engine:
@@ -34,7 +35,7 @@ class Engine:
         self._islands: dict[io.ShardKey, dict[int, Island]] = {}
 
     def load(self, job: str, config: JobConfig, dataset: bytes) -> io.JobReady | io.LoadFailed:
-        """Take in a job's configuration and encoded dataset."""
+        """Store a job's configuration and encoded dataset."""
         from atoll_core.wire.codec import dataset_from_bytes
 
         try:
@@ -43,8 +44,8 @@ class Engine:
             return io.LoadFailed(job, str(error))
         return io.JobReady(job)
 
-    def begin(self, task: io.Task) -> "Epoch":
-        """Begin an island's epoch; raises RemoteProtocolError when its immigrants or its state are malformed."""
+    def begin(self, task: io.EpochTask) -> "Epoch":
+        """Begin an island's epoch; raises RemoteProtocolError if its immigrants or its state are malformed."""
         from atoll_island_worker.evolution.island import Island
 
         key = task.key
@@ -71,9 +72,9 @@ class Engine:
 
 
 class Epoch:
-    """One epoch of one island under way; see `atoll_island_worker.compute.run_queue.Work`."""
+    """One epoch of one island in progress; see `atoll_island_worker.compute.run_queue.RunningEpoch`."""
 
-    def __init__(self, task: io.Task, island: "Island") -> None:
+    def __init__(self, task: io.EpochTask, island: "Island") -> None:
         self._task = task
         self._island = island
         self._is_over = False
@@ -81,22 +82,22 @@ class Epoch:
 
     @property
     def generation(self) -> int:
-        """See `Work.generation`."""
+        """See `RunningEpoch.generation`."""
         return self._island.generation
 
     def advance(self) -> bool:
-        """See `Work.advance`."""
+        """See `RunningEpoch.advance`."""
         stride = self._task.commit_order.stride
         left = stride - self._island.generation % stride
         self._is_over = self._island.advance(min(_MOST, left))
         return self._is_over
 
-    def computed(self) -> io.Computed:
-        """See `Work.computed`. There are emigrants after a whole epoch that is not the last."""
+    def computed(self) -> io.EpochComputed:
+        """See `RunningEpoch.computed`. There are emigrants after a whole epoch that is not the last."""
         key, report = self._task.key, self._island.report()
         if not self._is_over or report.hit is not None or self._task.is_last:
-            return io.Computed(key, report, {}, frozenset())
-        return io.Computed(key, report, self._island.emigrants(), self._island.senders())
+            return io.EpochComputed(key, report, {}, frozenset())
+        return io.EpochComputed(key, report, self._island.emigrants(), self._island.senders())
 
 
 _LOG = logging.getLogger(__name__)
@@ -105,14 +106,14 @@ _JOIN_LIMIT_S: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class WarmUpNote:
-    """Something a person should know about the warm-up, such as that kernels are being compiled."""
+    """A sentence about the warm-up for users, such as that kernels are being compiled."""
 
     sentence: str
 
 
 @dataclass(frozen=True, slots=True)
 class WarmedUp:
-    """The kernels are loaded and have run; it took `seconds`. `fingerprint` names what the bits depend on."""
+    """The kernels are loaded and have run, in `seconds`. `fingerprint` is a digest of their sources."""
 
     seconds: float
     fingerprint: str
@@ -120,23 +121,23 @@ class WarmedUp:
 
 @dataclass(frozen=True, slots=True)
 class ComputeFailed:
-    """The kernels cannot be compiled or run here, or the compute thread has ended by an error; the worker ends."""
+    """The kernels cannot be compiled or run here, or the compute thread has failed; the worker ends."""
 
     sentence: str
 
 
 Result = WarmUpNote | WarmedUp | ComputeFailed | io.JobReady | io.LoadFailed | io.Snapshot | io.Outcome
-"""What the compute thread posts."""
+"""Everything that the compute thread posts."""
 
 
 class ComputeThread:
     """Computes the islands of one worker, one slice at a time. Methods return at once; results are posted later.
 
-    `progress` is a number that rises while work gets on.
+    `progress` rises while work makes progress.
     """
 
     def __init__(self, show: Callable[[str], None] | None = None) -> None:
-        """`show` is called with each sentence of the warm-up, in this thread of computing."""
+        """`show` is called with each sentence of the warm-up, on the compute thread."""
         self._show = show
         self._commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._unposted: list[Result] = []
@@ -156,11 +157,11 @@ class ComputeThread:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """For how many seconds islands were computed, by user."""
+        """Seconds for which islands were computed, by user."""
         return self._queue.seconds.copy()
 
     def attach(self, post: Callable[[object], None]) -> None:
-        """Post every result, also those that came before, through `post`."""
+        """Post every result, also earlier ones, through `post`."""
         with self._lock:
             self._post = post
             for result in self._unposted:
@@ -168,30 +169,30 @@ class ComputeThread:
             self._unposted.clear()
 
     def warm_up(self) -> None:
-        """Make the kernels ready: any number of WarmUpNote, then WarmedUp or ComputeFailed."""
+        """Load or compile the kernels: any number of WarmUpNote follow, then WarmedUp or ComputeFailed."""
         self._commands.put(self._warm_up)
 
     def share(self, job: str, weight: float, user: str) -> None:
-        """Say what share of the turns a job has from now on; see `RunQueue.share`."""
+        """Set the share of turns that a job has from now on; see `RunQueue.share`."""
         self._commands.put(lambda: self._queue.share(job, weight, user))
 
     def load(self, job: str, config: JobConfig, dataset: bytes) -> None:
         """Load a job's configuration and encoded dataset: JobReady or LoadFailed."""
         self._commands.put(lambda: self._post_all([self._engine.load(job, config, dataset)]))
 
-    def run(self, task: io.Task) -> None:
+    def run(self, task: io.EpochTask) -> None:
         """Compute one epoch of one island: Computed, Rejected, Broken or Abandoned follows, unless it is discarded.
 
-        Before that comes the Snapshot, where one is wanted; at a barrier nothing else follows. Tasks take turns.
+        If a Snapshot is wanted, it comes first; at a barrier nothing else follows. Tasks take turns.
         """
         self._commands.put(lambda: self._post_all(self._queue.add(task)))
 
     def stop_at(self, shard: io.ShardKey, hit: Position, commit_order: CommitOrder) -> None:
-        """Compute nothing of this archipelago that is not needed when the target was met there."""
+        """Stop computing what is not needed of this archipelago after the target was met at `hit`."""
         self._commands.put(lambda: self._post_all(self._queue.stop_at(shard, hit, commit_order)))
 
     def discard(self, shard: io.ShardKey) -> None:
-        """Forget the islands of an archipelago under one term, and give up those under way."""
+        """Forget the islands of an archipelago under one term, also those in progress."""
 
         def discard() -> None:
             self._queue.discard(shard)
@@ -200,7 +201,7 @@ class ComputeThread:
         self._commands.put(discard)
 
     def discard_job(self, job: str) -> None:
-        """Forget a job's dataset, and give up its tasks."""
+        """Forget a job's dataset and its tasks."""
 
         def discard() -> None:
             self._queue.discard_job(job)
@@ -209,7 +210,7 @@ class ComputeThread:
         self._commands.put(discard)
 
     def close(self) -> None:
-        """Give up everything. Waits a little for the thread; it is a daemon and keeps no process alive. Repeatable."""
+        """Stop. Waits a little for the thread, which is a daemon and keeps no process alive. Repeatable."""
         self._closed = True
         self._commands.put(lambda: None)  # the thread may be waiting for a command
         self._thread.join(_JOIN_LIMIT_S)
@@ -224,7 +225,7 @@ class ComputeThread:
                 else:
                     self._post_all(self._queue.turn())
                 self.progress += 1
-        except BaseException as error:  # a worker without this thread would send heartbeats and compute nothing
+        except BaseException as error:  # otherwise the worker would send heartbeats and compute nothing
             _LOG.exception("the compute thread failed")
             self._post_all([ComputeFailed(f"the compute thread failed: {brief(error)}")])
 
@@ -243,7 +244,7 @@ class ComputeThread:
             from atoll_island_worker.compute.warmup import warm_up
 
             warm_up(self._report)
-        except Exception as error:  # whatever it was, it is reported, and the worker ends
+        except Exception as error:  # it is reported, and the worker ends
             _LOG.exception("warm-up failed")
             self._post_all([ComputeFailed(f"the kernels cannot be made ready on this machine: {brief(error)}")])
         else:

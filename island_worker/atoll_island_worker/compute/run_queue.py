@@ -1,9 +1,10 @@
-"""What is under way on a worker, slice by slice: the compute thread's order of work. Pure; time comes from a clock.
+"""The order in which a worker's compute thread works on its tasks, slice by slice. Pure; time comes from a clock.
 
-Islands take turns of one slice: first the user charged least, then that user's job charged least by its weight, then
-the slice that counts first (`atoll_core.search.commit_order`). So users have equal shares of a worker, whatever number
-of jobs of whatever priority they have, and weights divide the share of one of them. When the target is met, what is no
-longer needed is given up at once, and what has come far enough is reported.
+Islands take turns of one slice. The next turn goes to the user who was charged least, among this user's jobs to the one
+that was charged least in relation to its weight, and in this job to the first slice in the commit order
+(`atoll_core.search.commit_order`). So users have equal shares of a worker, for any number and priority of jobs, and
+weights divide the share of one user. When the target is met, tasks that are not needed any more are dropped at once,
+and tasks that have gone far enough are reported.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,8 +16,8 @@ from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_island_worker.session import interface as io
 
 
-class Work(Protocol):
-    """One island's epoch under way."""
+class RunningEpoch(Protocol):
+    """One island's epoch in progress."""
 
     @property
     def generation(self) -> int:
@@ -30,25 +31,25 @@ class Work(Protocol):
     def advance(self) -> bool:
         """Compute one slice, or part of a long one; return True when the epoch is over or the target was met.
 
-        Nothing was met before the end of a slice.
+        The target can only be met at the end of a slice.
         """
         ...
 
-    def computed(self) -> io.Computed:
-        """Return what came of it so far."""
+    def computed(self) -> io.EpochComputed:
+        """Return the result so far."""
         ...
 
 
-Begin = Callable[[io.Task], Work]
-"""Begins an island's epoch; raises RemoteProtocolError when the immigrants are malformed."""
+Begin = Callable[[io.EpochTask], RunningEpoch]
+"""Begins an island's epoch; raises RemoteProtocolError if the immigrants are malformed."""
 
 
 @dataclass(slots=True)
 class _Open:
     """A task; `work` is None before its first turn."""
 
-    task: io.Task
-    work: Work | None = None
+    task: io.EpochTask
+    work: RunningEpoch | None = None
 
     @property
     def generation(self) -> int:
@@ -59,9 +60,9 @@ class RunQueue:
     """The tasks of one worker that are not done yet."""
 
     def __init__(self, begin: Begin, clock: Callable[[], float]) -> None:
-        """`clock` gives seconds, by which users and jobs are charged for turns; `current` is the task of the last one.
+        """`clock` gives seconds, by which users and jobs are charged for turns; `current` is the task of the last turn.
 
-        `seconds` has the time of all turns by user, which only grows.
+        `seconds` has the total time of turns by user.
         """
         self._begin = begin
         self._clock = clock
@@ -80,23 +81,23 @@ class RunQueue:
         return not self._open
 
     def share(self, job: str, weight: float, user: str) -> None:
-        """Say whose a job is ("": nobody's in particular), and its `weight` among the jobs of that user."""
+        """Set the user of a job ("": no user), and its `weight` among the jobs of that user."""
         self._weights[job] = weight
         self._users[job] = user
 
-    def add(self, task: io.Task) -> list[io.Outcome]:
-        """Take in a task; return that it is given up when it is not needed."""
+    def add(self, task: io.EpochTask) -> list[io.Outcome]:
+        """Add a task; return its Abandoned if it is not needed."""
         self._enter(task.key.job)
         self._open[task.key] = _Open(task)
         return self._settle([task.key])
 
     def stop_at(self, shard: io.ShardKey, hit: Position, commit_order: CommitOrder) -> list[io.Outcome]:
-        """Note that the target was met; return what came of the tasks of which no more is needed."""
+        """Record that the target was met; return the outcomes of tasks that need no more computation."""
         self._hits[shard] = min(hit, self._hits.get(shard, hit), key=commit_order.rank)
         return self._settle([key for key in self._open if key.shard == shard])
 
     def turn(self) -> list[io.Snapshot | io.Outcome]:
-        """Compute one slice of the task whose turn it is; return its snapshot and what came of tasks done by it."""
+        """Compute one slice of the task whose turn it is; return its snapshot, and outcomes of tasks that it ends."""
         key = min(self._open, key=self._rank)
         open_task = self._open[key]
         task = open_task.task
@@ -113,7 +114,7 @@ class RunQueue:
                 outcome = open_task.work.computed()
         except RemoteProtocolError as error:
             outcome = io.Rejected(key, str(error))
-        except Exception as error:  # it is the job that fails, not the worker
+        except Exception as error:  # the job fails, not the worker
             outcome = io.Broken(
                 key, f"island {key.island} of {key.variable} broke in epoch {key.epoch}: {brief(error)}"
             )
@@ -123,7 +124,7 @@ class RunQueue:
         del self._open[key]
         if outcome is not None:
             results.append(outcome)
-        if isinstance(outcome, io.Computed) and outcome.report.hit is not None:
+        if isinstance(outcome, io.EpochComputed) and outcome.report.hit is not None:
             hit = Position(key.epoch, outcome.report.hit.generation, key.island)
             results += self.stop_at(key.shard, hit, task.commit_order)
         return results
@@ -135,7 +136,7 @@ class RunQueue:
             del self._open[key]
 
     def discard_job(self, job: str) -> None:
-        """Forget the tasks of a job and what it was charged."""
+        """Forget the tasks of a job and its charge."""
         self._open = {key: open_task for key, open_task in self._open.items() if key.job != job}
         self._hits = {shard: hit for shard, hit in self._hits.items() if shard.job != job}
         self._charged.pop(job, None)
@@ -145,7 +146,7 @@ class RunQueue:
             self._charged_users.pop(user, None)
 
     def _enter(self, job: str) -> None:
-        """Let a job, and its user, begin where the least charged are that have tasks: idleness saves nothing up."""
+        """Start a job, and its user, at the least charge of those that have tasks: being idle earns no credit."""
         user, open_jobs = self._users.get(job, ""), {key.job for key in self._open}
         if job not in open_jobs:
             own = [self._charged[other] for other in open_jobs if self._users.get(other, "") == user]
@@ -169,7 +170,7 @@ class RunQueue:
         return (of_user, self._charged[key.job], epoch, group, generation, key.job, key.variable, island)
 
     def _settle(self, keys: Iterable[io.TaskKey]) -> list[io.Outcome]:
-        """Close those of these tasks of which no more is needed, and return what came of them."""
+        """Close those of these tasks that need no more computation, and return their outcomes."""
         outcomes: list[io.Outcome] = []
         for key in keys:
             open_task, hit = self._open[key], self._hits.get(key.shard)
@@ -188,5 +189,5 @@ class RunQueue:
 
 
 def brief(error: BaseException) -> str:
-    """Return an error's kind and words, of a length that can be shown."""
+    """Return an error's type and message, shortened."""
     return f"{type(error).__name__}: {error}"[:500]

@@ -35,7 +35,7 @@ class TaskKey:
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class EpochTask:
     """Begin epoch `key.epoch` with the immigrants `blocks`, and finish it.
 
     `blocks` are by source island; None at the first epoch of a term. Emigrants are wanted unless the epoch `is_last`.
@@ -112,7 +112,7 @@ class Snapshot:
 
 
 @dataclass(frozen=True, slots=True)
-class Computed:
+class EpochComputed:
     """An island finished an epoch, or the part of it that is needed.
 
     `emigrants`: blocks by destination island, its own included (only after a whole epoch that is not the last);
@@ -148,7 +148,7 @@ class Abandoned:
     key: TaskKey
 
 
-Outcome = Computed | Rejected | Broken | Abandoned
+Outcome = EpochComputed | Rejected | Broken | Abandoned
 """The end of a task that is not at a barrier."""
 
 
@@ -208,7 +208,7 @@ class SendHeartbeat:
 class RunTask:
     """Give the task to the compute thread; a Snapshot or an Outcome follows."""
 
-    task: Task
+    task: EpochTask
 
 
 @dataclass(frozen=True, slots=True)

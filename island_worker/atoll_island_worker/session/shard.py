@@ -122,7 +122,7 @@ class Shard:
             local for local in self.islands.values() if local.state == "ready" and local.epoch <= self.schedule.last
         )
 
-    def begin(self, island: int) -> io.Task:
+    def begin(self, island: int) -> io.EpochTask:
         """Return the task of an island that is ready."""
         local = self.islands[island]
         local.step("begin")
@@ -131,7 +131,7 @@ class Shard:
             blocks = self._mailbox.blocks(local.epoch - 1, island, local.needs)
         elif local.epoch > 0:
             state = self._states.states.pop(island).data
-        return io.Task(
+        return io.EpochTask(
             io.TaskKey(*self.key, local.index, local.epoch),
             blocks,
             local.epoch + 1 >= self.placement.epochs,
@@ -153,7 +153,7 @@ class Shard:
         self._buffer.keep_snapshot(taken.key.epoch, local.index, taken.data)
         return taken.key.epoch in self._buffer.snapshots()
 
-    def computed(self, done: io.Computed) -> list[io.Send]:
+    def computed(self, done: io.EpochComputed) -> list[io.Send]:
         """File what an island computed, for the report; return messages with its emigrants, or with a hit."""
         local, key = self.islands[done.key.island], done.key
         self._mailbox.forget(key.epoch - 1, local.index)

@@ -152,7 +152,7 @@ class Session:
                         *(io.AskPeer(peer, pull) for peer, pull in shard.due_pulls(event.now)), *self._fetches(shard),
                     )
                 ]  # fmt: skip
-            case io.Computed() | io.Snapshot() | io.Rejected() | io.Broken() | io.Abandoned():
+            case io.EpochComputed() | io.Snapshot() | io.Rejected() | io.Broken() | io.Abandoned():
                 return self._task_done(event)
             case _:
                 raise LocalProtocolError(f"the session does not know events of kind {type(event).__name__}")
@@ -263,7 +263,7 @@ class Session:
             case io.Broken():
                 self._add_failure(shard, key, event.sentence)
                 return []
-            case io.Computed():
+            case io.EpochComputed():
                 actions += shard.computed(event)
             case io.Rejected():
                 if not shard.rejected(key.island):

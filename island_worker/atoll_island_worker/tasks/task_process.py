@@ -1,7 +1,16 @@
 """The task process of a worker: started when there is a task, kept for later ones, ended by a signal.
 
-What it says is posted to the worker's loop by a thread that reads the pipe. Another one writes to it, so that a process
-that takes nothing in keeps nobody waiting.
+One thread reads its messages from a pipe and posts them to the worker's loop. Another thread writes to it, so that the
+loop never waits for a process that does not read.
+
+Loading what a task needs takes a second or two and tens of megabytes. So all workers of one command share a server
+(`TaskServer`) that has loaded it and forks task processes. The server has neither a thread nor a bus, so forking it is
+safe; it is itself forked before anything else is loaded. The workers inherit its socket, and it ends when they have
+all closed it. Where the system cannot fork, or the server is gone, a new interpreter is started.
+
+A process pool of a library was tried and is not smaller: while a task runs, its process exchanges batches with helpers
+through the worker, which needs this pipe and these threads next to the pool's own; and the fork server of
+multiprocessing belongs to one process, so that each worker would load everything again.
 """
 
 import contextlib
@@ -25,17 +34,17 @@ from typing import Final, Protocol
 from atoll_core import task_frames as frames
 from atoll_core.errors import AtollError
 from atoll_core.task_frames import OTHER_VERSION, version
-from atoll_island_worker.processes.fork_server import Forked, request_parent_death_signal
+from atoll_island_worker.processes import Forked, request_parent_death_signal
 
 END_LIMIT_S: Final = 2.0
-"""How long a process that was killed, or that has closed its pipe, may take to be gone."""
+"""How long a process may take to end after it was killed, or has closed its pipe."""
 
 IDLE_S: Final = 120.0
-"""A process that has had no task for so long is ended, and its memory is given back."""
+"""A process is ended, to free its memory, after this time without a task."""
 
 MAX_TASKS: Final = 100
 MAX_MEMORY: Final = 1 << 30
-"""A process that has run so many tasks, or occupies so many bytes, runs no further task: its leaks are given back."""
+"""After so many tasks, or with so much memory, a process runs no further task, because of leaks."""
 
 _PROGRAM: Final = """
 import sys
@@ -45,75 +54,75 @@ main(int(descriptor), int(level), version)
 """
 
 
-class Process(Protocol):
-    """A process that was started for tasks. Any thread may call these."""
+class StartedProcess(Protocol):
+    """A process that was started for tasks. Any thread may call its methods."""
 
     def set_pid(self, pid: int) -> None:
-        """Take in the number of the process, which it says itself."""
+        """Take in the process id, which the process itself sends."""
 
     def kill(self) -> None:
         """End it."""
 
     def wait(self, timeout: float) -> int | None:
-        """Wait for its end; return its exit code, negative for a signal, or None where that cannot be told."""
+        """Wait for its end; return its exit code, negative for a signal; None: unknown, or not in time."""
 
     def close(self) -> None:
-        """Have nothing more to do with it."""
+        """Release what belongs to it."""
 
 
 class _Interpreter(subprocess.Popen[bytes]):
     def set_pid(self, pid: int) -> None:
-        """Do nothing: it is our child, and its number is known."""
+        """Do nothing: its id is known."""
 
     def wait(self, timeout: float | None = None) -> int | None:  # type: ignore[override]
-        """Wait for its end; return its exit code, None when it does not end in time."""
+        """See `StartedProcess.wait`."""
         try:
             return super().wait(timeout)
         except subprocess.TimeoutExpired:
             return None
 
     def close(self) -> None:
-        """Do nothing: it has been waited for."""
+        """Do nothing: `wait` has released it."""
 
 
 class Starter(Protocol):
     """Starts task processes."""
 
-    def start(self, connection: "Connection[object, object]") -> Process:
-        """Start a process whose end of a pipe is given; raises AtollError when the system starts no more."""
+    def start(self, connection: "Connection[object, object]") -> StartedProcess:
+        """Start a process with one end of a pipe; raises AtollError if the system starts no more."""
         ...
 
 
 class Interpreters(Starter):
     """Starts a new interpreter for each process, which takes a second or two to load what a task needs."""
 
-    def start(self, connection: "Connection[object, object]") -> Process:
+    def start(self, connection: "Connection[object, object]") -> StartedProcess:
         """See `start_process`."""
         return start_process(connection)
 
 
-def start_process(connection: "Connection[object, object]") -> Process:
-    """Start a new interpreter; raises AtollError when the system starts no more processes."""
+def start_process(connection: "Connection[object, object]") -> StartedProcess:
+    """Start a new interpreter; raises AtollError if the system starts no more processes."""
     level = logging.getLogger().getEffectiveLevel()
     descriptor = connection.fileno()
-    words = [str(descriptor), str(level), version(), *sys.path]  # it finds what we found
+    words = [str(descriptor), str(level), version(), *sys.path]  # the same modules are found
     try:
         return _Interpreter(
             [sys.executable, "-P", "-c", _PROGRAM, *words],
             stdin=subprocess.DEVNULL,
             pass_fds=(descriptor,),
-            start_new_session=True,  # a Ctrl-C on the terminal is the worker's to handle
-            env={"OPENBLAS_NUM_THREADS": "1", **os.environ},  # matrices are small: threads of numpy's library wait
+            start_new_session=True,  # Ctrl-C on the terminal is for the worker
+            env={"OPENBLAS_NUM_THREADS": "1", **os.environ},  # matrices are small: more threads would only wait
         )
     except OSError as error:
         raise AtollError(f"no process could be started for it: {error.strerror}") from error
 
 
 class TaskProcess:
-    """The process of one worker, as often as it is started. Methods return at once; its messages are posted."""
+    """The process of one worker, restarted as needed. Methods return at once; messages of the process are posted."""
 
     def __init__(self, starter: Starter | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        """`starter` starts the process; a new interpreter unless given."""
+        """`starter` starts the process; by default a new interpreter."""
         self._starter = starter or Interpreters()
         self._clock = clock
         self._post: Callable[[object], None] = lambda message: None
@@ -124,18 +133,18 @@ class TaskProcess:
         self._used_at = 0.0
 
     def attach(self, post: Callable[[object], None]) -> None:
-        """Have what the process says posted, as `Said`."""
+        """Post all messages of the process, as `Said`."""
         self._post = post
 
     @property
     def is_started(self) -> bool:
-        """Whether a process is there, which need not be started for the next task."""
+        """Whether a process is running already."""
         return self._running is not None and self._running.is_alive
 
     def send(self, message: frames.ToProcess) -> int:
-        """Send a message to the process, starting one for a task or a batch if need be; return its `Said.life`.
+        """Send a message to the process, which is started for a task or a batch if need be; return its `Said.life`.
 
-        When the system starts no more processes, `Ended` is posted.
+        If the system starts no more processes, `Ended` is posted.
         """
         self._used_at = self._clock()
         if isinstance(message, frames.Run) and (self._done >= MAX_TASKS or self._memory >= MAX_MEMORY):
@@ -147,18 +156,18 @@ class TaskProcess:
         return self._life
 
     def load_next(self, function: str) -> None:
-        """Have a process that is there load what tasks of this function need."""
+        """Make a running process load what tasks of this function need."""
         if self.is_started:
             self.send(frames.Load(function))
 
     def stop(self) -> None:
-        """End the process with what it runs; that it has ended is not posted."""
+        """End the process and its task; its end is not posted."""
         if self._running is not None:
             self._running.stop()
             self._running = None
 
     def stop_if_idle(self) -> None:
-        """End the process if it has had nothing to do for long."""
+        """End the process after a long time without work."""
         if self._running is not None and self._clock() - self._used_at > IDLE_S:
             self.stop()
 
@@ -173,7 +182,7 @@ class TaskProcess:
             self._post(frames.Said(life, frames.Ended("crash", str(error))))
 
     def _take(self, life: int, message: frames.FromProcess) -> None:
-        """Take in a message, on the reading thread."""
+        """Handle a message; called by the reading thread."""
         if isinstance(message, frames.Logged):
             record = logging.makeLogRecord(dict(message.values))
             logging.getLogger(record.name).handle(record)
@@ -185,10 +194,10 @@ class TaskProcess:
 
 
 class _Running:
-    """One process, the thread that reads what it says, and the one that writes to it."""
+    """One process, with the thread that reads from it and the thread that writes to it."""
 
     def __init__(self, starter: Starter, take: Callable[[frames.FromProcess], None]) -> None:
-        """Start them; raises AtollError when the system starts no more."""
+        """Start them; raises AtollError if the system starts no more."""
         self._connection, theirs = Pipe()
         self._outgoing: queue.SimpleQueue[frames.ToProcess | None] = queue.SimpleQueue()
         self._take = take
@@ -223,18 +232,18 @@ class _Running:
         self._reading.join(2.0 * END_LIMIT_S)
 
     def _shut_down(self) -> None:
-        """Close the pipe to both sides, which also ends a process whose number is not known yet."""
+        """Close the pipe in both directions, which also ends a process whose id is not known yet."""
         with contextlib.suppress(OSError), socket.socket(fileno=os.dup(self._connection.fileno())) as end:
             end.shutdown(socket.SHUT_RDWR)
 
     def _write(self) -> None:
-        with contextlib.suppress(OSError):  # it has ended, of which the reading thread tells
+        with contextlib.suppress(OSError):  # it has ended, which the reading thread notices
             while (message := self._outgoing.get()) is not None:
                 self._connection.send(message)
 
     def _read(self) -> None:
         why = self._read_all()
-        code = self._process.wait(END_LIMIT_S)  # first of all: who is killed now was not ended by that
+        code = self._process.wait(END_LIMIT_S)  # before the kill below, which would change the code
         if code is None:
             self._process.kill()
             code = self._process.wait(END_LIMIT_S)
@@ -248,7 +257,7 @@ class _Running:
             self._take(frames.Ended(failure, why or sentence))
 
     def _read_all(self) -> str:
-        """Hand on what the process says until its end; return in words why that could not be read, if so."""
+        """Pass on messages until the process ends; return why a message could not be read, if so."""
         try:
             while True:
                 message = self._connection.recv()
@@ -258,12 +267,12 @@ class _Running:
                     self._take(message)
         except (EOFError, OSError):
             return ""
-        except Exception as error:  # also words that the end of the process cut short, or memory that ran out here
-            return f"what it said could not be read: {type(error).__name__}: {error}"
+        except Exception as error:  # also a message that was cut off, or no memory left here
+            return f"its message could not be read: {type(error).__name__}: {error}"
 
 
 def cause_of(code: int | None) -> tuple[frames.Failure, str]:
-    """Return in words how a process ended by itself."""
+    """Return why a process ended, and a sentence about it."""
     if code is None:
         return "crash", "its process ended"
     if code == OTHER_VERSION:
@@ -277,8 +286,8 @@ def cause_of(code: int | None) -> tuple[frames.Failure, str]:
 
 
 LOAD_AFTER_S: Final = 2.0
-"""After so long without a request, once there was one, what refining needs is loaded as well: whoever refines first
-has loaded it by then, and those that help later find it loaded."""
+"""After this time without a request the server loads what refining needs, too: the first process that refines has
+loaded it for itself by then, and helpers that start later find it loaded."""
 
 _MOST: Final = 256
 
@@ -287,13 +296,13 @@ class TaskServer(Starter):
     """The server as the workers see it, which inherit it."""
 
     def __init__(self) -> None:
-        """Fork the server; raises AtollError when the system starts no more processes."""
+        """Fork the server; raises AtollError if the system starts no more processes."""
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         Forked(lambda: _Server(theirs).serve(self._ours))
         theirs.close()
 
-    def start(self, connection: "Connection[object, object]") -> Process:
-        """Have a process forked; where the server is gone, start an interpreter."""
+    def start(self, connection: "Connection[object, object]") -> StartedProcess:
+        """Have the server fork a process; if the server is gone, start an interpreter."""
         level = logging.getLogger().getEffectiveLevel()
         codes, theirs = Pipe(duplex=False)
         with theirs:
@@ -305,15 +314,15 @@ class TaskServer(Starter):
         return _ForkedTask(codes)
 
     def close(self) -> None:
-        """Close this process's end; the server ends when nobody has one any more."""
+        """Close this end; the server ends when all ends are closed."""
         self._ours.close()
 
 
 class _ForkedTask:
-    """A task process that the server has forked: it says itself which number it has, the server how it ended."""
+    """A task process that the server has forked: the process sends its id, the server its exit code."""
 
     def __init__(self, codes: "Connection[object, object]") -> None:
-        """`codes` is where the server sends its exit code."""
+        """The server sends the exit code through `codes`."""
         self._codes = codes
         self._code: int | None = None
         self._pidfd: int | None = None
@@ -321,22 +330,19 @@ class _ForkedTask:
         self._closing = threading.Lock()
 
     def set_pid(self, pid: int) -> None:
-        """Take in the number of the process."""
-        with contextlib.suppress(OSError, AttributeError):  # it has ended already, or the system has no such thing
+        """See `StartedProcess.set_pid`."""
+        with contextlib.suppress(OSError, AttributeError):  # it has ended already, or the system has no pidfd
             self._pidfd = os.pidfd_open(pid)
 
     def kill(self) -> None:
-        """End it; one that has not said its number yet ends when its pipe is closed."""
+        """End it; a process that has not sent its id yet ends when its pipe is closed."""
         with self._closing, contextlib.suppress(OSError):
             if self._pidfd is not None:
                 signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
                 self._is_killed = True
 
     def wait(self, timeout: float) -> int | None:
-        """Return its exit code once it has ended, None where the server does not say it in time.
-
-        Of one that was killed here it is not waited for: the server may be loading, for more than a second.
-        """
+        """See `StartedProcess.wait`. After `kill` it does not wait: the server may be loading for a second."""
         if self._is_killed:
             timeout = 0.0
         with contextlib.suppress(OSError, EOFError):
@@ -345,7 +351,7 @@ class _ForkedTask:
         return self._code
 
     def close(self) -> None:
-        """Close what tells of it."""
+        """See `StartedProcess.close`."""
         self._codes.close()
         with self._closing:
             if self._pidfd is not None:
@@ -354,8 +360,8 @@ class _ForkedTask:
 
 
 class _Server:
-    """The server itself. `forks` has of each living fork its number and where its exit code goes, by a pipe that is
-    readable when it has ended."""
+    """The server itself. `_forks`: process id and channel for the exit code of each living fork, by the descriptor of a
+    pipe that becomes readable when the fork has ended."""
 
     def __init__(self, requests: socket.socket) -> None:
         self._requests = requests
@@ -365,11 +371,11 @@ class _Server:
         self._poll.register(requests, select.POLLIN)
 
     def serve(self, others_end: socket.socket) -> int:
-        """Fork a process for each request until no end of the socket is open any more; return the exit code."""
+        """Fork a process for each request until all other ends of the socket are closed; return the exit code."""
         others_end.close()
         request_parent_death_signal()
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # else the system would not tell how they end
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else numpy's library starts threads
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # otherwise exit codes would be lost
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
         _load("prepare")
         while True:
             events = self._poll.poll(None if self._is_loaded or not self._was_asked else 1000.0 * LOAD_AFTER_S)
@@ -378,12 +384,12 @@ class _Server:
                 self._is_loaded = True
             for descriptor, _ in events:
                 if descriptor in self._forks:
-                    self._see_off(descriptor)
+                    self._send_exit_code(descriptor)
                 elif not self._handle():
                     return 0
 
     def _handle(self) -> bool:
-        """Do what a worker asks; return False when there is none any more."""
+        """Handle a request; return False if no worker is left."""
         message, descriptors, _, _ = socket.recv_fds(self._requests, _MOST, 2)
         if len(descriptors) == 2:
             self._was_asked = True
@@ -391,12 +397,15 @@ class _Server:
         return bool(message)
 
     def _fork(self, descriptor: int, codes: int, level: int) -> None:
-        """Fork a process for the pipe `descriptor`; how it ends will be said at `codes`."""
+        """Fork a process for the pipe `descriptor`; its exit code will be sent to `codes`."""
         sentinel, held_by_it = os.pipe()
         telling: Connection[object, object] = Connection(codes, readable=False)
 
         def work() -> int:
-            self._forget_forks()
+            self._requests.close()
+            for other, (_, channel) in self._forks.items():
+                os.close(other)
+                channel.close()
             os.close(sentinel)
             telling.close()
             importlib.import_module("atoll.tasks.process").main(descriptor, level, version())
@@ -404,7 +413,7 @@ class _Server:
 
         try:
             pid = Forked(work).pid
-        except Exception:  # the system starts no more processes: the end of the pipe tells the worker
+        except Exception:  # the system starts no more processes: the worker notices the closed pipe
             os.close(sentinel)
             telling.close()
         else:
@@ -413,15 +422,7 @@ class _Server:
         os.close(held_by_it)
         os.close(descriptor)
 
-    def _forget_forks(self) -> None:
-        """Close, in a fork, what is the server's."""
-        self._requests.close()
-        for sentinel, (_, telling) in self._forks.items():
-            os.close(sentinel)
-            telling.close()
-
-    def _see_off(self, sentinel: int) -> None:
-        """Tell the worker how its process ended."""
+    def _send_exit_code(self, sentinel: int) -> None:
         pid, telling = self._forks.pop(sentinel)
         self._poll.unregister(sentinel)
         os.close(sentinel)
@@ -431,6 +432,6 @@ class _Server:
 
 
 def _load(function: str) -> None:
-    with contextlib.suppress(Exception):  # whoever runs the task meets it, and says it
+    with contextlib.suppress(Exception):  # the process that runs the task will report the error
         importlib.import_module("atoll.tasks.functions").FUNCTIONS[function].load()
-    gc.freeze()  # what is loaded is shared by all processes, as long as the search for garbage does not write to it
+    gc.freeze()  # all forks share this memory as long as the garbage collector does not write to it

@@ -18,7 +18,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
 from atoll_core.wire.bus.interface import Event
 from atoll_core.wire.messages.epochs import EpochReport
-from atoll_island_worker.session.interface import Computed
+from atoll_island_worker.session.interface import EpochComputed
 from atoll_island_worker.worker import Worker
 from tests.simulation.bus.participant import SimulatedBus
 from tests.simulation.harness.fault_schedule import Schedule, job_config
@@ -169,7 +169,7 @@ class Participants(Programs):
         process, post = self._processes, bus.post
 
         def witnessed(item: object) -> None:
-            if isinstance(item, Computed):
+            if isinstance(item, EpochComputed):
                 key = item.key
                 made = self.made.setdefault((key.job, key.variable, key.term, key.island, key.epoch), [])
                 made.append(process)

@@ -19,8 +19,8 @@ from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 from atoll_island_worker.compute.compute_thread import WarmedUp, WarmUpNote
-from atoll_island_worker.compute.run_queue import RunQueue, Work
-from atoll_island_worker.session.interface import Computed, JobReady, ShardKey, Task, TaskKey
+from atoll_island_worker.compute.run_queue import RunningEpoch, RunQueue
+from atoll_island_worker.session.interface import EpochComputed, EpochTask, JobReady, ShardKey, TaskKey
 from tests.simulation.bus.network import SimulatedNetwork
 
 OURS = source_digest(WORKER)
@@ -90,7 +90,7 @@ def hits_of(config: JobConfig, variable: str) -> frozenset[Position]:
 class StubWork:
     """One island's epoch under way."""
 
-    def __init__(self, task: Task, island: StubIsland, config: JobConfig, spend: Callable[[], None]) -> None:
+    def __init__(self, task: EpochTask, island: StubIsland, config: JobConfig, spend: Callable[[], None]) -> None:
         self.generation = 0
         self._spend = spend
         self._task = task
@@ -119,7 +119,7 @@ class StubWork:
             self._hit = HitStatement(generation=self.generation, error=1e-12)
         return self._hit is not None or self.generation >= order.generations
 
-    def computed(self) -> Computed:
+    def computed(self) -> EpochComputed:
         key, state = self._task.key, self._island.state
         report = IslandReport(
             island=key.island,
@@ -132,9 +132,9 @@ class StubWork:
             digest=state.hex(),
         )
         if self._hit is not None or self.generation < self._task.commit_order.generations or self._task.is_last:
-            return Computed(key, report, {}, frozenset())
+            return EpochComputed(key, report, {}, frozenset())
         shuffle = Shuffle.of(self._config, key.variable, key.epoch)
-        return Computed(key, report, shuffle.blocks_from(key.island, state), shuffle.senders_to(key.island))
+        return EpochComputed(key, report, shuffle.blocks_from(key.island, state), shuffle.senders_to(key.island))
 
 
 @dataclass
@@ -197,7 +197,7 @@ class StubCompute:
         self._jobs[job] = config
         self._later(0.01, JobReady(job))
 
-    def run(self, task: Task) -> None:
+    def run(self, task: EpochTask) -> None:
         self._say_all(self._queue.add(task))
         self._go_on()
 
@@ -224,7 +224,7 @@ class StubCompute:
         self._is_held = False
         self._go_on()
 
-    def begin(self, task: Task) -> Work:
+    def begin(self, task: EpochTask) -> RunningEpoch:
         """Begin an island's epoch."""
         key = task.key
         if (key.job, key.variable, key.epoch) == self.poisonous and self.kill is not None:

@@ -160,8 +160,8 @@ def ask(options: argparse.Namespace, *questions: "Question", name: str | None = 
 
 
 def analyse(options: argparse.Namespace) -> int:
-    """Analyse the model of ``options.result``."""
-    from atoll.tasks.analyses import Analyse, Form, Profile, Question
+    """AnalyseDynamics the model of ``options.result``."""
+    from atoll.tasks.analyses import AnalyseDynamics, Form, Profile, Question
 
     if (options.parameter is None) != (options.range is None):
         present, missing = ("--parameter", "--range A:B") if options.parameter else ("--range", "--parameter c1")
@@ -171,7 +171,7 @@ def analyse(options: argparse.Namespace) -> int:
     if options.data is not None and not options.identifiability:
         raise UsageError("--data was given without --identifiability, which alone uses it; give both")
     form: Form = "json" if options.json else "text"
-    questions: list[Question] = [Analyse(box=bounds, inputs=held, vary=vary, form=form)]
+    questions: list[Question] = [AnalyseDynamics(box=bounds, inputs=held, vary=vary, form=form)]
     if options.identifiability:
         questions.append(Profile(form=form))
     texts = [answered.text for answered in ask(options, *questions)]

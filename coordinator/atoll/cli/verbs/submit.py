@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, cast
 
 from atoll.cli.exit_codes import DONE, FAILED, INTERRUPTED, finish
-from atoll.cli.request import CONNECT_LIMIT_S, Request, address_of, request_of
+from atoll.cli.request import CONNECT_LIMIT_S, JobRequest, address_of, request_of
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower
@@ -301,7 +301,7 @@ def _say_what_it_waits_for(view: JobView, client: Client, hint: str) -> None:
         note(f"job {view.job} {view.state}; {waits}")
 
 
-def _deliver(request: Request, result: "Result", folder: Path | None, *, has_report: bool) -> None:
+def _deliver(request: JobRequest, result: "Result", folder: Path | None, *, has_report: bool) -> None:
     """Print a result, and write it and its page into a folder if one was named."""
     if folder is not None:
         note(f"result in {write_result(folder, result)}")

@@ -14,7 +14,7 @@ from atoll_core.data.table import Table
 from atoll_core.errors import AtollError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import Addition, EpochReport, IslandReport, SliceCounters
-from atoll_island_worker.session.interface import Computed, JobReady, Snapshot, Task, TaskKey
+from atoll_island_worker.session.interface import EpochComputed, EpochTask, JobReady, Snapshot, TaskKey
 from benchmarks.harness.accounts import status
 from benchmarks.operations import big_data as bigdata
 from benchmarks.operations import scale, scaling
@@ -85,19 +85,19 @@ def test_an_island_that_pretends_takes_its_time_and_sends_what_is_expected(sampl
     compute.load("j", PRESETS["default"], b"")
     order = CommitOrder(generations=10, stride=10, joining=8)
     key = TaskKey("j", "x", 1, 2, 1)
-    compute.run(Task(key, {}, False, order, takes_snapshot=True))
+    compute.run(EpochTask(key, {}, False, order, takes_snapshot=True))
     end = time.monotonic() + 30.0
-    while not isinstance(said[-1], Computed):
+    while not isinstance(said[-1], EpochComputed):
         assert time.monotonic() < end
         time.sleep(0.005)
     assert JobReady("j") in said
     (snapshot,) = [event for event in said if isinstance(event, Snapshot)]
     assert len(snapshot.data) == 5000
     computed = said[-1]
-    assert isinstance(computed, Computed)
+    assert isinstance(computed, EpochComputed)
     assert computed.senders == frozenset(range(8)) - {2}
     assert sum(map(len, computed.emigrants.values())) == 64 * 600
-    compute.run(Task(replace(key, epoch=2), {}, False, order))
+    compute.run(EpochTask(replace(key, epoch=2), {}, False, order))
     counts = books.take()
     assert (counts.epochs, len(counts.waits)) == (1, 1)
 
@@ -108,7 +108,7 @@ def test_an_island_that_is_held_gives_its_state_and_nothing_else(samples: Sample
     compute.attach(said.append)
     compute.load("j", PRESETS["default"], b"")
     order = CommitOrder(generations=10, stride=10, joining=8)
-    compute.run(Task(TaskKey("j", "x", 1, 2, 1), {}, False, order, takes_snapshot=True, is_at_barrier=True))
+    compute.run(EpochTask(TaskKey("j", "x", 1, 2, 1), {}, False, order, takes_snapshot=True, is_at_barrier=True))
     time.sleep(0.05)
     assert isinstance(said[-1], Snapshot)
     assert said[-1].is_at_barrier

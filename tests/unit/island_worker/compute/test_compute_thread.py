@@ -20,11 +20,11 @@ from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThr
 from atoll_island_worker.session.interface import (
     Abandoned,
     Broken,
-    Computed,
+    EpochComputed,
+    EpochTask,
     JobReady,
     LoadFailed,
     Rejected,
-    Task,
     TaskKey,
 )
 
@@ -109,15 +109,15 @@ def key(island: int, epoch: int = 0, term: int = 1) -> TaskKey:
     return TaskKey("job", "x", term, island, epoch)
 
 
-def task(of: TaskKey, blocks: Mapping[int, bytes] | None = None, is_last: bool = False) -> Task:
-    return Task(of, blocks, is_last, commit_order=COMMIT_ORDER)
+def task(of: TaskKey, blocks: Mapping[int, bytes] | None = None, is_last: bool = False) -> EpochTask:
+    return EpochTask(of, blocks, is_last, commit_order=COMMIT_ORDER)
 
 
 def test_an_epoch_is_computed_and_reported(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     before = compute.progress
     compute.run(task(key(0)))
     result = results.get(timeout=LIMIT_S)
-    assert isinstance(result, Computed)
+    assert isinstance(result, EpochComputed)
     assert (result.key, result.emigrants, result.senders) == (key(0), {0: b"own", 1: b"other"}, frozenset({1, 2}))
     assert result.report.counters == (SliceCounters(generation=100, evaluations={"offspring": 10}),)
     assert compute.progress > before
@@ -128,7 +128,7 @@ def test_the_next_epoch_begins_with_the_immigrants(compute: ComputeThread, resul
     results.get(timeout=LIMIT_S)
     compute.run(task(key(0, 1), {1: b"one"}, is_last=True))
     result = results.get(timeout=LIMIT_S)
-    assert isinstance(result, Computed)
+    assert isinstance(result, EpochComputed)
     assert result.report.counters[-1].evaluations == {"offspring": 20}
     assert result.emigrants == {}
 
@@ -147,7 +147,7 @@ def test_what_breaks_is_said_and_the_thread_goes_on(compute: ComputeThread, resu
     assert "island 8 of x broke in epoch 0" in result.sentence
     assert "no such epoch" in result.sentence
     compute.run(task(key(0)))
-    assert isinstance(results.get(timeout=LIMIT_S), Computed)
+    assert isinstance(results.get(timeout=LIMIT_S), EpochComputed)
 
 
 def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, results: "queue.Queue[object]") -> None:
@@ -155,7 +155,7 @@ def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, re
     compute.discard(key(7).shard)
     compute.run(task(key(0, term=2)))
     result = results.get(timeout=LIMIT_S)
-    assert isinstance(result, Computed)
+    assert isinstance(result, EpochComputed)
     assert result.key == key(0, term=2)
 
 
@@ -165,7 +165,7 @@ def test_an_island_stops_where_the_target_was_met(compute: ComputeThread, result
     compute.stop_at(key(7).shard, Position(0, 500, 7), COMMIT_ORDER)
     FakeIsland.may_go_on.set()
     result = results.get(timeout=LIMIT_S)
-    assert isinstance(result, Computed)
+    assert isinstance(result, EpochComputed)
     assert (result.report.generations, result.emigrants) == (500, {})
     compute.run(task(key(0, 1), {1: b"one"}))
     assert results.get(timeout=LIMIT_S) == Abandoned(key(0, 1))

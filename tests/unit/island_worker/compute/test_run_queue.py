@@ -11,12 +11,12 @@ from atoll_island_worker.compute.run_queue import RunQueue
 from atoll_island_worker.session.interface import (
     Abandoned,
     Broken,
-    Computed,
+    EpochComputed,
+    EpochTask,
     Outcome,
     Rejected,
     ShardKey,
     Snapshot,
-    Task,
     TaskKey,
 )
 
@@ -38,7 +38,7 @@ class Bench:
     slices: list[tuple[str, str, int, int, int]] = field(default_factory=list)
     now: float = 0.0
 
-    def begin(self, task: Task) -> "Fake":
+    def begin(self, task: EpochTask) -> "Fake":
         if task.key.island == 7:
             raise RemoteProtocolError("malformed")
         return Fake(self, task)
@@ -47,7 +47,7 @@ class Bench:
 @dataclass
 class Fake:
     bench: Bench
-    task: Task
+    task: EpochTask
     generation: int = 0
     hit: HitStatement | None = None
 
@@ -66,7 +66,7 @@ class Fake:
             self.hit = HitStatement(generation=self.generation, error=0.0)
         return self.hit is not None or self.generation == LAST
 
-    def computed(self) -> Computed:
+    def computed(self) -> EpochComputed:
         report = IslandReport(
             island=self.task.key.island,
             generations=self.generation,
@@ -76,13 +76,13 @@ class Fake:
             best_error=None,
             digest="ab" * 16,
         )
-        return Computed(self.task.key, report, {}, frozenset())
+        return EpochComputed(self.task.key, report, {}, frozenset())
 
 
 def queue_of(bench: Bench, *keys: TaskKey) -> RunQueue:
     queue = RunQueue(bench.begin, lambda: bench.now)
     for task_key in keys:
-        assert queue.add(Task(task_key, None, is_last=False, commit_order=COMMIT_ORDER)) == []
+        assert queue.add(EpochTask(task_key, None, is_last=False, commit_order=COMMIT_ORDER)) == []
     return queue
 
 
@@ -97,9 +97,9 @@ def reached(outcomes: list[Outcome]) -> dict[tuple[int, int], int | None]:
     """Return by (epoch, island) the generation reported; None where the task was given up."""
     generations: dict[tuple[int, int], int | None] = {}
     for outcome in outcomes:
-        assert isinstance(outcome, Computed | Abandoned)
+        assert isinstance(outcome, EpochComputed | Abandoned)
         generations[outcome.key.epoch, outcome.key.island] = (
-            outcome.report.generations if isinstance(outcome, Computed) else None
+            outcome.report.generations if isinstance(outcome, EpochComputed) else None
         )
     return generations
 
@@ -120,7 +120,9 @@ def test_in_the_first_epoch_a_group_of_islands_comes_after_the_one_before_it() -
     bench = Bench(takes={"job": 0.0}, hits={(0, 20, 3)})
     queue = RunQueue(bench.begin, lambda: bench.now)
     for island in range(5):
-        queue.add(Task(key(island), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"joining": 2})))
+        queue.add(
+            EpochTask(key(island), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"joining": 2}))
+        )
     assert reached(emptied(queue)) == {(0, 0): 50, (0, 1): 50, (0, 2): 20, (0, 3): 20, (0, 4): None}
     assert [island for *_, island in bench.slices] == [0, 1] * 5 + [2, 3] * 2
 
@@ -156,7 +158,7 @@ def test_a_job_that_comes_later_does_not_make_up_for_what_the_others_had() -> No
     queue = queue_of(bench, key(0, job="a"))
     for _ in range(3):
         queue.turn()
-    queue.add(Task(key(0, job="b"), None, is_last=False, commit_order=COMMIT_ORDER))
+    queue.add(EpochTask(key(0, job="b"), None, is_last=False, commit_order=COMMIT_ORDER))
     for _ in range(4):
         queue.turn()
     assert [job for job, *_ in bench.slices[3:]] == ["b", "a", "b", "a"]
@@ -204,7 +206,7 @@ def test_a_task_that_comes_when_it_is_not_needed_is_given_up() -> None:
     queue = queue_of(Bench())
     queue.stop_at(SHARD, Position(1, 10, 3), COMMIT_ORDER)
     for late in (key(0, epoch=2), key(4, epoch=1)):
-        assert queue.add(Task(late, {}, is_last=False, commit_order=COMMIT_ORDER)) == [Abandoned(late)]
+        assert queue.add(EpochTask(late, {}, is_last=False, commit_order=COMMIT_ORDER)) == [Abandoned(late)]
     assert queue.is_idle
 
 
@@ -222,21 +224,21 @@ def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
     queue.discard(SHARD)
     emptied(queue)
     assert {variable for _, variable, *_ in bench.slices} == {"y"}
-    queue.add(Task(key(0), None, is_last=False, commit_order=COMMIT_ORDER))
+    queue.add(EpochTask(key(0), None, is_last=False, commit_order=COMMIT_ORDER))
     assert reached(emptied(queue)) == {(0, 0): 50}
 
 
 @pytest.mark.parametrize(("island", "kind"), [(6, Broken), (7, Rejected)])
 def test_what_goes_wrong_ends_its_task_alone(island: int, kind: type) -> None:
     outcomes = emptied(queue_of(Bench(), key(island), key(0)))
-    assert [type(outcome) for outcome in outcomes] == [kind, Computed]
+    assert [type(outcome) for outcome in outcomes] == [kind, EpochComputed]
 
 
 def test_a_slice_may_take_several_turns() -> None:
     """With slices of 20 generations an island that is stopped goes on to the end of the slice that is needed."""
     bench = Bench()
     queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(Task(key(0), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"stride": 20})))
+    queue.add(EpochTask(key(0), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"stride": 20})))
     queue.turn()
     queue.stop_at(SHARD, Position(0, 40, 1), COMMIT_ORDER)
     assert reached(emptied(queue)) == {(0, 0): 40}
@@ -245,17 +247,19 @@ def test_a_slice_may_take_several_turns() -> None:
 def test_a_snapshot_is_taken_before_the_first_slice_and_once() -> None:
     bench = Bench()
     queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(Task(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True))
+    queue.add(EpochTask(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True))
     assert queue.turn() == [Snapshot(key(0, 4), b"state", is_at_barrier=False)]
     (outcome,) = emptied(queue)
-    assert isinstance(outcome, Computed)
+    assert isinstance(outcome, EpochComputed)
     assert len(bench.slices) == 5
 
 
 def test_of_a_held_epoch_there_is_nothing_but_its_snapshot() -> None:
     bench = Bench()
     queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(Task(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_at_barrier=True))
+    queue.add(
+        EpochTask(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_at_barrier=True)
+    )
     assert emptied(queue) == [Snapshot(key(0, 4), b"state", is_at_barrier=True)]
     assert bench.slices == []
 
@@ -263,7 +267,9 @@ def test_of_a_held_epoch_there_is_nothing_but_its_snapshot() -> None:
 def test_a_held_epoch_whose_immigrants_are_malformed_is_refused() -> None:
     bench = Bench()
     queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(Task(key(7, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_at_barrier=True))
+    queue.add(
+        EpochTask(key(7, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_at_barrier=True)
+    )
     assert emptied(queue) == [Rejected(key(7, 4), "malformed")]
 
 
@@ -318,4 +324,4 @@ def test_a_user_whose_last_job_is_discarded_is_forgotten_but_for_the_time_spent(
 
 def add_all(queue: RunQueue, *keys: TaskKey) -> None:
     for task_key in keys:
-        assert queue.add(Task(task_key, None, is_last=False, commit_order=COMMIT_ORDER)) == []
+        assert queue.add(EpochTask(task_key, None, is_last=False, commit_order=COMMIT_ORDER)) == []

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from atoll_island_worker.processes import supervisor as restart_policy
-from atoll_island_worker.processes.supervisor import ExitReasons, start_process, supervise, worst
+from atoll_island_worker import processes as restart_policy
+from atoll_island_worker.processes import ExitReasons, start_process, supervise, worst
 from tests.programs import all_gone, is_gone, until
 
 LIMIT_S = 30.0
@@ -19,8 +19,8 @@ LIMIT_S = 30.0
 SUPERVISOR = """
 import sys
 from functools import partial
-from atoll_island_worker.processes import supervisor as supervision
-from atoll_island_worker.processes.supervisor import ExitReasons
+from atoll_island_worker import processes as supervision
+from atoll_island_worker.processes import ExitReasons
 supervision._STOP_LIMIT_S = float(sys.argv[1])
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
 with ExitReasons() as exit_reasons:
@@ -30,11 +30,11 @@ with ExitReasons() as exit_reasons:
 FORKING_SUPERVISOR = """
 import sys
 from functools import partial
-from atoll_island_worker.processes import supervisor as supervision
-from atoll_island_worker.processes.fork_server import Forked
-from atoll_island_worker.processes.supervisor import ExitReasons
+from atoll_island_worker import processes as supervision
+from atoll_island_worker.processes import Forked
+from atoll_island_worker.processes import ExitReasons
 from atoll_core.main_program import exit_code_of
-from atoll_island_worker.processes.supervisor import complain
+from atoll_island_worker.processes import complain
 supervision._STOP_LIMIT_S = float(sys.argv[1])
 code = compile(sys.argv[2], "child", "exec")
 grace_s = 30.0 if "0.5" in sys.argv[2] else 0.0
@@ -45,7 +45,7 @@ with ExitReasons() as exit_reasons:
 OBEDIENT = r"""
 import os, signal
 from atoll_core.signals import exiting
-from atoll_island_worker.processes.fork_server import end_with_parent
+from atoll_island_worker.processes import end_with_parent
 with exiting():
     end_with_parent(os.getppid())
     os.write(1, b"%d\n" % os.getpid())
@@ -199,10 +199,10 @@ def test_a_fork_ends_with_the_code_of_its_work_and_never_returns() -> None:
     script = """
 import os, sys
 from functools import partial
-from atoll_island_worker.processes import supervisor as restart_policy
-from atoll_island_worker.processes.fork_server import Forked
-from atoll_island_worker.processes.supervisor import ExitReasons
-from atoll_island_worker.processes.supervisor import supervise
+from atoll_island_worker import processes as restart_policy
+from atoll_island_worker.processes import Forked
+from atoll_island_worker.processes import ExitReasons
+from atoll_island_worker.processes import supervise
 restart_policy.MOST_DEATHS = 1
 def broken():
     raise ValueError("no such thing")

@@ -28,9 +28,9 @@ from atoll_island_worker.session.interface import (
     Abandoned,
     AskPeer,
     Broken,
-    Computed,
     Discard,
     DiscardJob,
+    EpochComputed,
     FetchJob,
     FetchPlacements,
     FetchStates,
@@ -95,12 +95,12 @@ def report(island: int, hit: int | None = None, generations: int = 100) -> Islan
     )
 
 
-def computed(task: TaskKey, emigrants: dict[int, bytes], *senders: int, hit: int | None = None) -> Computed:
-    return Computed(task, report(task.island, hit), emigrants, frozenset(senders))
+def computed(task: TaskKey, emigrants: dict[int, bytes], *senders: int, hit: int | None = None) -> EpochComputed:
+    return EpochComputed(task, report(task.island, hit), emigrants, frozenset(senders))
 
 
-def stopped(task: TaskKey, generations: int) -> Computed:
-    return Computed(task, report(task.island, generations=generations), {}, frozenset())
+def stopped(task: TaskKey, generations: int) -> EpochComputed:
+    return EpochComputed(task, report(task.island, generations=generations), {}, frozenset())
 
 
 def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str = "peer") -> Mailed:
@@ -395,7 +395,7 @@ def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     addition = Addition(complexity=1, error=0.1, mse=0.1, generation=1, program=b"")
     for epoch in range(3):
         full = report(0).model_copy(update={"additions": (addition,)})
-        session.handle(Computed(key(0, epoch), full, {0: b"own"}, frozenset()))
+        session.handle(EpochComputed(key(0, epoch), full, {0: b"own"}, frozenset()))
     (answer,) = session.handle(PullAsked("h", PullReports(job="job", variable="x", term=1, first=1, last=3)))
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from atoll.tasks.functions import FUNCTIONS, Function
+from atoll.tasks.functions import FUNCTIONS, TaskHandler
 from atoll.tasks.team import Team
 from atoll_coordinator.model.batches import FUNCTIONS as BATCHES
 from atoll_core.logs import fields
@@ -111,15 +111,15 @@ def _load() -> None:
     logging.getLogger("of.a.task").warning("it is loaded")
 
 
-def _function(function: Callable[..., bytes], load: Callable[[], None] = lambda: None) -> Function:
+def _function(function: Callable[..., bytes], load: Callable[[], None] = lambda: None) -> TaskHandler:
     def call(inputs: Sequence[bytes], seconds: float | None, team: object) -> bytes:
         return function(*inputs)
 
-    return Function(load, lambda: None, call)
+    return TaskHandler(load, lambda: None, call)
 
 
 for _made in (pid, echo, die, leave, leave_in_order, sleep, spin, log, fail, starve):
     FUNCTIONS[_made.__name__] = _function(_made)  # type: ignore[index]
-FUNCTIONS["shared"] = Function(lambda: None, lambda: None, shared)  # type: ignore[index]
+FUNCTIONS["shared"] = TaskHandler(lambda: None, lambda: None, shared)  # type: ignore[index]
 FUNCTIONS["loaded"] = _function(loaded)  # type: ignore[index]
 FUNCTIONS["to load"] = _function(loaded, _load)  # type: ignore[index]

@@ -13,7 +13,7 @@ import signal
 import sys
 
 from atoll_core.task_frames import Ended, Failed, Finished, Run, Said
-from atoll_island_worker.processes.fork_server import Forked
+from atoll_island_worker.processes import Forked
 from atoll_island_worker.tasks import task_process
 from atoll_island_worker.tasks.task_process import TaskServer
 

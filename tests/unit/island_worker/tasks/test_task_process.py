@@ -248,7 +248,7 @@ def test_a_process_without_work_ends(worker: Worker) -> None:
 
 
 class Nowhere(Interpreters):
-    def start(self, connection: object) -> module.Process:
+    def start(self, connection: object) -> module.StartedProcess:
         raise AtollError("no process could be started for it: no room")
 
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import pytest
 
-from atoll.cli.adapt import Batch, BatchError
+from atoll.cli.adapt import BatchError, BatchJobs
 from atoll.cli.doctor import check_coordinator
 from atoll.cli.main import main
 from atoll.cli.options import VERBS
@@ -107,7 +107,7 @@ class Terminal:
         return code, printed.out + printed.err
 
 
-def no_batch_system(_: Batch) -> str:
+def no_batch_system(_: BatchJobs) -> str:
     raise BatchError("there is no batch system")
 
 
@@ -117,8 +117,8 @@ def terminal(lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     monkeypatch.setattr("atoll.cli.doctor.check_address", lambda _: ())
     monkeypatch.setattr("atoll.cli.doctor.CHECKS", (check_coordinator,))
     monkeypatch.setattr("atoll_core.wire.bus.zenoh_bus.open_client", made.line)
-    monkeypatch.setattr(Batch, "jobs", lambda _: ())
-    monkeypatch.setattr(Batch, "submit", no_batch_system)
+    monkeypatch.setattr(BatchJobs, "jobs", lambda _: ())
+    monkeypatch.setattr(BatchJobs, "submit", no_batch_system)
     monkeypatch.setattr("time.sleep", lambda _: None)
     monkeypatch.chdir(tmp_path)
     return made

@@ -7,7 +7,17 @@ import pytest
 
 from atoll.experiments.designs import DesignRequest
 from atoll.model.model import Model
-from atoll.tasks.analyses import FUNCTIONS, Analyse, Profile, Question, Report, Suggest, analyse, answer, answered
+from atoll.tasks.analyses import (
+    FUNCTIONS,
+    AnalyseDynamics,
+    Profile,
+    Question,
+    Report,
+    Suggest,
+    analyse,
+    answer,
+    answered,
+)
 from atoll_coordinator.model.batches import FUNCTIONS as BATCHES
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.result.result import Result
@@ -36,7 +46,7 @@ class Helpers:
 @pytest.mark.parametrize(
     "question",
     [
-        Analyse(box={"x": (0.0, 4.0)}),
+        AnalyseDynamics(box={"x": (0.0, 4.0)}),
         Profile(form="json"),
         Suggest(request=DesignRequest({}, samples=9), form="json"),
         Report(pictures=True),
@@ -51,7 +61,7 @@ def test_a_worker_answers_as_a_saved_result_does(question: Question) -> None:
 
 
 def test_what_does_not_fit_the_result_is_refused_in_a_sentence() -> None:
-    question = encode_value(Analyse(box={"z": (0.0, 1.0)}))
+    question = encode_value(AnalyseDynamics(box={"z": (0.0, 1.0)}))
     with pytest.raises(RefusedError, match="there is no state 'z'"):
         answered(analyse("analyse", RESULT.to_json().encode(), question, None))
 

@@ -7,8 +7,8 @@ from multiprocessing import Pipe
 import pytest
 
 from atoll.tasks import functions
-from atoll.tasks.functions import FUNCTIONS, Function
-from atoll.tasks.process import TaskProcess, main
+from atoll.tasks.functions import FUNCTIONS, TaskHandler
+from atoll.tasks.process import TaskLoop, main
 from atoll_core.task_frames import OTHER_VERSION, Begun, Finished, Run
 
 
@@ -26,11 +26,11 @@ def test_the_time_of_a_task_begins_when_its_process_is_loaded(
 
     monkeypatch.setattr("logging.basicConfig", lambda **_: None)  # whose handlers would stay
     monkeypatch.setitem(
-        FUNCTIONS, "prepare", Function(lambda: happened.append("load"), lambda: happened.append("ready"), call)
+        FUNCTIONS, "prepare", TaskHandler(lambda: happened.append("load"), lambda: happened.append("ready"), call)
     )
     ours, theirs = Pipe()
     with ours, theirs:
-        TaskProcess(theirs, 30)._run(Run("t", "prepare", (), seconds))
+        TaskLoop(theirs, 30)._run(Run("t", "prepare", (), seconds))
         finished = ours.recv()
     assert isinstance(finished, Finished)
     assert (finished.result, finished.memory_bytes > 0) == (b"made", True)

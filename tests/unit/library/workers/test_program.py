@@ -9,7 +9,7 @@ import pytest
 
 from atoll.workers import program
 from atoll.workers.handle import Handle, MachineWorkers
-from atoll.workers.program import Program, ProgramOptions, ending
+from atoll.workers.program import ProgramOptions, WorkerProgram, ending
 from atoll_core.errors import AtollError
 from atoll_island_worker.cli import _parse
 from tests.programs import until
@@ -38,7 +38,7 @@ class Machines(Handle):
 def test_the_command_is_one_that_the_program_understands(monkeypatch: pytest.MonkeyPatch) -> None:
     commands: list[Sequence[str]] = []
     monkeypatch.setattr("subprocess.Popen", lambda command, **_: commands.append(command))
-    Program(OPTIONS, 4)
+    WorkerProgram(OPTIONS, 4)
     (command,) = commands
     assert list(command[:3]) == [sys.executable, "-m", "atoll_island_worker"]
     read = _parse(command[3:])
@@ -50,7 +50,7 @@ def test_the_command_is_one_that_the_program_understands(monkeypatch: pytest.Mon
 
 
 def test_the_end_of_a_program_is_seen() -> None:
-    made = Program(ProgramOptions("tcp/127.0.0.1:9", 0.0, 0.0), 1)
+    made = WorkerProgram(ProgramOptions("tcp/127.0.0.1:9", 0.0, 0.0), 1)
     until(lambda: made.exit_code() is not None)
     assert made.exit_code() == 3
     made.drain()
@@ -60,7 +60,7 @@ def test_a_program_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pyte
     mark = tmp_path / "mark"
     monkeypatch.setattr(program, "STOP_LIMIT_S", 0.05)
     monkeypatch.setattr(program, "worker_command", lambda *_, **__: [sys.executable, "-c", STUBBORN, str(mark)])
-    made = Program(ProgramOptions("tcp/127.0.0.1:9", 0.0, 0.0), 1)
+    made = WorkerProgram(ProgramOptions("tcp/127.0.0.1:9", 0.0, 0.0), 1)
     until(mark.exists)
     made.drain()
     assert made.exit_code() == -signal.SIGKILL

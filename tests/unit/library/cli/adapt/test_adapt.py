@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from atoll.cli import adapt as verb
-from atoll.cli.adapt import SYSTEMS, Adapting, Batch, BatchError, need_of, worker_command
-from atoll.cli.adapt_policy import AdaptPolicy, BatchJob, Limits, Need
+from atoll.cli.adapt import SYSTEMS, Adapting, BatchError, BatchJobs, need_of, worker_command
+from atoll.cli.adapt_policy import AdaptLimits, AdaptPolicy, BatchJob, Need
 from atoll.cli.main import main
 from atoll.cli.options import parse
 from atoll_core.errors import UnreachableError, UsageError
@@ -61,8 +61,8 @@ def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeBatch:
 
 
 @pytest.fixture
-def slurm(programs: FakeBatch) -> Batch:
-    return Batch(SYSTEMS["slurm"], "atoll-abc", ["island-worker", "--name", "a b"], 8, ["--partition=idle"])
+def slurm(programs: FakeBatch) -> BatchJobs:
+    return BatchJobs(SYSTEMS["slurm"], "atoll-abc", ["island-worker", "--name", "a b"], 8, ["--partition=idle"])
 
 
 def view(worker: str, islands: int = 0, state: WorkerState = "computing") -> WorkerView:
@@ -87,7 +87,7 @@ class FakeClient:
         return self._workers
 
 
-def test_a_submission_is_one_node_whose_shell_becomes_the_workers(slurm: Batch, programs: FakeBatch) -> None:
+def test_a_submission_is_one_node_whose_shell_becomes_the_workers(slurm: BatchJobs, programs: FakeBatch) -> None:
     programs.answer("sbatch", "42;cluster\n")
     assert slurm.submit() == "42"
     assert (programs.folder / "script").read_text() == "#!/bin/sh\nexec island-worker --name 'a b'\n"
@@ -96,14 +96,14 @@ def test_a_submission_is_one_node_whose_shell_becomes_the_workers(slurm: Batch, 
     assert {"--job-name=atoll-abc", "--nodes=1", "--ntasks=1", "--cpus-per-task=8", "--signal=B:TERM@60"} < set(called)
 
 
-def test_jobs_are_listed_with_what_they_come_to(slurm: Batch, programs: FakeBatch) -> None:
+def test_jobs_are_listed_with_what_they_come_to(slurm: BatchJobs, programs: FakeBatch) -> None:
     programs.answer("squeue", "7 RUNNING\n8 PENDING\n9 COMPLETING\n10 CONFIGURING\n")
     states = {job.id: job.state for job in slurm.jobs()}
     assert states == {"7": "running", "8": "pending", "9": "ending", "10": "pending"}
     assert {"--me", "--name=atoll-abc"} < set(programs.called())
 
 
-def test_what_waits_is_cancelled_and_what_runs_is_told_once(slurm: Batch, programs: FakeBatch) -> None:
+def test_what_waits_is_cancelled_and_what_runs_is_told_once(slurm: BatchJobs, programs: FakeBatch) -> None:
     slurm.take_back("7")
     assert programs.called() == ["scancel", "--state=PENDING", "7"]
     slurm.drain("8")
@@ -127,7 +127,7 @@ SUBMISSIONS = {
 def test_other_systems_are_submitted_to_by_their_own_words(system: str, programs: FakeBatch) -> None:
     program, answer, words = SUBMISSIONS[system]
     programs.answer(program, answer)
-    batch = Batch(SYSTEMS[system], "atoll-abc", ["island-worker", "--name", "a b"], 8, ["-q", "idle"])
+    batch = BatchJobs(SYSTEMS[system], "atoll-abc", ["island-worker", "--name", "a b"], 8, ["-q", "idle"])
     assert batch.submit() == "123"
     assert programs.called() == [program, *words]
     assert "exec island-worker --name 'a b') &\n" in (programs.folder / "script").read_text()
@@ -135,9 +135,9 @@ def test_other_systems_are_submitted_to_by_their_own_words(system: str, programs
 
 def test_the_users_parallel_environment_takes_the_place_of_ours(programs: FakeBatch) -> None:
     programs.answer("qsub", "7\n")
-    Batch(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 8, ["-pe", "openmp", "8"]).submit()
+    BatchJobs(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 8, ["-pe", "openmp", "8"]).submit()
     assert programs.called()[-3:] == ["-pe", "openmp", "8"]
-    Batch(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 1, []).submit()
+    BatchJobs(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 1, []).submit()
     assert "-pe" not in programs.called()
 
 
@@ -158,22 +158,22 @@ def test_other_systems_list_their_jobs(programs: FakeBatch) -> None:
     programs.answer("qstat", GRID)
     expected = {"7": "running", "8": "ending", "9": "pending"}
     for system, more in (("lsf", {}), ("sge", {"10": "failed"})):
-        batch = Batch(SYSTEMS[system], "atoll-abc", ["island-worker"], 1, [])
+        batch = BatchJobs(SYSTEMS[system], "atoll-abc", ["island-worker"], 1, [])
         assert {job.id: job.state for job in batch.jobs()} == expected | more
     programs.called()
     programs.answer("qselect", "7.server\n")
-    jobs = Batch(SYSTEMS["pbs"], "atoll-abc", ["island-worker"], 1, []).jobs()
+    jobs = BatchJobs(SYSTEMS["pbs"], "atoll-abc", ["island-worker"], 1, []).jobs()
     assert [(job.id, job.state) for job in jobs] == [("7", "ending")]
     asked = programs.called()
     assert [asked[place + 1] for place, word in enumerate(asked) if word == "-s"] == ["HQTW", "RSU", "E"]
     programs.answer("qstat", "error: commlib")
     with pytest.raises(BatchError, match="qstat -xml did not answer with XML"):
-        Batch(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 1, []).jobs()
+        BatchJobs(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 1, []).jobs()
 
 
 def test_a_system_that_has_no_jobs_may_say_so_as_a_failure(programs: FakeBatch) -> None:
     (programs.folder / "bjobs").write_text("#!/bin/sh\necho 'Job <atoll-abc> is not found' >&2; exit 255\n")
-    assert Batch(SYSTEMS["lsf"], "atoll-abc", ["island-worker"], 1, []).jobs() == []
+    assert BatchJobs(SYSTEMS["lsf"], "atoll-abc", ["island-worker"], 1, []).jobs() == []
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_a_system_that_has_no_jobs_may_say_so_as_a_failure(programs: FakeBatch) 
     ],
 )
 def test_jobs_of_other_systems_are_drained(system: str, drained: list[str], ends: str, programs: FakeBatch) -> None:
-    batch = Batch(SYSTEMS[system], "atoll-abc", ["island-worker"], 1, [])
+    batch = BatchJobs(SYSTEMS[system], "atoll-abc", ["island-worker"], 1, [])
     batch.drain("8")
     assert programs.called() == drained
     assert batch.how_to_end.endswith(ends)
@@ -206,7 +206,7 @@ def test_a_signal_to_every_process_of_a_job_tells_the_workers_once(signal_number
     assert job.returncode == 0
 
 
-def test_a_program_that_fails_is_quoted(slurm: Batch, programs: FakeBatch) -> None:
+def test_a_program_that_fails_is_quoted(slurm: BatchJobs, programs: FakeBatch) -> None:
     programs.answer("sbatch", "sbatch: error: invalid partition\n")
     programs.code(1)
     with pytest.raises(
@@ -219,13 +219,13 @@ def test_the_reason_of_grid_engine_is_quoted_and_not_only_its_last_word(programs
     said = 'Unable to run job: job rejected: the requested parallel environment "smp" does not exist\\nExiting.'
     (programs.folder / "qsub").write_text(f"#!/bin/sh\nprintf '{said}\\n' >&2; exit 1\n")
     with pytest.raises(BatchError, match=r'qsub failed \(Unable to run job: .* environment "smp" does not exist\);'):
-        Batch(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 8, []).submit()
+        BatchJobs(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 8, []).submit()
 
 
 def test_without_slurm_the_missing_program_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(UsageError, match="sbatch was not found; run adapt on a machine from which"):
-        Batch(SYSTEMS["slurm"], "atoll-abc", ["island-worker"], 1, [])
+        BatchJobs(SYSTEMS["slurm"], "atoll-abc", ["island-worker"], 1, [])
 
 
 @pytest.mark.parametrize(
@@ -316,7 +316,7 @@ class Looks:
         self.now = 0.0
         monkeypatch.setattr(verb.time, "monotonic", lambda: self.now)
         monkeypatch.setattr(verb, "connected", self._connected)
-        self._adapting = Adapting(destination("tcp/h:1"), slurm, AdaptPolicy(Limits(0, 9, 1, 50.0)), patience_s)  # type: ignore[arg-type]
+        self._adapting = Adapting(destination("tcp/h:1"), slurm, AdaptPolicy(AdaptLimits(0, 9, 1, 50.0)), patience_s)  # type: ignore[arg-type]
 
     @contextmanager
     def _connected(self, *_: object) -> Iterator[FakeClient]:

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 
 import pytest
 
-from atoll.cli.adapt_policy import MOST_FAILURES, AdaptPolicy, BatchJob, BatchState, Decision, Limits, Need
+from atoll.cli.adapt_policy import MOST_FAILURES, AdaptDecision, AdaptLimits, AdaptPolicy, BatchJob, BatchState, Need
 from atoll_core.errors import AtollError
 
-LIMITS = Limits(minimum=1, maximum=5, workers=4, idle_s=100.0)
+LIMITS = AdaptLimits(minimum=1, maximum=5, workers=4, idle_s=100.0)
 
 
 def need(workers: int, others: int = 0, islands: Mapping[str, int] | None = None) -> Need:
@@ -24,29 +24,29 @@ def batch(*states: BatchState) -> list[BatchJob]:
     [(0, 0, 1), (1, 0, 1), (4, 0, 1), (5, 0, 2), (20, 0, 5), (900, 0, 5), (20, 13, 2)],
 )
 def test_it_grows_at_once_within_its_bounds_by_what_others_do_not_do(workers: int, others: int, expected: int) -> None:
-    assert AdaptPolicy(LIMITS).decide(0.0, need(workers, others), []) == Decision(submit=expected)
+    assert AdaptPolicy(LIMITS).decide(0.0, need(workers, others), []) == AdaptDecision(submit=expected)
 
 
 def test_jobs_that_wait_count_and_those_that_end_do_not() -> None:
     policy = AdaptPolicy(LIMITS)
-    assert policy.decide(0.0, need(16), batch("pending", "running", "ending")) == Decision(submit=2)
+    assert policy.decide(0.0, need(16), batch("pending", "running", "ending")) == AdaptDecision(submit=2)
 
 
 def test_it_shrinks_when_fewer_have_been_enough_for_a_while() -> None:
     policy, jobs = AdaptPolicy(LIMITS), batch("running", "running", "running")
-    assert policy.decide(0.0, need(12), jobs) == Decision()
-    assert policy.decide(10.0, need(4), jobs) == Decision()
-    assert policy.decide(99.0, need(4), jobs) == Decision()
-    assert policy.decide(100.0, need(4), jobs) == Decision(drain=("0", "1")), "what was needed at 0 is long ago"
+    assert policy.decide(0.0, need(12), jobs) == AdaptDecision()
+    assert policy.decide(10.0, need(4), jobs) == AdaptDecision()
+    assert policy.decide(99.0, need(4), jobs) == AdaptDecision()
+    assert policy.decide(100.0, need(4), jobs) == AdaptDecision(drain=("0", "1")), "what was needed at 0 is long ago"
 
 
 def test_it_shrinks_to_the_most_that_was_needed_lately() -> None:
     policy, jobs = AdaptPolicy(LIMITS), batch("running", "running", "running", "running")
     policy.decide(0.0, need(16), jobs)
     policy.decide(60.0, need(8), jobs)
-    assert policy.decide(120.0, need(0), jobs) == Decision(drain=("0", "1"))
-    assert policy.decide(130.0, need(0), jobs) == Decision(), "who was told is not told again, and counts no more"
-    assert policy.decide(161.0, need(0), jobs) == Decision(drain=("2",))
+    assert policy.decide(120.0, need(0), jobs) == AdaptDecision(drain=("0", "1"))
+    assert policy.decide(130.0, need(0), jobs) == AdaptDecision(), "who was told is not told again, and counts no more"
+    assert policy.decide(161.0, need(0), jobs) == AdaptDecision(drain=("2",))
 
 
 def test_what_exceeds_the_maximum_ends_at_once() -> None:
@@ -54,11 +54,13 @@ def test_what_exceeds_the_maximum_ends_at_once() -> None:
 
 
 def test_those_end_first_that_cost_least() -> None:
-    policy = AdaptPolicy(Limits(0, 9, 4, 0.0))
+    policy = AdaptPolicy(AdaptLimits(0, 9, 4, 0.0))
     jobs = batch("running", "pending", "running", "pending", "running")
     islands = {"0": 3, "2": 0, "4": 3}
-    assert policy.decide(0.0, need(8, islands=islands), jobs) == Decision(take_back=("3", "1"), drain=("2",))
-    assert policy.decide(1.0, need(4, islands=islands), [jobs[0], jobs[4]]) == Decision(drain=("0",)), "the older one"
+    assert policy.decide(0.0, need(8, islands=islands), jobs) == AdaptDecision(take_back=("3", "1"), drain=("2",))
+    assert policy.decide(1.0, need(4, islands=islands), [jobs[0], jobs[4]]) == AdaptDecision(drain=("0",)), (
+        "the older one"
+    )
 
 
 def test_jobs_that_end_before_a_worker_has_joined_are_not_submitted_for_ever() -> None:
@@ -74,28 +76,28 @@ def test_a_job_in_error_is_cancelled_replaced_and_counts_as_a_failure() -> None:
     policy = AdaptPolicy(LIMITS)
     for number in range(MOST_FAILURES):
         in_error = [BatchJob(str(number), number, "failed")]
-        assert policy.decide(number, need(4), in_error) == Decision(submit=1, take_back=(str(number),))
-        assert policy.decide(number + 0.3, need(4), in_error) == Decision(submit=1), "it is cancelled once"
+        assert policy.decide(number, need(4), in_error) == AdaptDecision(submit=1, take_back=(str(number),))
+        assert policy.decide(number + 0.3, need(4), in_error) == AdaptDecision(submit=1), "it is cancelled once"
     with pytest.raises(AtollError, match="the last of them 2"):
         policy.decide(9.0, need(4), [])
 
 
 def test_a_job_that_began_before_it_could_be_cancelled_is_drained() -> None:
-    policy = AdaptPolicy(Limits(0, 5, 4, 0.0))
-    assert policy.decide(0.0, need(0), batch("pending")) == Decision(take_back=("0",))
-    assert policy.decide(1.0, need(0), batch("running")) == Decision(drain=("0",))
-    assert policy.decide(2.0, need(0), batch("running")) == Decision()
+    policy = AdaptPolicy(AdaptLimits(0, 5, 4, 0.0))
+    assert policy.decide(0.0, need(0), batch("pending")) == AdaptDecision(take_back=("0",))
+    assert policy.decide(1.0, need(0), batch("running")) == AdaptDecision(drain=("0",))
+    assert policy.decide(2.0, need(0), batch("running")) == AdaptDecision()
 
 
 def test_a_job_that_could_not_be_told_is_told_again() -> None:
-    policy = AdaptPolicy(Limits(0, 5, 4, 0.0))
+    policy = AdaptPolicy(AdaptLimits(0, 5, 4, 0.0))
     assert policy.decide(0.0, need(0), batch("running")).drain == ("0",)
     policy.forget("0")
     assert policy.decide(1.0, need(0), batch("running")).drain == ("0",)
 
 
 def test_one_that_has_joined_or_was_told_to_end_is_no_failure() -> None:
-    policy = AdaptPolicy(Limits(0, 5, 4, 0.0))
+    policy = AdaptPolicy(AdaptLimits(0, 5, 4, 0.0))
     for number in range(10):
         job = BatchJob(str(number), number, "running")
         policy.decide(number, need(4), [job])
@@ -108,7 +110,7 @@ def test_one_that_has_joined_or_was_told_to_end_is_no_failure() -> None:
 def test_the_bounds_hold_whatever_comes(seed: int) -> None:
     """A batch system that begins and ends jobs as it likes, and a queue that jumps: 500 looks."""
     draw = random.Random(seed)
-    limits = Limits(draw.randint(0, 3), draw.randint(3, 8), draw.randint(1, 8), 60.0)
+    limits = AdaptLimits(draw.randint(0, 3), draw.randint(3, 8), draw.randint(1, 8), 60.0)
     policy, jobs, number, told, drained = AdaptPolicy(limits), {}, 0, set(), set()
     for look in range(500):
         workers = draw.choice([0, 1, 5, 30, 100])

@@ -14,7 +14,7 @@ from atoll.cli import doctor
 from atoll.cli import doctor as doctor_machine
 from atoll.cli import doctor as doctor_network
 from atoll.cli import options as arguments
-from atoll.cli.doctor import Finding, as_text, as_tree, check_data, fine
+from atoll.cli.doctor import Diagnosis, as_text, as_tree, check_data, fine
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
@@ -39,7 +39,7 @@ def options(*words: str) -> Namespace:
     return arguments.parse(["doctor", *words])
 
 
-def grades(findings: Iterable[Finding]) -> list[str]:
+def grades(findings: Iterable[Diagnosis]) -> list[str]:
     return [finding.grade for finding in findings]
 
 
@@ -67,7 +67,7 @@ def test_problems_end_with_1_and_each_says_what_to_do(capsys: pytest.CaptureFixt
 
 
 def test_a_check_that_breaks_is_a_finding_and_the_others_are_made() -> None:
-    def check_moon(_: Namespace) -> list[Finding]:
+    def check_moon(_: Namespace) -> list[Diagnosis]:
         raise ZeroDivisionError("no moon")
 
     findings = doctor.examine(options(), [check_moon, lambda _: [fine("sun", "shines")]])
@@ -77,7 +77,7 @@ def test_a_check_that_breaks_is_a_finding_and_the_others_are_made() -> None:
 
 
 def test_text_and_json_say_the_same() -> None:
-    findings = [fine("a", "one\ntwo"), Finding("long", "warning", "three", "four")]
+    findings = [fine("a", "one\ntwo"), Diagnosis("long", "warning", "three", "four")]
     assert as_text(findings).splitlines() == [
         "ok       a     one",
         "               two",

@@ -11,7 +11,7 @@ import pytest
 
 from atoll.cli.main import main
 from atoll.cli.options import parse
-from atoll.cli.request import Request, request_of
+from atoll.cli.request import JobRequest, request_of
 from atoll.cli.result_files import refuse_existing_result, write_result
 from atoll.cli.verbs import submit as verb
 from atoll.cli.verbs.submit import next_step, program_of
@@ -43,12 +43,12 @@ def test_an_interrupted_submission_names_the_job(
 
 @pytest.mark.parametrize(("gone", "left"), [(1.0, 9.0), (4.0, 6.0), (9.0, 5.0)])
 def test_what_starting_took_counts_for_the_time_up_to_half_of_it(gone, left):
-    request = Request("job", "name", JobConfig(budget=BudgetConfig(max_time=10.0)), (Path("a.csv"),), json=False)
+    request = JobRequest("job", "name", JobConfig(budget=BudgetConfig(max_time=10.0)), (Path("a.csv"),), json=False)
     assert request.after(gone).config.budget.max_time == left
 
 
 def test_a_job_without_a_limit_stays_without_one():
-    request = Request("job", "name", JobConfig(), (Path("a.csv"),), json=False)
+    request = JobRequest("job", "name", JobConfig(), (Path("a.csv"),), json=False)
     assert request.after(3.0) is request
 
 
