@@ -21,8 +21,8 @@ _MAY: Final[dict[Role, str]] = {
 }
 
 _CHANGES: Final[dict[type, str]] = {
-    messages.Cancel: "cancel", messages.Delete: "delete", messages.Pause: "pause or resume", messages.SetPriority: "change the priority of", messages.Share: "share",
-    messages.Retry: "retry",
+    messages.Cancel: "cancel", messages.Delete: "delete", messages.Pause: "pause or resume",
+    messages.SetPriority: "change the priority of", messages.Share: "share", messages.Retry: "retry",
 }  # fmt: skip
 _OF_SERVICE: Final = (messages.SetWorker, messages.SetQueue)
 

@@ -15,6 +15,7 @@ from atoll_coordinator.service.store.jobs import MAX_COUNTED, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.wire.messages import clients as messages
+from atoll_core.wire.messages.clients import AnswerBody
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS, chunk_count
 from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
 
@@ -26,25 +27,6 @@ MAX_RESULT_BYTES: Final = 1024 * 1024
 """Bytes of results of an earlier version that one list may read to make views, which takes 10 ms."""
 
 _SHOWN: Final = 5
-
-Body = (
-    messages.Uploaded | messages.JobList | messages.JobFound | messages.JobStatus | messages.WorkerList | messages.QueueDepth | messages.Result | messages.IslandList | messages.TableChunk
-    | messages.AnalysisAnswer | messages.Deleted | messages.EventList | messages.Following | messages.Failure
-)  # fmt: skip
-Told = (
-    messages.Jobs
-    | messages.FindJob
-    | messages.Status
-    | messages.Workers
-    | messages.GetQueueDepth
-    | messages.GetResult
-    | messages.GetIslands
-    | messages.GetTable
-    | messages.GetEvents
-)
-Asked = (
-    messages.Upload | messages.Submit | messages.Analyse | messages.Cancel | messages.Delete | messages.Pause | messages.SetPriority | messages.Share | messages.Retry | messages.SetWorker | messages.SetQueue | Told
-)  # fmt: skip
 
 
 class ClientRequests:
@@ -66,7 +48,7 @@ class ClientRequests:
         self._coordinator = coordinator
         self._followers = followers
 
-    def answer(self, client: str, request: messages.Request) -> Body:
+    def answer(self, client: str, request: messages.Request) -> AnswerBody:
         """Return the answer to a request of `client`.
 
         Raises:
@@ -81,8 +63,6 @@ class ClientRequests:
             return messages.Failure(failure="refused", sentence=refusal)
         try:
             submitter, viewer = self._authorization.submitter(client), self._authorization.viewer(client)
-            if isinstance(request.body, messages.Follow):
-                return self._follow(client, request.body, viewer)
             return self._answer(client, request.body, submitter, viewer)
         except TableMissingError as error:
             return messages.Failure(failure="no-table", sentence=str(error))
@@ -94,17 +74,10 @@ class ClientRequests:
                 raise
             return messages.Failure(failure="internal", sentence=str(error)[:4000])
 
-    def _follow(
-        self, client: str, question: messages.Follow, viewer: Viewer | None
-    ) -> messages.Following | messages.Failure:
-        if self._followers is None:
-            return messages.Failure(
-                failure="refused", sentence="nothing can be followed here; ask for the status instead"
-            )
-        following = self._followers.follow(client, question, self._now(), viewer)
-        return following or _unknown(question.job or "of any name")
-
-    def _answer(self, client: str, body: Asked, submitter: str | None, viewer: Viewer | None) -> Body:
+    def _answer(  # noqa: C901  # a table: one case for each request
+        self, client: str, body: messages.RequestBody, submitter: str | None, viewer: Viewer | None
+    ) -> AnswerBody:
+        now = self._now()
         match body:
             case messages.Upload():
                 self._admission.admit_upload(body, submitter, client)
@@ -114,31 +87,56 @@ class ClientRequests:
             case messages.Retry():
                 return self._submit(client, self._controller.again(body.job, body.again), submitter, viewer)
             case messages.Cancel():
-                return self._cancel(body.job)
+                self._controller.cancel(body.job, now)
+                if body.job in self._controller.ending:  # the answer comes when the end is stored
+                    raise NotYetError(body.job, is_final=True, meanwhile=lambda: self._status(body.job))
             case messages.Delete():
                 self._deletion.delete(body.job, "a client asked for it")
                 return messages.Deleted(job=body.job)
             case messages.Pause() | messages.SetPriority() | messages.Share():
-                return self._change(body)
+                if self._controller.shown.view(body.job, now) is None:
+                    return _unknown(body.job)
+                if isinstance(body, messages.Pause):
+                    self._controller.pause(body.job, body.paused, now)
+                elif isinstance(body, messages.SetPriority):
+                    self._controller.set_priority(body.job, body.priority, now)
+                else:
+                    self._controller.share(body.job, body.shared)
+                    self.check_followers()
             case messages.Analyse():
                 return self._analyse(client, body, submitter, viewer)
             case messages.SetWorker():
-                self._controller.set_worker(body.worker, body.service, self._now())
+                self._controller.set_worker(body.worker, body.service, now)
                 return self._workers(messages.Workers(prefix=body.worker, limit=1), viewer)
             case messages.SetQueue():
-                self._controller.pause_queue(body.paused, self._now())
+                self._controller.pause_queue(body.paused, now)
                 return self._workers(messages.Workers(limit=1), viewer)
-            case _:
-                return self._tell(body, viewer)
+            case messages.Follow():
+                if self._followers is None:
+                    sentence = "nothing can be followed here; ask for the status instead"
+                    return messages.Failure(failure="refused", sentence=sentence)
+                return self._followers.follow(client, body, now, viewer) or _unknown(body.job or "of any name")
+            case messages.Jobs():
+                return self._page(body, viewer)
+            case messages.FindJob():
+                return self._find(body.prefix, viewer)
+            case messages.Workers():
+                return self._workers(body, viewer)
+            case messages.GetQueueDepth():
+                return self._controller.queue_depth()
+            case messages.GetResult():
+                return self._result(body.job)
+            case messages.GetIslands():
+                return self._islands(body.job)
+            case messages.GetTable():
+                return self._table(body.job, body.index)
+            case messages.GetEvents():
+                return self._events(body, viewer)
+            case messages.Status():
+                pass
+        return self._status(body.job)
 
-    def _cancel(self, job: str) -> Body:
-        """End a job; the answer comes when its end is stored."""
-        self._controller.cancel(job, self._now())
-        if job in self._controller.ending:
-            raise NotYetError(job, is_final=True, meanwhile=lambda: self._status(job))
-        return self._status(job)
-
-    def _submit(self, client: str, body: messages.Submit, submitter: str | None, viewer: Viewer | None) -> Body:
+    def _submit(self, client: str, body: messages.Submit, submitter: str | None, viewer: Viewer | None) -> AnswerBody:
         """Accept a job; refusals reveal nothing about other users' jobs and tables."""
         if (
             viewer is not None
@@ -154,7 +152,7 @@ class ClientRequests:
         self.uploads.end(body.table, submitter, client)
         return self._status(body.job)
 
-    def _analyse(self, client: str, body: messages.Analyse, user: str | None, viewer: Viewer | None) -> Body:
+    def _analyse(self, client: str, body: messages.Analyse, user: str | None, viewer: Viewer | None) -> AnswerBody:
         """Answer a question about the result of a job, or say what the answer waits for."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
@@ -173,47 +171,12 @@ class ClientRequests:
             data=asked.answer[first : first + CHUNK_SIZE],
         )  # fmt: skip
 
-    def _change(self, body: messages.Pause | messages.SetPriority | messages.Share) -> Body:
-        if self._controller.shown.view(body.job, self._now()) is None:
-            return _unknown(body.job)
-        match body:
-            case messages.Pause():
-                self._controller.pause(body.job, body.paused, self._now())
-            case messages.SetPriority():
-                self._controller.set_priority(body.job, body.priority, self._now())
-            case messages.Share():
-                self._controller.share(body.job, body.shared)
-                self.check_followers()
-        return self._status(body.job)
-
     def check_followers(self) -> None:
         """Stop notifying followers of jobs that they may no longer see."""
         if self._followers is not None:
             self._followers.keep(self._authorization.may_follow)
 
-    def _tell(self, body: Told, viewer: Viewer | None) -> Body:
-        """Answer a question that changes nothing."""
-        match body:
-            case messages.Jobs():
-                return self._page(body, viewer)
-            case messages.FindJob():
-                return self._find(body.prefix, viewer)
-            case messages.Status():
-                return self._status(body.job)
-            case messages.Workers():
-                return self._workers(body, viewer)
-            case messages.GetQueueDepth():
-                return self._controller.queue_depth()
-            case messages.GetResult():
-                return self._result(body.job)
-            case messages.GetIslands():
-                return self._islands(body.job)
-            case messages.GetTable():
-                return self._table(body.job, body.index)
-            case messages.GetEvents():
-                return self._events(body, viewer)
-
-    def _table(self, job: str, index: int) -> Body:
+    def _table(self, job: str, index: int) -> AnswerBody:
         record = self._store.job(job)
         if record is None:
             return _unknown(job)
@@ -225,7 +188,7 @@ class ClientRequests:
         data = self._store.get_chunk(record.table_digest, index)
         return messages.TableChunk(job=job, index=index, size=size, digest=record.table_digest, data=data)
 
-    def _islands(self, job: str) -> Body:
+    def _islands(self, job: str) -> AnswerBody:
         live = self._controller.jobs.get(job)
         if live is None:
             return (

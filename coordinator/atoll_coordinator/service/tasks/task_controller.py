@@ -195,8 +195,8 @@ class TaskController:
         return messages.TaskInput(digest=digest, size=size)
 
     def _add(
-        self, job: str, function: messages.TaskFunction, inputs: tuple[messages.TaskInput, ...], seconds: float | None, now: float,
-        config: JobConfig | None = None,
+        self, job: str, function: messages.TaskFunction, inputs: tuple[messages.TaskInput, ...],
+        seconds: float | None, now: float, config: JobConfig | None = None,
     ) -> None:  # fmt: skip
         """Add a task; the `config` of its job is needed for a sentence about an error."""
         task = Task(task_id(job, function, inputs), job, function, inputs, seconds, now)
