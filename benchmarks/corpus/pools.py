@@ -19,7 +19,7 @@ from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import LawsByGroup, Pools
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
-from atoll_coordinator.service.tasks.outcomes import RefiningFailed
+from atoll_coordinator.service.tasks.background import RefiningFailed
 from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_coordinator.tasks.preparing import Prepared
 from atoll_coordinator.tasks.refining import Searched

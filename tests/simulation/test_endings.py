@@ -119,14 +119,6 @@ def test_whoever_cancels_is_answered_when_that_lasts(world: Held) -> None:
     assert len(world.service._deferred) == 0
 
 
-def test_the_result_of_a_job_that_ends_is_waited_for(world: Held) -> None:
-    world.search()
-    world.is_held = True
-    world.client.cancel("job")
-    world.at(world.network.now + 1.0, world.release)
-    assert world.client.result("job")["state"] == "cancelled"
-
-
 def test_while_its_result_is_composed_a_job_is_neither_changed_nor_deleted(world: Held) -> None:
     world.search()
     world.is_held = True
@@ -164,23 +156,6 @@ def test_who_follows_is_told_of_the_end_once_it_lasts(world: Held) -> None:
         change = following.wait(1.0)
         assert change is not None
         states += [change.view.state] if change.view is not None else []
-
-
-def test_a_coordinator_that_is_killed_before_goes_on_with_the_job(world: Held) -> None:
-    world.search()
-    world.is_held = True
-    assert world.client.cancel("job").state == "running"
-    world.restart()
-    assert world.client.status("job").state == "running"
-    assert world.client.cancel_and_wait("job").state == "cancelled"
-    assert all(equation["expression"] for equation in world.result()["equations"])
-
-
-def test_who_waits_for_the_end_has_it_from_the_coordinator_after_that(world: Held) -> None:
-    world.search()
-    world.is_held = True
-    world.at(world.network.now + 4.0, world.restart)
-    assert world.client.cancel_and_wait("job").state == "cancelled"
 
 
 @pytest.mark.parametrize("is_killed", [False, True])

@@ -69,20 +69,8 @@ from atoll_coordinator.service.search.ending import Cut
 from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks import background
 from atoll_coordinator.service.tasks.analyses import Analysis
-from atoll_coordinator.service.tasks.background import (
-    Background,
-    CheckpointWritten,
-    JobPrepared,
-    JobRefined,
-    Outcome,
-    PreparationBegun,
-    PreparationFailed,
-    RefiningFailed,
-    ResultComposed,
-    ResultRead,
-    TableChecked,
-)
 from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.worker_controller import WorkerController
@@ -109,7 +97,7 @@ class JobController:
     """All live jobs, and the workers that compute them; `shown` has the views of live and ended jobs."""
 
     def __init__(
-        self, store: Store, channel: WorkerChannel, background: Background, post: Callable[[object], None],
+        self, store: Store, channel: WorkerChannel, background: background.Background, post: Callable[[object], None],
         clock: Callable[[], str], expected_workers: int = 1,
     ) -> None:  # fmt: skip
         """Set up the controller; no island is placed before the expected workers are ready.
@@ -368,7 +356,7 @@ class JobController:
             )
         self._change(job_id, "cancelling", now, Job.cancel)
 
-    def _start(self, job: Job, made: JobPrepared, now: float) -> Sequence[JobAction]:
+    def _start(self, job: Job, made: background.JobPrepared, now: float) -> Sequence[JobAction]:
         if job.state != "preparing":
             return ()
         actions = self._set_up(job, made.former, made.prepared, now)
@@ -448,27 +436,27 @@ class JobController:
 
     # ---------------------------------------------------------------------------------------- outcomes
 
-    def take_outcome(self, item: Outcome, now: float) -> None:
+    def take_outcome(self, item: background.Outcome, now: float) -> None:
         """Handle an outcome of background work or of a task. It never comes again, so that an error ends its job."""
         match item:
-            case TableChecked():
+            case background.TableChecked():
                 with self.guarded(item.job, "preparing a job", now):
                     self._prepare_checked(item, now)
-            case PreparationBegun():
+            case background.PreparationBegun():
                 self._change(item.job, "preparing a job", now, lambda job: job.start_clock(now))
-            case JobPrepared():
+            case background.JobPrepared():
                 self._change(item.job, "beginning the search", now, lambda job: self._start(job, item, now))
                 self._place(now)
-            case PreparationFailed():
+            case background.PreparationFailed():
                 self.fail_job(item.job, item.fault, item.sentence, now)
-            case JobRefined():
+            case background.JobRefined():
                 self._change(item.job, "ending", now, lambda job: job.finish(item.text))
-            case RefiningFailed():
+            case background.RefiningFailed():
                 self._change(item.job, "ending", now, lambda job: job.finish_unrefined(item.refinement))
-            case CheckpointWritten():
+            case background.CheckpointWritten():
                 self._commit_checkpoint(item, now)
 
-    def _prepare_checked(self, checked: TableChecked, now: float) -> None:
+    def _prepare_checked(self, checked: background.TableChecked, now: float) -> None:
         job = self.jobs.get(checked.job)
         if job is None or job.state != "preparing":  # it has ended in the meantime
             return
@@ -480,7 +468,7 @@ class JobController:
         self.tasks.prepare(job.id, job.table, self._store.blob_size(job.table), job.config, now)
         self.changed(job.id)
 
-    def _commit_checkpoint(self, written: CheckpointWritten, now: float) -> None:
+    def _commit_checkpoint(self, written: background.CheckpointWritten, now: float) -> None:
         """Publish the commit of a written checkpoint, and place archipelagos that waited for it."""
         checkpoint = written.checkpoint
         with self.guarded(checkpoint.job, "committing a checkpoint", now):
@@ -541,7 +529,7 @@ class JobController:
         with self.guarded(task.job if task is not None else "", "handling the result of a task", now, by_peer=True):
             self.tasks.add_report(worker, report, now)
 
-    def take_result(self, read: ResultRead, now: float) -> None:
+    def take_result(self, read: background.ResultRead, now: float) -> None:
         """Handle the result of a task; raises RemoteProtocolError when it was damaged on its way."""
         with self.guarded(read.result.job, "handling the result of a task", now, by_peer=True):
             self.tasks.take_result(read, now)
@@ -762,14 +750,14 @@ class JobController:
             self._composing.add(draft.job)
             self._background.compose_result(draft)
 
-    def finish_composing(self, composed: ResultComposed, now: float) -> str:
+    def finish_composing(self, composed: background.ResultComposed, now: float) -> str:
         """Return the composed result of a live job; raises the error of composing it."""
         self._composing.discard(composed.draft.job)
         if composed.error is not None:
             raise composed.error
         return timed(composed.text, now - composed.draft.submitted_at)
 
-    def finish_ending(self, composed: ResultComposed, now: float) -> None:
+    def finish_ending(self, composed: background.ResultComposed, now: float) -> None:
         """Let the end of a job take effect whose result is composed; without effect if another end came first."""
         job_id = composed.draft.job
         ending = self.ending.get(job_id)

@@ -237,33 +237,16 @@ class Follow(Frozen):
     sequence: Count = 0
 
 
+RequestBody = (
+    Upload | Submit | Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetIslands | GetTable
+    | Analyse | Cancel | Delete | GetEvents | Follow | Pause | SetPriority | Share | Retry | SetWorker | SetQueue
+)  # fmt: skip
+
+
 class Request(Frozen):
     """A request of a client."""
 
-    body: Annotated[
-        Upload
-        | Submit
-        | Jobs
-        | FindJob
-        | Status
-        | Workers
-        | GetQueueDepth
-        | GetResult
-        | GetIslands
-        | GetTable
-        | Analyse
-        | Cancel
-        | Delete
-        | GetEvents
-        | Follow
-        | Pause
-        | SetPriority
-        | Share
-        | Retry
-        | SetWorker
-        | SetQueue,
-        Field(discriminator="kind"),
-    ]
+    body: Annotated[RequestBody, Field(discriminator="kind")]
 
 
 class Uploaded(Frozen):
@@ -414,23 +397,13 @@ class Failure(Frozen):
     sentence: Sentence
 
 
+AnswerBody = (
+    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | IslandList | TableChunk
+    | AnalysisAnswer | Deleted | EventList | Following | Failure
+)  # fmt: skip
+
+
 class Answer(Frozen):
     """Answer to a client."""
 
-    body: Annotated[
-        Uploaded
-        | JobList
-        | JobFound
-        | JobStatus
-        | WorkerList
-        | QueueDepth
-        | Result
-        | IslandList
-        | TableChunk
-        | AnalysisAnswer
-        | Deleted
-        | EventList
-        | Following
-        | Failure,
-        Field(discriminator="kind"),
-    ]
+    body: Annotated[AnswerBody, Field(discriminator="kind")]

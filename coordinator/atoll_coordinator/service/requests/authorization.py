@@ -8,19 +8,7 @@ job is visible to its submitter and to admins, and to others only if it is share
 from typing import Final, Protocol
 
 from atoll_coordinator.service.store.jobs import Viewer
-from atoll_core.wire.messages.clients import (
-    Cancel,
-    Delete,
-    Follow,
-    Pause,
-    Request,
-    Retry,
-    SetPriority,
-    SetQueue,
-    SetWorker,
-    Share,
-    Submit,
-)
+from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.security.roles import Role, RoleBindings
 
@@ -33,10 +21,10 @@ _MAY: Final[dict[Role, str]] = {
 }
 
 _CHANGES: Final[dict[type, str]] = {
-    Cancel: "cancel", Delete: "delete", Pause: "pause or resume", SetPriority: "change the priority of", Share: "share",
-    Retry: "retry",
+    messages.Cancel: "cancel", messages.Delete: "delete", messages.Pause: "pause or resume",
+    messages.SetPriority: "change the priority of", messages.Share: "share", messages.Retry: "retry",
 }  # fmt: skip
-_OF_SERVICE: Final = (SetWorker, SetQueue)
+_OF_SERVICE: Final = (messages.SetWorker, messages.SetQueue)
 
 
 class Jobs(Protocol):
@@ -84,7 +72,7 @@ class Authorization:
             return self._revoked(name)
         return f"the coordinator's roster does not name {name!r} as a worker any more"
 
-    def refuse_request(self, client: str, request: Request) -> str | None:
+    def refuse_request(self, client: str, request: messages.Request) -> str | None:
         """Return why `client` may not ask this; None: it may. Check `hides` first, which keeps hidden jobs secret."""
         if self.role_bindings is None:
             return None
@@ -97,7 +85,10 @@ class Authorization:
             return None
         if isinstance(body, _OF_SERVICE):
             return "only an admin may do that to workers or to the queue"
-        if not isinstance(body, Cancel | Delete | Pause | SetPriority | Share | Retry):
+        if not isinstance(
+            body,
+            messages.Cancel | messages.Delete | messages.Pause | messages.SetPriority | messages.Share | messages.Retry,
+        ):
             return None
         owner = self._jobs.submitter(body.job)
         if owner is None:  # it has no submitter, and does not belong to all users therefore
@@ -107,10 +98,10 @@ class Authorization:
         may = f"only {owner} or an admin may {_CHANGES[type(body)]} it"
         return f"job {body.job} was submitted by {owner}; {may}"
 
-    def hides(self, client: str, request: Request) -> str | None:
+    def hides(self, client: str, request: messages.Request) -> str | None:
         """Return the id of the job in a request that `client` may not see; None: there is none."""
         viewer, job = self.viewer(client), getattr(request.body, "job", None)
-        if viewer is None or job is None or isinstance(request.body, Submit):
+        if viewer is None or job is None or isinstance(request.body, messages.Submit):
             return None
         return None if self._jobs.is_seen(job, viewer) else str(job)
 
@@ -122,7 +113,7 @@ class Authorization:
 
     def may_follow(self, client: str, job: str | None, viewer: Viewer | None) -> bool:
         """Return whether `client` may follow a job, or all events (None) that `viewer` sees."""
-        if self.refuse_request(client, Request(body=Follow(job=job))) is not None:
+        if self.refuse_request(client, messages.Request(body=messages.Follow(job=job))) is not None:
             return False
         own = self.viewer(client)
         return own == viewer if job is None else own is None or self._jobs.is_seen(job, own)

@@ -14,45 +14,8 @@ from atoll_coordinator.service.requests.waiting import NotYetError
 from atoll_coordinator.service.store.jobs import MAX_COUNTED, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
-from atoll_core.wire.messages.clients import (
-    Analyse,
-    AnalysisAnswer,
-    Cancel,
-    Delete,
-    Deleted,
-    EventList,
-    Failure,
-    FailureKind,
-    FindJob,
-    Follow,
-    Following,
-    GetEvents,
-    GetIslands,
-    GetQueueDepth,
-    GetResult,
-    GetTable,
-    IslandList,
-    JobFound,
-    JobList,
-    Jobs,
-    JobStatus,
-    Pause,
-    QueueDepth,
-    Request,
-    Result,
-    Retry,
-    SetPriority,
-    SetQueue,
-    SetWorker,
-    Share,
-    Status,
-    Submit,
-    TableChunk,
-    Upload,
-    Uploaded,
-    WorkerList,
-    Workers,
-)
+from atoll_core.wire.messages import clients as messages
+from atoll_core.wire.messages.clients import AnswerBody
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS, chunk_count
 from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
 
@@ -64,15 +27,6 @@ MAX_RESULT_BYTES: Final = 1024 * 1024
 """Bytes of results of an earlier version that one list may read to make views, which takes 10 ms."""
 
 _SHOWN: Final = 5
-
-Body = (
-    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | IslandList | TableChunk
-    | AnalysisAnswer | Deleted | EventList | Following | Failure
-)  # fmt: skip
-Told = Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetIslands | GetTable | GetEvents
-Asked = (
-    Upload | Submit | Analyse | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
-)  # fmt: skip
 
 
 class ClientRequests:
@@ -94,7 +48,7 @@ class ClientRequests:
         self._coordinator = coordinator
         self._followers = followers
 
-    def answer(self, client: str, request: Request) -> Body:
+    def answer(self, client: str, request: messages.Request) -> AnswerBody:
         """Return the answer to a request of `client`.
 
         Raises:
@@ -103,66 +57,86 @@ class ClientRequests:
         """
         hidden = self._authorization.hides(client, request)
         if hidden is not None:
-            return Deleted(job=hidden) if isinstance(request.body, Delete) else _unknown(hidden)
+            return messages.Deleted(job=hidden) if isinstance(request.body, messages.Delete) else _unknown(hidden)
         refusal = self._authorization.refuse_request(client, request)
         if refusal is not None:
-            return Failure(failure="refused", sentence=refusal)
+            return messages.Failure(failure="refused", sentence=refusal)
         try:
             submitter, viewer = self._authorization.submitter(client), self._authorization.viewer(client)
-            if isinstance(request.body, Follow):
-                return self._follow(client, request.body, viewer)
             return self._answer(client, request.body, submitter, viewer)
         except TableMissingError as error:
-            return Failure(failure="no-table", sentence=str(error))
+            return messages.Failure(failure="no-table", sentence=str(error))
         except (RefusedError, RemoteProtocolError) as error:
-            return Failure(failure="refused", sentence=str(error)[:4000])
+            return messages.Failure(failure="refused", sentence=str(error)[:4000])
         except StoreError as error:
             # The job has already left its search; only a restarted coordinator continues it.
-            if isinstance(request.body, Cancel):
+            if isinstance(request.body, messages.Cancel):
                 raise
-            return Failure(failure="internal", sentence=str(error)[:4000])
+            return messages.Failure(failure="internal", sentence=str(error)[:4000])
 
-    def _follow(self, client: str, question: Follow, viewer: Viewer | None) -> Following | Failure:
-        if self._followers is None:
-            return Failure(failure="refused", sentence="nothing can be followed here; ask for the status instead")
-        following = self._followers.follow(client, question, self._now(), viewer)
-        return following or _unknown(question.job or "of any name")
-
-    def _answer(self, client: str, body: Asked, submitter: str | None, viewer: Viewer | None) -> Body:
+    def _answer(  # noqa: C901  # a table: one case for each request
+        self, client: str, body: messages.RequestBody, submitter: str | None, viewer: Viewer | None
+    ) -> AnswerBody:
+        now = self._now()
         match body:
-            case Upload():
+            case messages.Upload():
                 self._admission.admit_upload(body, submitter, client)
                 return self.uploads.take(body, submitter, viewer, client)
-            case Submit():
+            case messages.Submit():
                 return self._submit(client, body, submitter, viewer)
-            case Retry():
+            case messages.Retry():
                 return self._submit(client, self._controller.again(body.job, body.again), submitter, viewer)
-            case Cancel():
-                return self._cancel(body.job)
-            case Delete():
+            case messages.Cancel():
+                self._controller.cancel(body.job, now)
+                if body.job in self._controller.ending:  # the answer comes when the end is stored
+                    raise NotYetError(body.job, is_final=True, meanwhile=lambda: self._status(body.job))
+            case messages.Delete():
                 self._deletion.delete(body.job, "a client asked for it")
-                return Deleted(job=body.job)
-            case Pause() | SetPriority() | Share():
-                return self._change(body)
-            case Analyse():
+                return messages.Deleted(job=body.job)
+            case messages.Pause() | messages.SetPriority() | messages.Share():
+                if self._controller.shown.view(body.job, now) is None:
+                    return _unknown(body.job)
+                if isinstance(body, messages.Pause):
+                    self._controller.pause(body.job, body.paused, now)
+                elif isinstance(body, messages.SetPriority):
+                    self._controller.set_priority(body.job, body.priority, now)
+                else:
+                    self._controller.share(body.job, body.shared)
+                    self.check_followers()
+            case messages.Analyse():
                 return self._analyse(client, body, submitter, viewer)
-            case SetWorker():
-                self._controller.set_worker(body.worker, body.service, self._now())
-                return self._workers(Workers(prefix=body.worker, limit=1), viewer)
-            case SetQueue():
-                self._controller.pause_queue(body.paused, self._now())
-                return self._workers(Workers(limit=1), viewer)
-            case _:
-                return self._tell(body, viewer)
+            case messages.SetWorker():
+                self._controller.set_worker(body.worker, body.service, now)
+                return self._workers(messages.Workers(prefix=body.worker, limit=1), viewer)
+            case messages.SetQueue():
+                self._controller.pause_queue(body.paused, now)
+                return self._workers(messages.Workers(limit=1), viewer)
+            case messages.Follow():
+                if self._followers is None:
+                    sentence = "nothing can be followed here; ask for the status instead"
+                    return messages.Failure(failure="refused", sentence=sentence)
+                return self._followers.follow(client, body, now, viewer) or _unknown(body.job or "of any name")
+            case messages.Jobs():
+                return self._page(body, viewer)
+            case messages.FindJob():
+                return self._find(body.prefix, viewer)
+            case messages.Workers():
+                return self._workers(body, viewer)
+            case messages.GetQueueDepth():
+                return self._controller.queue_depth()
+            case messages.GetResult():
+                return self._result(body.job)
+            case messages.GetIslands():
+                return self._islands(body.job)
+            case messages.GetTable():
+                return self._table(body.job, body.index)
+            case messages.GetEvents():
+                return self._events(body, viewer)
+            case messages.Status():
+                pass
+        return self._status(body.job)
 
-    def _cancel(self, job: str) -> Body:
-        """End a job; the answer comes when its end is stored."""
-        self._controller.cancel(job, self._now())
-        if job in self._controller.ending:
-            raise NotYetError(job, is_final=True, meanwhile=lambda: self._status(job))
-        return self._status(job)
-
-    def _submit(self, client: str, body: Submit, submitter: str | None, viewer: Viewer | None) -> Body:
+    def _submit(self, client: str, body: messages.Submit, submitter: str | None, viewer: Viewer | None) -> AnswerBody:
         """Accept a job; refusals reveal nothing about other users' jobs and tables."""
         if (
             viewer is not None
@@ -178,7 +152,7 @@ class ClientRequests:
         self.uploads.end(body.table, submitter, client)
         return self._status(body.job)
 
-    def _analyse(self, client: str, body: Analyse, user: str | None, viewer: Viewer | None) -> Body:
+    def _analyse(self, client: str, body: messages.Analyse, user: str | None, viewer: Viewer | None) -> AnswerBody:
         """Answer a question about the result of a job, or say what the answer waits for."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
@@ -188,73 +162,44 @@ class ClientRequests:
             self.uploads.renew(body.table)
         asked = self._controller.analyse(body, user, self._now())
         if asked.failed is not None:
-            return Failure(failure="internal", sentence=asked.failed[:4000])
+            return messages.Failure(failure="internal", sentence=asked.failed[:4000])
         if asked.answer is None:
-            return AnalysisAnswer(job=body.job, waits_for=self._controller.tasks.waiting_reason(body.job))
+            return messages.AnalysisAnswer(job=body.job, waits_for=self._controller.tasks.waiting_reason(body.job))
         first = body.index * CHUNK_SIZE
-        return AnalysisAnswer(
+        return messages.AnalysisAnswer(
             job=body.job, index=body.index, digest=asked.digest, size=len(asked.answer),
             data=asked.answer[first : first + CHUNK_SIZE],
         )  # fmt: skip
-
-    def _change(self, body: Pause | SetPriority | Share) -> Body:
-        if self._controller.shown.view(body.job, self._now()) is None:
-            return _unknown(body.job)
-        match body:
-            case Pause():
-                self._controller.pause(body.job, body.paused, self._now())
-            case SetPriority():
-                self._controller.set_priority(body.job, body.priority, self._now())
-            case Share():
-                self._controller.share(body.job, body.shared)
-                self.check_followers()
-        return self._status(body.job)
 
     def check_followers(self) -> None:
         """Stop notifying followers of jobs that they may no longer see."""
         if self._followers is not None:
             self._followers.keep(self._authorization.may_follow)
 
-    def _tell(self, body: Told, viewer: Viewer | None) -> Body:
-        """Answer a question that changes nothing."""
-        match body:
-            case Jobs():
-                return self._page(body, viewer)
-            case FindJob():
-                return self._find(body.prefix, viewer)
-            case Status():
-                return self._status(body.job)
-            case Workers():
-                return self._workers(body, viewer)
-            case GetQueueDepth():
-                return self._controller.queue_depth()
-            case GetResult():
-                return self._result(body.job)
-            case GetIslands():
-                return self._islands(body.job)
-            case GetTable():
-                return self._table(body.job, body.index)
-            case GetEvents():
-                return self._events(body, viewer)
-
-    def _table(self, job: str, index: int) -> Body:
+    def _table(self, job: str, index: int) -> AnswerBody:
         record = self._store.job(job)
         if record is None:
             return _unknown(job)
         size = self._store.blob_size(record.table_digest)
         if not size or index >= chunk_count(size):
-            return Failure(failure="refused", sentence=f"the table of job {job} is not kept, or has no part {index}")
+            return messages.Failure(
+                failure="refused", sentence=f"the table of job {job} is not kept, or has no part {index}"
+            )
         data = self._store.get_chunk(record.table_digest, index)
-        return TableChunk(job=job, index=index, size=size, digest=record.table_digest, data=data)
+        return messages.TableChunk(job=job, index=index, size=size, digest=record.table_digest, data=data)
 
-    def _islands(self, job: str) -> Body:
+    def _islands(self, job: str) -> AnswerBody:
         live = self._controller.jobs.get(job)
         if live is None:
-            return _unknown(job) if self._controller.shown.view(job, self._now()) is None else IslandList(islands=())
+            return (
+                _unknown(job)
+                if self._controller.shown.view(job, self._now()) is None
+                else messages.IslandList(islands=())
+            )
         views = [view for archipelago in live.open_archipelagos for view in archipelago.island_views()]
-        return IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
+        return messages.IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
 
-    def _workers(self, question: Workers, viewer: Viewer | None) -> WorkerList:
+    def _workers(self, question: messages.Workers, viewer: Viewer | None) -> messages.WorkerList:
         """Return a page of workers, by name, without what they compute for other users."""
         views = self._controller.workers.membership.views(self._now())
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
@@ -265,17 +210,17 @@ class ClientRequests:
             page = tuple(_without_others(view, self._store, viewer) for view in page)
             seen = [user for user in coordinator.users if user.user == viewer.name] if coordinator else []
             coordinator = coordinator and coordinator.model_copy(update={"users": tuple(seen)})
-        return WorkerList(workers=page, after=after, coordinator=coordinator)
+        return messages.WorkerList(workers=page, after=after, coordinator=coordinator)
 
-    def _events(self, question: GetEvents, viewer: Viewer | None) -> EventList | Failure:
+    def _events(self, question: messages.GetEvents, viewer: Viewer | None) -> messages.EventList | messages.Failure:
         if question.job is not None and self._controller.shown.view(question.job, self._now()) is None:
             return _unknown(question.job)
         log = self._controller.events
-        return EventList(
+        return messages.EventList(
             events=log.read(question.job, question.after, question.limit, viewer, of_workers=question.of_workers)
         )
 
-    def _page(self, question: Jobs, viewer: Viewer | None) -> JobList:
+    def _page(self, question: messages.Jobs, viewer: Viewer | None) -> messages.JobList:
         """Return a page of jobs, newest last, that fits into one answer."""
         page = self._store.job_page(
             question.prefix, is_open=question.is_open, before=question.before, limit=question.limit, viewer=viewer,
@@ -288,36 +233,36 @@ class ClientRequests:
         for view in shown.views(numbers, self._now()):
             size += len(view.model_dump_json())
             if views and (size > MAX_PAGE_BYTES or shown.bytes_read - read > MAX_RESULT_BYTES):
-                return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
+                return messages.JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
             # A job that waits again after a restart is listed by its stored state.
             if question.state in (None, view.state) or view.state == "queued":
                 views.append(view)
         is_last = len(numbers) < question.limit
-        return JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
+        return messages.JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
-    def _find(self, prefix: str, viewer: Viewer | None) -> JobFound | Failure:
+    def _find(self, prefix: str, viewer: Viewer | None) -> messages.JobFound | messages.Failure:
         """Return the one job whose id is `prefix` or begins with it, of those that the viewer sees."""
         if self._store.job(prefix) is not None and (viewer is None or self._store.is_seen(prefix, viewer)):
-            return JobFound(job=prefix)
+            return messages.JobFound(job=prefix)
         count = self._store.count_jobs(prefix, viewer)
         ids = [job for _, job in self._store.job_page(prefix if count else "", limit=_SHOWN, viewer=viewer)]
         if count == 1:
-            return JobFound(job=ids[0])
+            return messages.JobFound(job=ids[0])
         shown = ", ".join(reversed(ids))
         if count:
             is_whole = count < MAX_COUNTED
             shown += f" and {count - _SHOWN if is_whole else 'many'} more" if count > _SHOWN else ""
             number = f"{count}" if is_whole else f"{count} and more"
             sentence = f"{number} jobs begin with {prefix!r} ({shown}); write more of the id"
-            return Failure(failure="refused", sentence=sentence)
+            return messages.Failure(failure="refused", sentence=sentence)
         there = f"the last that came are {shown}" if ids else "there is none at all yet"
-        return Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
+        return messages.Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
 
-    def _status(self, job: str) -> JobStatus | Failure:
+    def _status(self, job: str) -> messages.JobStatus | messages.Failure:
         view = self._controller.shown.view(job, self._now())
-        return JobStatus(job=view) if view is not None else _unknown(job)
+        return messages.JobStatus(job=view) if view is not None else _unknown(job)
 
-    def _result(self, job: str) -> Result | Failure:
+    def _result(self, job: str) -> messages.Result | messages.Failure:
         view = self._controller.shown.view(job, self._now())
         if view is None:
             return _unknown(job)
@@ -328,17 +273,21 @@ class ClientRequests:
             self._controller.compose(found)
             raise NotYetError(job, is_final=False)
         if found is not None:
-            return Result(json_text=found)
+            return messages.Result(json_text=found)
         if view.state == "failed":
-            kind: FailureKind = "data" if view.fault == "data" else "internal"
-            return Failure(failure=kind, sentence=view.reason or f"job {job} failed")
+            kind: messages.FailureKind = "data" if view.fault == "data" else "internal"
+            return messages.Failure(failure=kind, sentence=view.reason or f"job {job} failed")
         if view.state == "cancelled":
-            return Failure(failure="refused", sentence=f"job {job} was cancelled before its search began")
-        return Failure(failure="too-early", sentence=f"job {job} is {view.state} and has no equations yet; ask again")
+            return messages.Failure(failure="refused", sentence=f"job {job} was cancelled before its search began")
+        return messages.Failure(
+            failure="too-early", sentence=f"job {job} is {view.state} and has no equations yet; ask again"
+        )
 
 
-def _unknown(job: str) -> Failure:
-    return Failure(failure="unknown-job", sentence=f"there is no job {job}; 'coordinator jobs' lists all of them")
+def _unknown(job: str) -> messages.Failure:
+    return messages.Failure(
+        failure="unknown-job", sentence=f"there is no job {job}; 'coordinator jobs' lists all of them"
+    )
 
 
 def _without_others(view: WorkerView, store: Store, viewer: Viewer) -> WorkerView:

@@ -7,7 +7,7 @@ from typing import Final
 from atoll_coordinator.service.job_controller import JobController
 from atoll_coordinator.service.jobs import checks
 from atoll_coordinator.service.requests.authorization import Authorization
-from atoll_coordinator.service.requests.clients import Body, ClientRequests
+from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.waiting import NotYetError
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.membership import version_refusal
@@ -17,7 +17,7 @@ from atoll_core.logs import fields
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, Failure, Request
+from atoll_core.wire.messages.clients import Answer, AnswerBody, Failure, Request
 from atoll_core.wire.messages.epochs import Pull, PullAnswer, PullStates, States
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import MAX_MESSAGE
@@ -116,7 +116,7 @@ class RequestDispatcher:
             return None
         return encode(PullAnswer(body=States(pieces=pieces)))
 
-    def _answer_client(self, event: Query, client: str) -> Body:
+    def _answer_client(self, event: Query, client: str) -> AnswerBody:
         try:
             request = decode(event.payload, Request, MAX_MESSAGE)
         except RemoteProtocolError as error:

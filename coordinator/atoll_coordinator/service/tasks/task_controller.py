@@ -29,19 +29,9 @@ from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.task_frames import Failure
+from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.clients import Analyse
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
-from atoll_core.wire.messages.tasks import (
-    MAX_RESULT,
-    Help,
-    Release,
-    TaskChunk,
-    TaskFailed,
-    TaskFunction,
-    TaskInput,
-    TaskReport,
-    TaskStatus,
-)
 from atoll_core.wire.messages.views import TaskView
 from atoll_core.wire.messages.workers import WorkerStatus
 from atoll_core.wire.values import decode_value
@@ -109,7 +99,7 @@ class TaskController:
     def prepare(self, job: str, table: str, size: int, config: JobConfig, now: float) -> None:
         """Have a table prepared; `PreparationBegun`, then `JobPrepared` or `PreparationFailed` is posted."""
         specification = self._input(job, config.model_dump_json().encode())
-        inputs = (TaskInput(digest=table, size=size), specification)
+        inputs = (messages.TaskInput(digest=table, size=size), specification)
         self._add(job, "prepare", inputs, config.budget.max_time, now, config)
 
     def refine(self, searched: Searched, config: JobConfig, seconds: float | None, now: float) -> None:
@@ -128,7 +118,7 @@ class TaskController:
             RefusedError: the user has too many open questions.
         """
         self.analyses.check(user)
-        tables = () if asked.table is None else (TaskInput(digest=asked.table, size=table_size),)
+        tables = () if asked.table is None else (messages.TaskInput(digest=asked.table, size=table_size),)
         inputs = (self._input(asked.job, result), self._input(asked.job, asked.question), *tables)
         analysis = Analysis(task_id(asked.job, asked.function, inputs), key_of(asked), asked.job, user, now, now)
         self.analyses.add(analysis)
@@ -193,20 +183,20 @@ class TaskController:
         held = self._blobs.get(digest)
         return held.data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE] if held is not None else None
 
-    def _input(self, job: str, data: bytes) -> TaskInput:
+    def _input(self, job: str, data: bytes) -> messages.TaskInput:
         return self._keep_input(job, hashlib.sha256(data).hexdigest(), data)
 
-    def _keep_input(self, job: str, digest: str, data: bytes) -> TaskInput:
+    def _keep_input(self, job: str, digest: str, data: bytes) -> messages.TaskInput:
         """Keep an input for workers to fetch, unless it is sent with the lease."""
         size = len(data)
         if size <= INLINE:
-            return TaskInput(digest=digest, size=size, data=data)
+            return messages.TaskInput(digest=digest, size=size, data=data)
         self._blobs.setdefault(digest, _Blob(data, set())).jobs.add(job)
-        return TaskInput(digest=digest, size=size)
+        return messages.TaskInput(digest=digest, size=size)
 
     def _add(
-        self, job: str, function: TaskFunction, inputs: tuple[TaskInput, ...], seconds: float | None, now: float,
-        config: JobConfig | None = None,
+        self, job: str, function: messages.TaskFunction, inputs: tuple[messages.TaskInput, ...],
+        seconds: float | None, now: float, config: JobConfig | None = None,
     ) -> None:  # fmt: skip
         """Add a task; the `config` of its job is needed for a sentence about an error."""
         task = Task(task_id(job, function, inputs), job, function, inputs, seconds, now)
@@ -244,7 +234,7 @@ class TaskController:
         for task, worker in planned.helps:
             task.helpers[worker] = now
             if task.worker is not None:
-                self._channel.send(worker, Help(task=task.id, job=task.job, worker=task.worker))
+                self._channel.send(worker, messages.Help(task=task.id, job=task.job, worker=task.worker))
 
     def _lease(self, task: Task, worker: str, now: float, threads: int = 1) -> None:
         self.table.lease(task, worker, now, threads)
@@ -277,7 +267,7 @@ class TaskController:
         """Have a worker stop helping after the batch that it computes now."""
         for task in self.table:
             if task.helpers.pop(worker, None) is not None:
-                self._channel.send(worker, Release(task=task.id))
+                self._channel.send(worker, messages.Release(task=task.id))
 
     def tick(self, now: float) -> None:
         """Let time pass: charge users, end tasks that take too long or are not wanted, lease waiting ones."""
@@ -313,18 +303,18 @@ class TaskController:
                 del task.helpers[worker]
         self.dispatch(now)
 
-    def _compare(self, worker: str, held: TaskStatus, status: WorkerStatus, now: float) -> None:
+    def _compare(self, worker: str, held: messages.TaskStatus, status: WorkerStatus, now: float) -> None:
         """Record a worker's progress with a task; release tasks that are not its own."""
         task = self.table.get(held.task)
         if task is None:
             self._keep_or_release(worker, held)
         elif held.state == "helping":
             if worker not in task.helpers:
-                self._channel.send(worker, Release(task=held.task))
+                self._channel.send(worker, messages.Release(task=held.task))
         elif self._can_adopt(task, worker, status):
             self._adopt(task, worker, now)  # leased by an earlier coordinator, or its worker is back
         elif task.worker != worker:
-            self._channel.send(worker, Release(task=held.task))
+            self._channel.send(worker, messages.Release(task=held.task))
         elif held.state == "running":
             task.compared = held.compared
             if self.table.begin(task, now) and task.function == "prepare":
@@ -332,10 +322,10 @@ class TaskController:
         elif held.state in ("done", "failed") and not task.is_read and now - task.sent_at > SETTLED_S:
             self._send_again(task, worker, now)  # its report was lost, or the lease for another try
 
-    def _keep_or_release(self, worker: str, held: TaskStatus) -> None:
+    def _keep_or_release(self, worker: str, held: messages.TaskStatus) -> None:
         """Leave to a worker a task that may be needed soon, such as after a restart; release any other one."""
         if held.state == "helping" or not self._may_follow(held.job):
-            self._channel.send(worker, Release(task=held.task))
+            self._channel.send(worker, messages.Release(task=held.task))
         elif held.state in ("waiting", "running"):
             self._keeping.add(worker)  # another task leased to it would wait for this one
 
@@ -369,25 +359,25 @@ class TaskController:
         self.dispatch(now)
         return tuple(dict.fromkeys(task.job for task in had if not task.is_analysis))
 
-    def add_report(self, worker: str, report: TaskReport, now: float) -> None:
+    def add_report(self, worker: str, report: messages.TaskReport, now: float) -> None:
         """Handle a worker's report on a task; raises RemoteProtocolError when it is impossible."""
         body = report.body
         task = self.table.get(body.task)
         if task is None:
             return  # its heartbeat says of which job it is, which may need it soon
         if task.worker != worker:
-            self._channel.send(worker, Release(task=body.task))
+            self._channel.send(worker, messages.Release(task=body.task))
             return
         match body:
-            case TaskFailed() if body.term == task.term:  # else it has been counted
+            case messages.TaskFailed() if body.term == task.term:  # else it has been counted
                 self._fail(task, body.failure, body.sentence, now)
-            case TaskChunk() if body.size > (most := _most_bytes(task)):
+            case messages.TaskChunk() if body.size > (most := _most_bytes(task)):
                 size, most_mb = body.size / 1024**2, most / 1024**2
                 self._fail(task, "error", f"its result has {size:,.0f} MB; at most {most_mb:,.0f} MB are accepted", now)
-            case TaskChunk() if not task.is_read:
+            case messages.TaskChunk() if not task.is_read:
                 self._add_chunk(task, body, now)
 
-    def _add_chunk(self, task: Task, body: TaskChunk, now: float) -> None:
+    def _add_chunk(self, task: Task, body: messages.TaskChunk, now: float) -> None:
         """Add a part of a result; when all have come, have it read."""
         task.sent_at = now
         if body.offset == 0:
@@ -465,10 +455,10 @@ class TaskController:
         """Tell the worker and the helpers of a task to drop it."""
         holders: Sequence[str] = [*([task.worker] if task.worker is not None else []), *task.helpers]
         for worker in holders:
-            self._channel.send(worker, Release(task=task.id))
+            self._channel.send(worker, messages.Release(task=task.id))
         task.helpers.clear()
 
 
 def _most_bytes(task: Task) -> int:
     """Return the largest size of a result: what is kept for answers, and what one message holds for a job's result."""
-    return MAX_KEPT if task.is_analysis else MAX_RESULT if task.function == "prepare" else MAX_MESSAGE
+    return MAX_KEPT if task.is_analysis else messages.MAX_RESULT if task.function == "prepare" else MAX_MESSAGE

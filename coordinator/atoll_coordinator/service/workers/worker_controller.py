@@ -22,18 +22,9 @@ from atoll_coordinator.service.workers.stalls import StallDetector
 from atoll_core.compilation.cache import WORKER, source_digest
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.codec import encode
+from atoll_core.wire.messages import workers as messages
 from atoll_core.wire.messages.epochs import PullReports
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.workers import (
-    AssignmentStatus,
-    Close,
-    IslandFailure,
-    Placement,
-    Placements,
-    Reregister,
-    Shutdown,
-    WorkerStatus,
-)
 
 
 class LiveJobs(Protocol):
@@ -111,7 +102,7 @@ class WorkerController:
             self.place(now)
         return refusal
 
-    def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> bool:
+    def add_heartbeat(self, worker: str, status: messages.WorkerStatus, now: float) -> bool:
         """Handle a heartbeat, and correct by messages what the worker has too much or too little.
 
         Returns False when this process is not known; it is asked to greet.
@@ -129,7 +120,7 @@ class WorkerController:
         self._check_places(worker, status, now)
         was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.record_heartbeat(worker, status, now):
-            self._channel.send(worker, Reregister())
+            self._channel.send(worker, messages.Reregister())
             return False
         if was_lost and not self.membership.is_lost(worker):
             self._events.record("worker-back", "it is there again, as the same process", worker=worker)
@@ -150,7 +141,7 @@ class WorkerController:
             self._let_leave(worker, now)
         return True
 
-    def _correct(self, worker: str, status: WorkerStatus, now: float) -> None:
+    def _correct(self, worker: str, status: messages.WorkerStatus, now: float) -> None:
         """Send a worker what it lacks, and what it may drop."""
 
         def guarded(job: str) -> AbstractContextManager[None]:
@@ -162,24 +153,24 @@ class WorkerController:
             else:
                 self._channel.send(worker, correction)
 
-    def _check_places(self, worker: str, status: WorkerStatus, now: float) -> None:
+    def _check_places(self, worker: str, status: messages.WorkerStatus, now: float) -> None:
         """Raise RemoteProtocolError when a worker names islands that are placed elsewhere."""
         wrong: list[str] = []
-        claims: tuple[AssignmentStatus | IslandFailure, ...] = (*status.holdings, *status.failures)
+        claims: tuple[messages.AssignmentStatus | messages.IslandFailure, ...] = (*status.holdings, *status.failures)
         for claim in claims:
             with self._guarded(claim.job, "checking where islands are placed", now):
                 archipelago = self._placed(claim.job, claim.variable, claim.term)
                 islands = archipelago.islands_of(worker) if archipelago is not None else None
-                if islands is not None and isinstance(claim, AssignmentStatus) and not islands:
+                if islands is not None and isinstance(claim, messages.AssignmentStatus) and not islands:
                     placed = f"{claim.variable} of job {claim.job}"
                     wrong.append(f"worker {worker} holds {placed}, which is placed elsewhere")
-                elif islands is not None and isinstance(claim, IslandFailure) and claim.island not in islands:
+                elif islands is not None and isinstance(claim, messages.IslandFailure) and claim.island not in islands:
                     island = f"island {claim.island} of {claim.variable} of job {claim.job}"
                     wrong.append(f"worker {worker} says that {island} failed, which is placed elsewhere")
         if wrong:
             raise RemoteProtocolError(wrong[0])
 
-    def _update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> None:
+    def _update_assignment_status(self, worker: str, assignment_status: messages.AssignmentStatus) -> None:
         """Record a worker's progress with its islands; publish a commit that is due by that."""
         archipelago = self._placed(assignment_status.job, assignment_status.variable, assignment_status.term)
         if archipelago is not None:
@@ -194,7 +185,7 @@ class WorkerController:
         self.place(now)
         has_islands = any(worker in archipelago.workers for archipelago in self._open_archipelagos())
         if not has_islands and not self._has_task(worker):
-            self._channel.send(worker, Shutdown(sentence="nothing is placed here any more"))
+            self._channel.send(worker, messages.Shutdown(sentence="nothing is placed here any more"))
 
     def send_away(self, worker: str, why: str, now: float) -> None:
         """Give up a worker that may no longer take part; its islands are placed again."""
@@ -251,24 +242,28 @@ class WorkerController:
                 self._events.record("unplaced", text, key[0], variable=key[1])
         for placement in plan.released:
             for worker in dict.fromkeys(placement.workers):
-                self._channel.send(worker, Close(job=placement.job, variable=placement.variable, term=placement.term))
+                self._channel.send(
+                    worker, messages.Close(job=placement.job, variable=placement.variable, term=placement.term)
+                )
         for assignment, placement in self._begin_terms(plan.assignments, guarded):
             with guarded(placement.job):
                 self._place(assignment, placement, now)
 
-    def _begin_terms(self, assignments: Sequence[Assignment], guarded: JobGuard) -> list[tuple[Assignment, Placement]]:
+    def _begin_terms(
+        self, assignments: Sequence[Assignment], guarded: JobGuard
+    ) -> list[tuple[Assignment, messages.Placement]]:
         """Store terms: all of them in one transaction, which is faster; after an error, one by one."""
         live = [assignment for assignment in assignments if assignment.job.id in self._jobs]
         with self._breakages.tolerated("beginning terms"):
             return self._store_terms(live)
-        begun: list[tuple[Assignment, Placement]] = []
+        begun: list[tuple[Assignment, messages.Placement]] = []
         for assignment in live:
             with guarded(assignment.job.id):
                 begun += self._store_terms([assignment]) if assignment.job.id in self._jobs else []
         return begun
 
-    def _store_terms(self, assignments: Sequence[Assignment]) -> list[tuple[Assignment, Placement]]:
-        placements: list[Placement] = []
+    def _store_terms(self, assignments: Sequence[Assignment]) -> list[tuple[Assignment, messages.Placement]]:
+        placements: list[messages.Placement] = []
 
         def encode_placement(index: int, term: int) -> bytes:
             placements.append(assignments[index].placement(self._store.incarnation, term))
@@ -278,13 +273,13 @@ class WorkerController:
             self._store.begin_terms([assignment.archipelago.key for assignment in assignments], encode_placement)
         return list(zip(assignments, placements, strict=True))
 
-    def _place(self, assignment: Assignment, placement: Placement, now: float) -> None:
+    def _place(self, assignment: Assignment, placement: messages.Placement, now: float) -> None:
         """Begin a stored term, unless its job has ended in the meantime."""
         if placement.job not in self._jobs:
             return
         assignment.archipelago.place(placement, now)
         assignment.job.start_search(now)
-        self._channel.publish(Placements(placements=(placement,)))
+        self._channel.publish(messages.Placements(placements=(placement,)))
         self.counters.add(placement.job, placements=1)
         self._events.record_placement(placement)
 

@@ -13,7 +13,6 @@ from atoll_coordinator.service.jobs.job import (
     Job,
     JobAction,
     Prepared,
-    PublishCommit,
     Refine,
     commit_order_of,
     measure_of,
@@ -111,22 +110,6 @@ def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
     assert errors == {"x": [0.5], "y": [0.5]}
 
 
-def test_a_job_can_be_cancelled_while_it_is_refined() -> None:
-    job = running(max_epochs=1)
-    for variable in ("x", "y"):
-        for island in (0, 1):
-            job.add_report(f"w{island}", report(island, 0, variable), 1.0)
-    assert job.cancel() == [CommitResult()]
-    assert job.state == "cancelled"
-
-
-def test_a_variable_can_have_fewer_epochs_than_the_others() -> None:
-    job = running(max_epochs=9, max_epochs_of={"y": 1})
-    job.add_report("w0", report(0, 0, "y"), 1.0)
-    job.add_report("w1", report(1, 0, "y"), 1.0)
-    assert [archipelago.variable for archipelago in job.open_archipelagos] == ["x"]
-
-
 def test_time_cuts_every_variable() -> None:
     job = running(max_time=20.0)
     for variable in ("x", "y"):
@@ -205,15 +188,6 @@ def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
     assert job.reason is None
 
 
-def test_divergence_fails_the_job() -> None:
-    job = running()
-    job.add_report("w0", report(0, 0), 1.0)
-    other = report(0, 0)
-    changed = other.islands[0].model_copy(update={"digest": "f" * 32})
-    assert job.add_report("w0", other.model_copy(update={"islands": (changed,)}), 1.0) == [CommitResult()]
-    assert (job.state, job.fault) == ("failed", "diverged")
-
-
 @pytest.mark.parametrize(
     ("worker", "wrong"),
     [
@@ -231,16 +205,6 @@ def test_reports_that_cannot_be_are_refused_and_change_nothing(worker: str, wron
     with pytest.raises(RemoteProtocolError):
         job.add_report(worker, wrong, 1.0)
     assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
-
-
-def test_workers_are_told_in_steps_what_all_islands_have_reported() -> None:
-    job = running(stagnation=1000)
-    commits = []
-    for epoch in range(40):
-        for island in (0, 1):
-            actions = job.add_report(f"w{island}", report(island, epoch), 1.0)
-            commits += [(epoch, action.commit) for action in actions if isinstance(action, PublishCommit)]
-    assert [(epoch, commit.reported, commit.epoch) for epoch, commit in commits] == [(16, 16, 0), (32, 32, 0)]
 
 
 def test_under_a_new_term_old_epochs_count_once() -> None:
@@ -297,20 +261,6 @@ def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() ->
     assert (pull.first, pull.last, pull.term) == (1, 3, 2)
     job.add_report("w0", report(0, 1), 1.0)
     assert job.archipelagos["x"].missing_reports("w0", assignment_status) is None
-
-
-def test_cuts_that_were_committed_before_a_restart_stand() -> None:
-    job = job_with()
-    job.start_preparing()
-    job.start_clock(0.0)
-    cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
-    assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}, 0.0) == []
-    assert [archipelago.variable for archipelago in job.open_archipelagos] == ["y"]
-    other = job_with()
-    other.start_preparing()
-    other.start_clock(0.0)
-    both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), both, 0.0) == [Refine()]
 
 
 def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:

@@ -20,8 +20,6 @@ from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
 LIMITS = SearchLimits(islands=2, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
 
-LIMITS_OF_3 = SearchLimits(islands=3, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
-
 
 def best_error(front: tuple[FrontEntry, ...]) -> float:
     return min((100.0 * entry.error for entry in front), default=math.inf)
@@ -77,13 +75,6 @@ def test_an_epoch_counts_when_all_islands_have_reported_it(collector: Collector)
     assert collector.state.seconds == 2.0
 
 
-def test_the_same_report_again_changes_nothing_not_even_counters(collector: Collector) -> None:
-    fill(collector, 0)
-    before = collector.state.evaluations
-    assert not collector.add_reports("w9", 0, [report(0), report(1)], 9.0)
-    assert collector.state.evaluations == before == {"fit": 40, "offspring": 20}
-
-
 def test_another_digest_for_the_same_key_is_divergence_and_names_both_workers(collector: Collector) -> None:
     collector.add_reports("first", 0, [report(0)], 1.0)
     with pytest.raises(DivergedError, match=r"first and second .* island 0 of x in epoch 0"):
@@ -132,62 +123,6 @@ def test_the_target_ends_the_search_with_the_least_generation_and_island(collect
     assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("target", 2, 120)
 
 
-def test_islands_count_up_to_the_slice_that_met_the_target_and_no_further() -> None:
-    """The islands before the hit, and itself, count up to its generation; the one after it, to the slice before."""
-    collector = Collector("x", LIMITS_OF_3, best_error)
-    generations = (10, 20, 30)
-    reports = [
-        report(0, error=3.0, found_at=generations),
-        report(1, error=1.5, found_at=generations[:2], hit=20),
-        report(2, found_at=generations),
-    ]
-    fill(collector, 0, *reports)
-    assert collector.cut is not None
-    assert collector.cut.evaluations == {"fit": 2 * (2 + 2 + 1), "offspring": 2 + 2 + 1}
-    kept = {(entry.island, entry.generation) for entry in collector.cut.front}
-    assert kept == {(2, 10), (1, 20)}
-
-
-def test_what_an_island_did_beyond_the_hit_does_not_matter() -> None:
-    cuts = []
-    for other in (20, 30, 100):
-        collector = Collector("x", LIMITS, best_error)
-        fill(collector, 0, report(0, generations=other, found_at=(10, 20, 30)[: other // 10]), report(1, hit=20))
-        cuts.append(collector.cut)
-    assert cuts[0] is not None
-    assert cuts == [cuts[0]] * 3
-
-
-def test_an_island_before_the_hit_must_have_come_as_far(collector: Collector) -> None:
-    assert not collector.add_reports("w", 0, [report(1, hit=20)], 1.0)
-    assert not collector.add_reports("w", 0, [report(0, generations=10)], 1.0)
-    assert collector.cut is None
-
-
-def test_an_island_after_the_hit_counts_to_the_slice_before_and_need_not_have_begun(collector: Collector) -> None:
-    fill(collector, 0, report(0, count=100), report(1, count=300))
-    assert collector.add_reports("w", 1, [report(0, hit=10, count=1100)], 2.0)
-    assert collector.cut is not None
-    assert (collector.cut.generation, collector.cut.evaluations["offspring"]) == (110, 110 + 300)
-
-
-def test_in_the_first_epoch_groups_of_islands_count_one_after_the_other() -> None:
-    limits = SearchLimits(3, 50, Stagnation(5), COMMIT_ORDER.model_copy(update={"joining": 1}))
-    collector = Collector("x", limits, best_error)
-    collector.add_reports("w", 0, [report(1, hit=20)], 1.0)
-    assert collector.cut is None
-    collector.add_reports("w", 0, [report(0)], 2.0)
-    assert collector.cut is not None
-    assert collector.cut.evaluations["offspring"] == 10 + 2
-
-
-def test_an_island_of_which_nothing_counts_keeps_its_former_counters(collector: Collector) -> None:
-    fill(collector, 0, report(0, count=100), report(1, count=300))
-    fill(collector, 1, report(0, hit=10, count=1100), report(1, count=400))
-    assert collector.cut is not None
-    assert collector.cut.evaluations["offspring"] == 110 + 300
-
-
 def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: Collector) -> None:
     assert not collector.add_reports("w0", 0, [report(0, generations=20)], 1.0)
     assert collector.state.epochs == 0
@@ -220,16 +155,6 @@ def test_who_went_beyond_a_hit_contradicts_who_met_it(
 def test_a_report_without_the_counters_of_its_slices_is_refused(collector: Collector, broken: IslandReport) -> None:
     with pytest.raises(RemoteProtocolError, match="slices missing"):
         collector.add_reports("w", 0, [broken], 1.0)
-
-
-def test_a_later_epoch_is_not_looked_at_once_there_is_a_cut(collector: Collector) -> None:
-    fill(collector, 1, report(0, error=0.1), report(1))
-    fill(collector, 0, report(0, hit=50), report(1))
-    assert collector.cut is not None
-    assert collector.cut.epochs == 1
-    assert [entry.error for entry in collector.cut.front] == [1.0]
-    fill(collector, 2)
-    assert collector.state.epochs == 1
 
 
 def test_a_search_that_does_not_get_better_stagnates(collector: Collector) -> None:
@@ -295,12 +220,6 @@ def test_by_time_nothing_is_cut_before_the_first_epoch_is_complete(collector: Co
     assert (collector.cut.why, collector.cut.epochs) == ("max-time", 1)
 
 
-def test_cancelling_does_not_wait(collector: Collector) -> None:
-    collector.cut_now("cancelled")
-    assert collector.cut is not None
-    assert (collector.cut.epochs, collector.cut.front) == (0, ())
-
-
 @given(st.permutations(list(itertools.product(range(4), range(2)))), st.lists(st.integers(0, 7), max_size=5))
 def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[int, int]], repeated: list[int]) -> None:
     def cut_of(keys: list[tuple[int, int]]) -> object:
@@ -354,14 +273,6 @@ def test_a_member_of_the_front_that_is_displaced_becomes_a_runner_up() -> None:
     pool = collected(epochs, [(0, 0), (0, 1), (1, 0), (1, 1)]).state
     assert [entry.error for entry in pool.front] == [0.9]
     assert [entry.error for entry in pool.runners_up] == [1.0]
-
-
-def test_runners_up_found_after_the_hit_do_not_count() -> None:
-    near = [runner_up(3, 2.0, 3, generation=10), runner_up(3, 1.9, 4, generation=30)]
-    epochs = [[report(0, near=near), report(1, hit=20)]]
-    cut = collected(epochs, [(0, 0), (0, 1)]).cut
-    assert cut is not None
-    assert [entry.generation for entry in cut.pool.runners_up] == [10]
 
 
 def test_a_cut_comes_back_from_the_store_with_its_pool() -> None:

@@ -23,19 +23,10 @@ from atoll_coordinator.tasks.refining import Searched
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError
+from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.clients import Analyse
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
-from atoll_core.wire.messages.tasks import (
-    Help,
-    Lease,
-    Release,
-    TaskChunk,
-    TaskFailed,
-    TaskReport,
-    TaskState,
-    TaskStatus,
-)
 from atoll_core.wire.messages.views import TaskView, WorkerState
 from atoll_core.wire.messages.workers import ControlBody, WorkerStatus
 from atoll_core.wire.values import decode_value, encode_value
@@ -92,9 +83,9 @@ class Scene:
         assert self.membership.register(hello, self.now) is None
         self.beat(worker)
 
-    def beat(self, worker: str, state: WorkerState = "ready", /, **tasks: TaskState) -> None:
+    def beat(self, worker: str, state: WorkerState = "ready", /, **tasks: messages.TaskState) -> None:
         """Let a worker say which tasks it has, by the job whose they are."""
-        held = tuple(TaskStatus(task=self.ids[job], job=job, state=what) for job, what in tasks.items())
+        held = tuple(messages.TaskStatus(task=self.ids[job], job=job, state=what) for job, what in tasks.items())
         status = WorkerStatus(instance="i", incarnation=1, state=state, progress=0, tasks=held)
         self.membership.record_heartbeat(worker, status, self.now)
         self.controller.add_heartbeat(worker, status, self.now)
@@ -112,19 +103,19 @@ class Scene:
         self, worker: str, job: str, result: bytes, offset: int = 0, data: bytes | None = None, seconds: float = 0.0
     ) -> None:  # fmt: skip
         data = result[offset : offset + CHUNK_SIZE] if data is None else data
-        body = TaskChunk(
+        body = messages.TaskChunk(
             task=self.ids[job], digest=hashlib.sha256(result).hexdigest(), size=len(result), offset=offset, data=data,
             seconds=seconds,
         )  # fmt: skip
-        self.controller.add_report(worker, TaskReport(body=body), self.now)
+        self.controller.add_report(worker, messages.TaskReport(body=body), self.now)
         self.controller.table.validate()
 
     def fail(self, worker: str, job: str = "j", failure="error", term: int | None = None) -> None:
         task = self.controller.table.get(self.ids[job])
-        body = TaskFailed(
+        body = messages.TaskFailed(
             task=self.ids[job], term=term or (task.term if task else 1), failure=failure, sentence="it broke"
         )
-        self.controller.add_report(worker, TaskReport(body=body), self.now)
+        self.controller.add_report(worker, messages.TaskReport(body=body), self.now)
         self.controller.table.validate()
 
     def said(self, kind: type = object) -> list[tuple[str, ControlBody]]:
@@ -133,14 +124,14 @@ class Scene:
         return [(worker, body) for worker, body in said if isinstance(body, kind)]
 
     def leased_to(self) -> list[str]:
-        return [worker for worker, _ in self.said(Lease)]
+        return [worker for worker, _ in self.said(messages.Lease)]
 
 
 def test_a_table_is_leased_begun_and_prepared() -> None:
     scene = Scene("w0")
     scene.prepare()
     ((worker, lease),) = scene.said()
-    assert isinstance(lease, Lease)
+    assert isinstance(lease, messages.Lease)
     assert (worker, lease.job, lease.function, lease.term, lease.seconds) == ("w0", "j", "prepare", 1, None)
     assert (lease.inputs[0].digest, lease.inputs[0].size, lease.inputs[0].data) == (TABLE, 3, None)
     assert lease.inputs[1].data == CONFIG.model_dump_json().encode()
@@ -150,7 +141,7 @@ def test_a_table_is_leased_begun_and_prepared() -> None:
     scene.chunk("w0", "j", PREPARED)
     assert isinstance(scene.posted[1], JobPrepared)
     assert hashlib.sha256(scene.posted[1].data).hexdigest() == scene.posted[1].prepared.blob
-    assert scene.said() == [("w0", Release(task=lease.task))]
+    assert scene.said() == [("w0", messages.Release(task=lease.task))]
     assert len(scene.controller.table) == 0
     assert decode_value(scene.controller.encoded("j"), Prepared).config == scene.posted[1].prepared.config
 
@@ -176,7 +167,7 @@ def test_refining_takes_what_preparing_gave_as_it_came() -> None:
     scene.said()
     scene.controller.refine(Searched("j", ()), CONFIG, 7.5, scene.now)
     ((_, lease),) = scene.said()
-    assert isinstance(lease, Lease)
+    assert isinstance(lease, messages.Lease)
     assert (lease.function, lease.seconds) == ("refine", 7.5)
     assert lease.inputs[0].data is not None
     assert PREPARED.count(lease.inputs[0].data) == 1
@@ -185,50 +176,10 @@ def test_refining_takes_what_preparing_gave_as_it_came() -> None:
     assert scene.posted[-1].text == REFINED.decode()
 
 
-def test_data_that_cannot_be_prepared_are_a_sentence() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    scene.chunk("w0", "j", encode_value(PreparationOutcome(sentence="there are no rows")))
-    assert scene.posted == [PreparationFailed("j", "data", "there are no rows")]
-
-
 def test_refining_is_taken_over_though_less_of_its_time_is_left_then() -> None:
     before = refining("j", "w0", seconds=20.0)
     after = refining("j", "w1", seconds=19.5)
     assert after.ids["j"] == before.ids["j"]
-
-
-@pytest.mark.parametrize("state", ["running", "done"])
-def test_who_has_kept_a_task_gets_it_though_others_are_free(state: TaskState) -> None:
-    name = refining("j", "w0").ids["j"]
-    scene = Scene("w0")
-    scene.following.add("j")
-    scene._ended["j"] = name
-    scene.beat("w0", j=state)
-    scene.join("a0")
-    scene.prepare("j")
-    assert scene.leased_to() == ["a0"]
-    scene.chunk("a0", "j", PREPARED)
-    scene.controller.refine(Searched("j", ()), CONFIG, None, scene.now)
-    assert scene.leased_to() == ["w0"]
-    scene.beat("w0", j=state)
-    assert scene.controller.table.get(name).worker == "w0"
-
-
-def test_nothing_waits_behind_what_a_worker_keeps_of_a_former_coordinators_leases() -> None:
-    scene = Scene("w0")
-    scene.following.add("j")
-    scene._ended["j"] = "d" * 64  # its data are prepared again before this is wanted
-    scene.beat("w0", j="running")
-    scene.prepare("k")
-    assert scene.said() == []
-    assert scene.controller.waiting_reason("k") == "waits for a worker that has no other task"
-    scene.join("w1")
-    assert scene.leased_to() == ["w1"]
-    scene.prepare("l")
-    assert scene.said() == []
-    scene.beat("w0", j="done")
-    assert scene.leased_to() == ["w0"]
 
 
 def test_a_result_comes_in_chunks_also_from_the_beginning_again() -> None:
@@ -247,20 +198,6 @@ def test_a_result_comes_in_chunks_also_from_the_beginning_again() -> None:
     assert isinstance(scene.posted[0], JobPrepared)
 
 
-def test_a_result_that_is_on_its_way_is_not_asked_for_again() -> None:
-    scene, result = Scene("w0"), bytes(1000)
-    scene.prepare()
-    scene.said()
-    for offset in range(0, 500, 100):  # a slow line
-        scene.now += 0.9 * SETTLED_S
-        scene.beat("w0", j="done")
-        scene.chunk("w0", "j", result, offset, result[offset : offset + 100])
-    assert scene.said() == []
-    scene.now += SETTLED_S + 0.1
-    scene.beat("w0", j="done")
-    assert scene.leased_to() == ["w0"]
-
-
 def test_a_result_that_is_longer_than_can_be_given_to_anybody_is_not_taken_in() -> None:
     scene = refining("j", "w0")
     scene.posted.clear()
@@ -270,18 +207,6 @@ def test_a_result_that_is_longer_than_can_be_given_to_anybody_is_not_taken_in() 
     (failed,) = scene.posted
     assert isinstance(failed, RefiningFailed)
     assert "its result has 32 MB; at most 16 MB are accepted, twice" in str(failed.refinement)
-
-
-def test_a_result_that_is_no_result_counts_as_a_mistake_of_the_task() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    for _ in range(2):
-        assert scene.posted == []
-        scene.chunk("w0", "j", b"\x00\x01 nonsense")
-    (failed,) = scene.posted
-    assert isinstance(failed, PreparationFailed)
-    assert failed.fault == "internal"
-    assert "cannot be read" in failed.sentence
 
 
 def test_a_dataset_that_is_not_the_one_that_is_named_counts_as_a_mistake_of_the_task() -> None:
@@ -304,7 +229,7 @@ def test_a_worker_speaks_for_its_own_task_only() -> None:
     scene.chunk(other, "j", PREPARED)
     scene.fail(other)
     assert scene.posted == []
-    assert scene.said() == [(other, Release(task=scene.ids["j"]))] * 2
+    assert scene.said() == [(other, messages.Release(task=scene.ids["j"]))] * 2
     assert scene.controller.table.on(worker) is not None
 
 
@@ -343,21 +268,6 @@ def test_where_memory_ran_out_it_is_tried_again_alone() -> None:
     assert scene.controller.table.get(scene.ids["l"]).worker is not None
 
 
-@pytest.mark.parametrize("state", ["failed", "running"])
-def test_where_memory_ran_out_a_heartbeat_that_comes_behind_that_brings_it_to_no_host_that_is_not_free(
-    state: TaskState,
-) -> None:
-    scene = Scene("w0", "w1")
-    scene.prepare("j")
-    scene.prepare("k")
-    worker = scene.controller.table.get(scene.ids["j"]).worker
-    scene.fail(worker, "j", "memory")
-    scene.said()
-    scene.beat(worker, j=state)  # a worker sends one at once, before it is told to forget the task
-    assert scene.said() == [(worker, Release(task=scene.ids["j"]))]
-    assert scene.controller.table.get(scene.ids["j"]).worker is None
-
-
 def test_large_inputs_are_kept_as_long_as_one_of_the_jobs_needs_them() -> None:
     scene = Scene("w0")
     data = b"x" * (INLINE + 1)
@@ -377,7 +287,7 @@ def test_tasks_go_out_by_the_rank_of_their_jobs_and_say_for_what_they_wait() -> 
     scene.prepare("early")
     assert "none has joined" in (scene.controller.waiting_reason("early") or "")
     scene.join("w0")
-    assert [body.job for _, body in scene.said(Lease)] == ["early"]
+    assert [body.job for _, body in scene.said(messages.Lease)] == ["early"]
     assert "no other task" in (scene.controller.waiting_reason("late") or "")
     assert scene.controller.waiting_reason("early") is None
 
@@ -420,19 +330,6 @@ def test_no_more_is_charged_for_a_task_than_the_time_since_it_was_leased() -> No
     assert scene.charged == [("j", 3.0)]
 
 
-@pytest.mark.parametrize("end", ["fail", "lose"])
-def test_users_are_charged_for_tasks_without_a_result(end: str) -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    scene.beat("w0", j="running")
-    scene.now = 7.0
-    if end == "fail":
-        scene.fail("w0")
-    else:
-        scene.controller.lose("w0", scene.now)
-    assert scene.charged == [("j", 7.0)]
-
-
 def test_tasks_that_may_not_run_are_leased_to_nobody_and_those_that_run_go_on() -> None:
     scene = Scene("w0")
     scene.prepare("a")
@@ -440,11 +337,11 @@ def test_tasks_that_may_not_run_are_leased_to_nobody_and_those_that_run_go_on() 
     scene.prepare("b")
     scene.join("w1")
     scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w0", "a")]
+    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w0", "a")]
     assert (scene.controller.waits("a"), scene.controller.waits("b")) == (False, True)
     scene.paused = set()
     scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w1", "b")]
+    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w1", "b")]
 
 
 def test_cordoned_and_drained_workers_get_no_tasks_but_end_the_one_that_they_have() -> None:
@@ -454,7 +351,7 @@ def test_cordoned_and_drained_workers_get_no_tasks_but_end_the_one_that_they_hav
     scene.prepare("b")
     scene.prepare("c")
     scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w0", "a"), ("w2", "b")]
+    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w0", "a"), ("w2", "b")]
     scene.chunk("w0", "a", PREPARED)
     assert scene.leased_to() == []
     scene.membership.set_cordons({})
@@ -462,31 +359,21 @@ def test_cordoned_and_drained_workers_get_no_tasks_but_end_the_one_that_they_hav
     assert scene.leased_to() == ["w0"]
 
 
-def test_a_drained_worker_is_recalled_from_helping() -> None:
-    scene = refining("j", "w0", "w1")
-    scene.beat("w0", j="running")
-    scene.controller.tick(scene.now)
-    assert [worker for worker, _ in scene.said(Help)] == ["w1"]
-    scene.membership.set_cordons({"w1": True})
-    scene.controller.tick(scene.now)
-    assert scene.said() == [("w1", Release(task=scene.ids["j"]))]
-
-
 def test_a_task_is_helped_with_once_it_has_run_for_as_long_as_a_helper_takes_to_be_ready() -> None:
     scene = refining("j", "w0", "w1")
     scene.controller.help_after_s = HELP_AFTER_S
     scene.beat("w0", j="running")
-    assert scene.said(Help) == []
+    assert scene.said(messages.Help) == []
     scene.now += HELP_AFTER_S
     scene.controller.tick(scene.now)
-    assert [worker for worker, _ in scene.said(Help)] == ["w1"]
+    assert [worker for worker, _ in scene.said(messages.Help)] == ["w1"]
 
 
 @pytest.mark.parametrize("result", [b"{", b"\xff", b"[]", b'{"job": "another"}'])
 def test_a_result_that_is_none_of_its_job_is_made_again_and_then_given_up(result: bytes) -> None:
     scene = refining("j", "w0")
     scene.chunk("w0", "j", result)
-    assert [body.function for _, body in scene.said(Lease)] == ["refine"]
+    assert [body.function for _, body in scene.said(messages.Lease)] == ["refine"]
     scene.chunk("w0", "j", result)
     (failed,) = [item for item in scene.posted if isinstance(item, RefiningFailed)]
     assert "its result cannot be read" in failed.refinement.warnings[0]
@@ -504,7 +391,7 @@ def test_a_question_is_leased_with_the_result_and_answered_to_whoever_asks() -> 
     scene = Scene("w0")
     analysis = analyse(scene)
     ((worker, lease),) = scene.said()
-    assert isinstance(lease, Lease)
+    assert isinstance(lease, messages.Lease)
     assert (worker, lease.function, [given.data for given in lease.inputs]) == (
         "w0", "report", [b'{"job": "ended"}', b"q"]
     )  # fmt: skip
@@ -513,7 +400,7 @@ def test_a_question_is_leased_with_the_result_and_answered_to_whoever_asks() -> 
     assert scene.posted == []
     assert (analysis.answer, analysis.is_open) == (b"page", False)
     assert scene.controller.analyses.ask(asked(), 5.0) is analysis
-    assert scene.said() == [("w0", Release(task=lease.task))]
+    assert scene.said() == [("w0", messages.Release(task=lease.task))]
 
 
 def test_a_question_that_nobody_asks_again_is_ended_and_forgotten() -> None:
@@ -529,7 +416,7 @@ def test_a_question_that_nobody_asks_again_is_ended_and_forgotten() -> None:
     assert len(scene.controller.table) == 1
     scene.now += 1.0
     scene.controller.tick(scene.now)
-    assert scene.said() == [("w0", Release(task=analysis.id))]
+    assert scene.said() == [("w0", messages.Release(task=analysis.id))]
     assert len(scene.controller.table) == 0
     assert scene.controller.analyses.ask(asked(), scene.now) is None
     assert scene.forgotten == [analysis.id]
