@@ -83,9 +83,7 @@ def played(seed: int) -> tuple[End, str]:
     pools = pools_of(draw, prepared)
     deadline = Deadline(float(draw.choice(SECONDS)), time.process_time)
     refinement = refine_all(prepared.preparation, prepared.config, pools, deadline, prepared.laws)
-    outcomes = [
-        VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name)) for name, pool in pools.items()
-    ]
+    outcomes = [VariableOutcome(name, pool.front, 1) for name, pool in pools.items()]
     preparation = prepared.preparation
     result = build_result("drawn", prepared.config, preparation, outcomes, Account("done", 1.0, 1.0), refinement)
     render_text(Result.load(json.loads(json.dumps(result.as_dict(), allow_nan=False))))

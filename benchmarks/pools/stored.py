@@ -117,14 +117,8 @@ def refine_stored(title: str, table: Table, config: JobConfig, pools: Pools, max
     prepared, _ = prepare_job(table.to_bytes(), config)
     ready = time.process_time()
     made = refine_all(prepared.preparation, prepared.config, pools, Deadline(max_time), prepared.laws)
-    outcomes = [
-        VariableOutcome(name, pool.front, 0, refined=made.equations.get(name), runners_up=pool.runners_up)
-        for name, pool in pools.items()
-    ]
-    outcomes += [
-        VariableOutcome(name, (entry,), 0, why=KNOWN, refined=made.equations.get(name))
-        for name, entry in prepared.known.items()
-    ]
+    outcomes = [VariableOutcome(name, pool.front, 0, runners_up=pool.runners_up) for name, pool in pools.items()]
+    outcomes += [VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in prepared.known.items()]
     ended, seconds = time.process_time(), time.monotonic() - begun
     result = build_result(title, prepared.config, prepared.preparation, outcomes, Account("done", seconds, 0.0), made)
     return Refined(result.model_dump(mode="json"), ready - used, ended - ready, seconds)

@@ -37,9 +37,7 @@ def _judged(searches: Searches | None, case: str, seed: int, substeps: int) -> l
         return _said(case, seed, paths, result["equations"], result["seconds"])
     preparation = prepare(measured, config)
     refinement = refine_all(preparation, config, {})
-    outcomes = [
-        VariableOutcome(name, (), 0, refined=refinement.equations.get(name)) for name in preparation.dataset.variables
-    ]
+    outcomes = [VariableOutcome(name, (), 0) for name in preparation.dataset.variables]
     account = Account("done", 0.0, 0.0)
     chosen = build_result(f"{case} {seed}", config, preparation, outcomes, account, refinement)
     equations: Any = chosen.as_dict()["equations"]

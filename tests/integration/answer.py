@@ -9,11 +9,11 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Law, Pool
+from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
 from atoll_coordinator.model.sparse.product_laws import find_all_laws, laws_among_many, settled_variables
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig
 from atoll_core.expression.text.infix import to_infix
-from atoll_core.wire.values import encode_value
 from tests.archipelago import search_all
 
 CONFIG = JobConfig(
@@ -34,12 +34,14 @@ def answer(path: Path) -> dict[str, object]:
     searches = search_all(dataset, config, epochs=2)
     pools = {name: Pool(search.front) for name, search in zip(dataset.variables, searches, strict=True)}
     refinement = refine_all(preparation, config, pools)
+    outcomes = [VariableOutcome(name, pool.front, 2) for name, pool in pools.items()]
+    result = build_result("j", config, preparation, outcomes, Account("done", 1.0, 1.0), refinement)
     plain = config.model_copy(update={"budget": BudgetConfig()})
     return {
         "laws": {name: [bits(law) for law in laws] for name, laws in find_all_laws(preparation, config, {}).items()},
         "settled": sorted(settled_variables(preparation, plain, laws_among_many(preparation, plain))),
         "shown": {name: to_infix(one.program, dataset.names) for name, one in refinement.equations.items()},
-        "refined": sha256(encode_value(refinement)).hexdigest(),
+        "refined": sha256(result.to_json().encode()).hexdigest(),
         "dataset": dataset.digest,
         "noise": [target.noise.hex() for target in dataset.targets],
         "islands": [search.digests for search in searches],

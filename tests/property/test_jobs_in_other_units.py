@@ -134,7 +134,7 @@ def refined(units: Units) -> dict[str, Any]:
     dataset = prepared.preparation.dataset
     pools = {target.variable: Pool(_front(dataset.problem(target.variable), units)) for target in dataset.targets}
     refinement = refine_all(prepared.preparation, prepared.config, pools, None, prepared.laws)
-    outcomes = [VariableOutcome(name, pool.front, 1, refined=refinement.equations.get(name))
+    outcomes = [VariableOutcome(name, pool.front, 1)
                 for name, pool in pools.items()]  # fmt: skip
     done = Account("done", 1.0, 1.0)
     return build_result("j", prepared.config, prepared.preparation, outcomes, done, refinement).as_dict()

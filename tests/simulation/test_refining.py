@@ -2,7 +2,8 @@
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.pools import Pools
-from atoll_coordinator.model.refinement import Constant, Refined, Refinement
+from atoll_coordinator.model.refinement import Refined, Refinement
+from atoll_coordinator.result.equations import Constant
 from atoll_coordinator.service.monitoring.job_views import ended_view
 from atoll_core.config import BudgetConfig, JobConfig
 from atoll_core.expression.text.parsing import from_infix
@@ -18,7 +19,7 @@ def nothing(preparation: Preparation, config: JobConfig, pools: Pools, *_: objec
 def made(preparation: Preparation, config: JobConfig, pools: Pools, *_: object) -> Refinement:
     assert all(pools[variable].front for variable in preparation.dataset.variables)
     program = from_infix("0.5*x", preparation.dataset.names)
-    constants = (Constant(0.5, 0.49, 0.01, (0.47, 0.51), identifiable=False),)
+    constants = (Constant(value=0.5, fitted=0.49, std_error=0.01, interval=(0.47, 0.51), identifiable=False),)
     equation = Refined(0, program, 0.25, 0.125, constants, grade="doubtful", reason="Because.")
     return Refinement({"x": equation}, warnings=("It was hard.",))
 

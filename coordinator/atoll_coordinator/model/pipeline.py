@@ -14,19 +14,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-import numpy as np
-
-from atoll_coordinator.data.recording import Preparation, Recording
+from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.batches import Batches, spreading
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.inference.conclusion import summarize
-from atoll_coordinator.model.inference.group_constants import summarize_groups
+from atoll_coordinator.model.inference.checks import judge
+from atoll_coordinator.model.inference.conclusion import conclude
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
 from atoll_coordinator.model.inference.target_evidence import target_evidence
 from atoll_coordinator.model.inference.unexplained import unexplained_remarks
-from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import LawsByGroup, Member, Pools
-from atoll_coordinator.model.refinement import Refined, Refinement, Simulation
+from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
@@ -126,13 +123,11 @@ def _refined(
         ))  # fmt: skip
         selected = select_model(task)
         deadline.begin_last_stage()
-        summarized = summarize_groups if preparation.recording.groups else summarize
-        model = None if selected is None else summarized(selected)
+        model = None if selected is None else conclude(selected, preparation)
     if selected is not None and model is not None:
         shown = {name: equation.program for name, equation in model.equations.items()}
         time = "t" if preparation.source is None else preparation.source.time or "t"
         remarks = (
-            *stochastic_remarks(preparation.recording, model.simulation),
             *operator_remarks(selected, shown),
             *unexplained_remarks(preparation.recording, model.equations, time),
         )
@@ -142,27 +137,13 @@ def _refined(
             model,
             equations={**alone, **model.equations},
             warnings=(*model.warnings, *remarks),
-            simulation=model.simulation and _as_measured(model.simulation, preparation.recording),
         )
     unsettled = {name: programs for name, programs in candidates.items() if name not in converged}
     rest = _by_regression(preparation, config, unsettled, deadline)
     if deadline.has_cut_short:
         rest |= _by_laws(task, [name for name in unsettled if name not in task.known])
-    warnings = (NOT_SIMULATED, *stochastic_remarks(preparation.recording, None))
+    warnings = (NOT_SIMULATED, *stochastic_remarks(preparation.recording))
     return Refinement({**settled, **rest}, warnings=warnings)
-
-
-def _as_measured(simulation: Simulation, recording: Recording) -> Simulation:
-    """Return simulations beside what was measured, also where the errors of a solver were taken off that."""
-    states = [recording.states.index(name) for name in simulation.states]
-    measured = {part.name: part.measured[states] for part in recording.trajectories}
-    trajectories = tuple(
-        replace(one, measured=np.where(np.isnan(one.measured), np.nan, measured[one.name]))
-        if one.measured.shape == measured[one.name].shape
-        else one
-        for one in simulation.trajectories
-    )
-    return replace(simulation, trajectories=trajectories)
 
 
 def _has_converged(preparation: Preparation, config: JobConfig, name: str, candidates: CandidateSet) -> bool:

@@ -11,6 +11,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.result.base import finite
+from atoll_core.data.dataset import FloatArray
+
 _GOLDEN: Final = 0.618
 """The golden section, the number that fractions are farthest from."""
 
@@ -28,3 +31,18 @@ def thinned_places(places: int, most: int) -> npt.NDArray[np.int64]:
         return np.arange(places, dtype=np.int64)
     ranges = np.arange(places // width, dtype=np.int64)
     return ranges * width + ranges * lattice_step(width) % width
+
+
+def spread_places(places: int, most: int) -> list[int]:
+    """Return at most `most` (2 or more) of so many places, evenly spread, the first and the last among them."""
+    if places <= most:
+        return [*range(places)]
+    return [(index * (places - 1)) // (most - 1) for index in range(most)]
+
+
+def curve(values: FloatArray, digits: int = 7) -> tuple[float | None, ...]:
+    """Return `values` (R,) as a result lists them: in so many significant digits, None where a value is not finite.
+
+    Curves have many numbers and are looked at, so that seven digits are enough.
+    """
+    return tuple(finite(float(f"{value:.{digits}g}")) for value in values.tolist())

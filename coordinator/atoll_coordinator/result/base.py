@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
 from pydantic_core import PydanticCustomError
@@ -22,11 +22,18 @@ def _positive(value: object) -> object:
 
 
 Positive = Annotated[Real, BeforeValidator(_positive), Field(gt=0.0)]
-Number = Real | None
+
+
+def finite(value: Any) -> Any:
+    """Return a value as a result holds it: None where it is a number that is not finite."""
+    return (float(value) if math.isfinite(value) else None) if isinstance(value, float) else value
+
+
+Number = Annotated[Real | None, BeforeValidator(finite)]
 """A number, null where it is not known or not finite."""
 Pair = tuple[Number, Number]
 """Lower and upper end of a range, null on an open side."""
-Curve = tuple[Number, ...]
+Curve = tuple[Real | None, ...]
 Curves = dict[Text, Curve]
 """By name, one number for each of the times beside it."""
 Numbers = dict[Text, Number]
@@ -37,6 +44,10 @@ class Part(BaseModel):
     """A part of a result; a key that this version does not know is kept, and written again."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="allow", populate_by_name=True, defer_build=True)
+
+    def replaced(self, **changes: object) -> Self:
+        """Return a part with other values of some fields, checked like the values of a new one."""
+        return type(self)(**{**dict(self), **changes})
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         """Yield what ``repr`` shows: what there is, each on a short line, since curves have thousands of numbers."""

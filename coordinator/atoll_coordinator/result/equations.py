@@ -30,6 +30,13 @@ class Estimate(Part):
         """The estimate in full, what is shown where there was no fit."""
         return next((number for number in (self.fitted, self.value) if number is not None), 0.0)
 
+    @property
+    def is_within(self) -> bool:
+        """Whether the number that is shown lies in the interval, if there is one."""
+        low, high = self.interval or (None, None)
+        value = self.value or 0.0
+        return (low is None or low <= value) and (high is None or value <= high)
+
 
 class Constant(Estimate):
     """A constant of an equation; `shared`: all groups of trajectories have it in common, None without groups."""

@@ -1,7 +1,7 @@
 """Refining a job as a task: what preparing gave and what the search found in, the job's result as JSON out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
@@ -40,7 +40,7 @@ def refine(prepared: bytes, searched: bytes, seconds: float | None, refiner: Ref
     How long the whole job took is left open: `atoll_coordinator.result.result.timed` fills it in.
     """
     job, search = decode_value(prepared, Prepared), decode_value(searched, Searched)
-    made = refiner(job.preparation, job.config, search.pools, Deadline(seconds), job.laws)
-    outcomes = [replace(one, refined=made.equations.get(one.variable)) for one in search.outcomes]
-    account = Account("done", UNTIMED, max((one.seconds for one in outcomes), default=0.0))
-    return build_result(search.job, job.config, job.preparation, outcomes, account, made).to_json().encode()
+    refinement = refiner(job.preparation, job.config, search.pools, Deadline(seconds), job.laws)
+    account = Account("done", UNTIMED, max((one.seconds for one in search.outcomes), default=0.0))
+    result = build_result(search.job, job.config, job.preparation, search.outcomes, account, refinement)
+    return result.to_json().encode()

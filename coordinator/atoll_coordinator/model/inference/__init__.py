@@ -1,16 +1,16 @@
-"""What is said of the selected model.
+"""What is reported of the selected model; a `SelectedModel` goes in, a `Refinement` comes out.
 
-- `conclusion`: the model fitted to all rows, rounded, simulated and judged: `summarize`
-- `group_constants`: the same where groups of trajectories have constants of their own: `summarize_groups`
-- `shared_terms`: terms that equations share, fitted together
-- `standard_errors`: standard errors, intervals and correlations of constants
+- `conclusion`: the way through this list, on one page: `conclude`
+- `final_model`: the equations as they are shown, fitted to all rows, rounded, simulated in whole
+- `groups`: which constants groups of trajectories share; `shared_terms`: terms that equations share, fitted together
+- `standard_errors`: standard errors, intervals and correlations of constants; `unknown_correlation`: how much larger
+  they are where few rows do not show whether errors are correlated
 - `trajectory_simulation`: the model along measured trajectories, with bands
-- `attractor`: whether a long simulation of a chaotic model keeps the measured averages
-- `prediction`: whether model and rivals foretell the same from other initial states
-- `residuals`: whether what a simulation leaves is as large as the noise, and without a pattern
-- `random_walk`: whether it grows like a random walk, so that noise is part of the law
-- `quadratic_forms`: how large it may be by chance
-- `verdict`: the grade of an equation, and the reason in one sentence
-
-A `SelectedModel` goes in, a `Refinement` comes out.
+- `long_run`: whether whole trajectories are described, and whether a chaotic model keeps the measured averages
+- `prediction`: whether the model and its alternatives predict the same from other initial states
+- `evidence`, `target_evidence`: what is known of an equation by its simulation, by the rows of its target
+- `residuals`: whether residuals are as large as the noise, and without a pattern; `quadratic_forms`: how large they may
+  be by chance; `residual_covariance`: their covariance; `null_models`: whether no equation describes as much
+- `checks`: the table of checks, and the verdict that follows from it
+- `random_walk`, `unexplained`: warnings of what residuals follow: noise of the process, runs, a forcing, a hidden state
 """

@@ -1,19 +1,19 @@
-"""The checks of an equation: what each measures, its limit, and to which kinds of job it applies. Pure.
+"""The checks of an equation, and the verdict that follows from them. Pure.
 
-A check has passed, has failed, or was not made, and then says why and what to do; or it is not applicable to a table,
-which has nothing of what it looks at. `verdict.judge` makes the grade of them: an equation is `good` or `exact` only if
-every check that applies was made, would have seen a departure that matters, and passed. A departure matters if it has
-more than a tenth of the variance of a state, since predictions of a good equation have an R2 above 0.9.
-
-Adding a kind of job means adding it to `JobKind` and to the `kinds` of every rule; a test compares them.
+`RULES` is the table: the name of each check, what it measures, its limit, and to which kinds of job it applies; the
+functions below it measure and say the result in a clause. A check has passed, has failed, or was not made, and then
+says why and what to do; or it is not applicable to a table that has nothing of what it looks at. An equation is `good`
+or `exact` only if every check that applies was made, would have seen a departure that matters, and passed. A departure
+matters if it has more than a tenth of the variance of a state, since predictions of a good equation have an R2 above
+0.9. Nothing that was not tested counts as passed.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 from atoll_coordinator.data.columns.finding import listed
 from atoll_coordinator.model.inference.residuals import (
@@ -22,8 +22,10 @@ from atoll_coordinator.model.inference.residuals import (
     clip_outliers,
     residual_statistics,
 )
-from atoll_coordinator.model.refinement import Chaos, Check, CheckOutcome, Constant, JobKind, Prediction
+from atoll_coordinator.model.refinement import CheckOutcome, Grade, JobKind
 from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE
+from atoll_coordinator.result.equations import Check, Estimate, Prediction
+from atoll_coordinator.result.findings import Chaos
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
 
@@ -93,8 +95,8 @@ class Evidence:
     held_out_r2: float | None = None
     is_cross_validated: bool = False
     null_nats: float | None = None
-    constants: Sequence[Constant] = ()
-    unit_coefficients: Sequence[Constant] = ()
+    constants: Sequence[Estimate] = ()
+    unit_coefficients: Sequence[Estimate] = ()
     alternative: float | None = None
     rivals: float = 0.0
     rivals_agree: bool = False
@@ -127,8 +129,10 @@ class Evidence:
         if self.has_outliers:  # which must not decide
             residuals = clip_outliers(residuals)
             innovations = None if innovations is None else clip_outliers(innovations)
-        made = residual_statistics(residuals, self.noise, self.parameters, self.reference, innovations, self.covariance)
-        return replace(made, patterned=min(self.orders * made.patterned, 1.0))
+        statistics = residual_statistics(
+            residuals, self.noise, self.parameters, self.reference, innovations, self.covariance
+        )
+        return replace(statistics, patterned=min(self.orders * statistics.patterned, 1.0))
 
     @property
     def rows(self) -> int:
@@ -173,176 +177,245 @@ class Evidence:
         return min(share * self.relative_noise**2, self.largest_departure) if self.rows else math.inf
 
 
-Maker = Callable[[Evidence], Check]
-"""Makes a check; where a table has nothing to check it is "not applicable", with the reason."""
+class Finding(NamedTuple):
+    """The outcome of a check, see `Check`."""
+
+    outcome: CheckOutcome
+    reason: str
+    value: float | None = None
+    limit: float | None = None
+    power: float | None = None
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A check: its `name`, what it `measures`, and its `limit` in words.
+    """A check: its `name`, what it `measures`, and its `limit` in words; it applies to these `kinds` of job.
 
-    `kinds` says for each kind of job why it does not apply; "" where it does. Checks that `is_exactness` are needed for
-    the grade `exact` alone.
+    `find` measures; None: the equation was not simulated, or has no value on some rows. Checks that `is_exactness` are
+    needed for the grade `exact` alone.
     """
 
     name: str
     measures: str
     limit: str
-    kinds: Mapping[JobKind, str]
-    make: Maker
+    kinds: Sequence[JobKind]
+    find: Callable[[Evidence], Finding | None]
     is_exactness: bool = False
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The `grade` of an equation, the `reason` as a sentence, and the `checks` that it follows from."""
+
+    grade: Grade
+    reason: str
+    checks: tuple[Check, ...]
+
+
+# ---------------------------------------------------------------------------------------------------------- verdict
+
+
+def judge(evidence: Evidence) -> Verdict:
+    """Return the verdict on an equation.
+
+    `no model`: it explains next to nothing. `doubtful`: a check that applies has failed, was not made, or would not
+    have seen a departure that matters. `exact`: checks of exactness have passed as well. `good`: all others.
+    """
+    checks, exactness = make_checks(evidence), make_checks(evidence, of_exactness=True)
+    explained = next((check for check in checks if check.name == "explained variance"), None)
+    if explained is not None and explained.outcome == "failed":
+        return Verdict("no model", sentence([explained.reason]), checks)
+    against = failures(checks)
+    if against:
+        return Verdict("doubtful", sentence(against), checks)
+    precise, *others = exactness
+    if precise.outcome == "passed":
+        unsure = [check.reason for check in others if check.outcome not in ("passed", "not applicable")]
+        return Verdict("good" if unsure else "exact", sentence([precise.reason, *unsure]), (*checks, *exactness))
+    return Verdict("good", sentence(_merits(evidence, checks)), checks)
 
 
 def make_checks(evidence: Evidence, *, of_exactness: bool = False) -> tuple[Check, ...]:
     """Return the checks of an equation that apply to its kind of job, in the order of their weight."""
-    rules = (rule for rule in RULES if rule.is_exactness == of_exactness and not rule.kinds[evidence.kind])
-    made = (rule.make(evidence) for rule in rules)
-    return tuple(map(_with_power, made))
-
-
-def _nothing(name: str, reason: str) -> Check:
-    """Return a check that is not applicable to a table."""
-    return Check(name, "not applicable", reason)
-
-
-_UNSIMULATED: Final = "it was not simulated along the trajectories"
-
-
-_UNDEFINED: Final = "the equation has no finite value on some rows: leave out divisions and logarithms, or these rows"
-
-
-def _unsimulated(evidence: Evidence, name: str) -> Check:
-    return Check(name, "not made", _UNDEFINED if evidence.kind == "target" else _UNSIMULATED)
-
-
-def _with_power(check: Check) -> Check:
-    """Return a check, as not made if it has passed and would not have seen a departure that matters."""
-    if check.outcome != "passed" or check.power is None or check.power <= SETTINGS.inference.part:
-        return check
-    least = f"below {percent(check.power)} of the variance" if math.isfinite(check.power) else "of any size"
-    reason = (
-        f"the check of {check.name} cannot detect errors of the model {least}: measure more rows, or with less noise"
+    return tuple(
+        check_of(rule.name, rule.find(evidence) or Finding("not made", _unsimulated(evidence)))
+        for rule in RULES
+        if rule.is_exactness == of_exactness and evidence.kind in rule.kinds
     )
-    return replace(check, outcome="not made", reason=reason)
+
+
+def check_of(name: str, finding: Finding) -> Check:
+    """Return a check; it was not made if it has passed and would not have seen a departure that matters."""
+    power = finding.power
+    if finding.outcome == "passed" and power is not None and power > SETTINGS.inference.part:
+        least = f"below {percent(power)} of the variance" if math.isfinite(power) else "of any size"
+        reason = f"the check of {name} cannot detect errors of the model {least}: measure more rows, or with less noise"
+        finding = finding._replace(outcome="not made", reason=reason)
+    return Check(name=name, **finding._asdict())
+
+
+def with_objection(verdict: Verdict, name: str, outcome: CheckOutcome, reason: str) -> Verdict:
+    """Return a verdict with a further check, which has failed or was not made: it is doubtful at best then."""
+    checks = (*verdict.checks, check_of(name, Finding(outcome, reason)))
+    if verdict.grade in ("no model", "doubtful"):
+        return Verdict(verdict.grade, verdict.reason, checks)
+    return Verdict("doubtful", sentence([reason]), checks)
+
+
+def failures(checks: Sequence[Check]) -> list[str]:
+    """Return the reasons of checks that speak against an equation: failed ones, then those that were not made."""
+    failed = [check.reason for check in checks if check.outcome == "failed"]
+    unmade = dict.fromkeys(check.reason for check in checks if check.outcome == "not made")
+    if failed:
+        unmade.pop(_UNSIMULATED, None)  # the check of the simulation itself has said so
+    return [*failed, *unmade]
+
+
+def sentence(clauses: Sequence[str]) -> str:
+    """Return at most two clauses as a sentence; a third is worth no more reading."""
+    text = ", and ".join(clauses[:2])
+    return text[0].upper() + text[1:] + "."
+
+
+def _merits(evidence: Evidence, checks: Sequence[Check]) -> list[str]:
+    """Return why an equation is good: its residuals; what it predicts is in the same clause, behind semicolons."""
+    reasons = {check.name: check.reason for check in checks if check.outcome != "not applicable"}
+    size = next((reasons[name] for name in ("residual size", "rows left out") if name in reasons), "")
+    pattern = reasons.get("residual pattern", "")
+    if pattern.startswith("a term"):
+        has_told = evidence.solver is not None or evidence.left <= SETTINGS.inference.exact
+        size, pattern = size if has_told else f"{size}; {pattern}", ""
+    if size.startswith("the residuals"):
+        pattern = pattern.removeprefix("the residuals ")
+    merits = [" and ".join(filter(None, (size, pattern)))] if size or pattern else []
+    merits += [reasons[name] for name in ("held-out trajectories", "long run") if name in reasons]
+    known = evidence.prediction
+    if known is not None and known.reached is not None:
+        merits.append(
+            f"from other initial states within the measured range it leads to {known.reached:.3g}, which was never "
+            f"measured: measure from {_where(known)} to know"
+        )
+    return ["; ".join(merits) or "all checks have passed"]
 
 
 # ------------------------------------------------------------------------------------------------------- simulation
 
+_UNSIMULATED: Final = "it was not simulated along the trajectories"
 
-def _explained(evidence: Evidence) -> Check:
-    name, least = "explained variance", SETTINGS.inference.part
+
+def _unsimulated(evidence: Evidence) -> str:
+    if evidence.kind != "target":
+        return _UNSIMULATED
+    return "the equation has no finite value on some rows: leave out divisions and logarithms, or these rows"
+
+
+def _explained(evidence: Evidence) -> Finding:
+    least = SETTINGS.inference.part
     if evidence.kind != "target" and evidence.residuals:
         r2 = 1.0 - evidence.left**2
         what = f"its simulation explains too little of the measurements (R2 {r2_text(r2)})"
     elif not math.isfinite(evidence.error):
-        return Check(name, "failed", "its error is not finite", None, least)
+        return Finding("failed", "its error is not finite", None, least)
     elif evidence.target_r2 is None:
-        return Check(name, "not made", "the target does not vary")
+        return Finding("not made", "the target does not vary")
     else:
         r2 = evidence.target_r2
-        what = "it is" if evidence.is_known else "nothing was found that is"
+        what = "it is not" if evidence.is_known else "nothing was found that is"
         what += f" much better than a constant (R2 {r2_text(r2)} on the target)"
-        what = what.replace("it is much", "it is not much")
     if r2 >= least:  # NaN explains nothing
-        return Check(name, "passed", f"R2 {r2_text(r2)}", r2, least)
-    return Check(name, "failed", what, r2, least)
+        return Finding("passed", f"R2 {r2_text(r2)}", r2, least)
+    return Finding("failed", what, r2, least)
 
 
-def _simulated(evidence: Evidence) -> Check:
+def _simulated(evidence: Evidence) -> Finding:
     if not evidence.is_unsimulated:
-        return Check("simulation", "passed", "it was simulated along the trajectories")
-    return Check("simulation", "failed", "it was not simulated along the trajectories, and fits the derivatives alone")
+        return Finding("passed", "it was simulated along the trajectories")
+    return Finding("failed", "it was not simulated along the trajectories, and fits the derivatives alone")
 
 
-def _time(evidence: Evidence) -> Check:
+def _time(evidence: Evidence) -> Finding:
     if not evidence.stopped:
-        return Check("time", "passed", "no limit of time has stopped anything")
+        return Finding("passed", "no limit of time has stopped anything")
     if evidence.is_cancelled:
-        return Check("time", "not made", f"the job was cancelled before {evidence.stopped}: let it run on")
-    return Check("time", "not made", f"the limit of time stopped {evidence.stopped}: give more time with --max-time")
+        return Finding("not made", f"the job was cancelled before {evidence.stopped}: let it run on")
+    return Finding("not made", f"the limit of time stopped {evidence.stopped}: give more time with --max-time")
 
 
-def _freedom(evidence: Evidence) -> Check:
-    name = "degrees of freedom"
+def _freedom(evidence: Evidence) -> Finding | None:
     if not evidence.residuals:
-        return _unsimulated(evidence, name)
+        return None
     rows = evidence.rows if evidence.distinct_rows is None else min(evidence.rows, evidence.distinct_rows)
     free = rows - evidence.parameters
     if free >= 1.0:
-        return Check(name, "passed", f"{free:.0f} rows more than fitted numbers", free, 1.0)
+        return Finding("passed", f"{free:.0f} rows more than fitted numbers", free, 1.0)
     which = "rows" if rows == evidence.rows else "rows that differ"
     reason = f"{evidence.parameters:.0f} numbers were fitted to {rows} {which}, which leaves none to test them by"
-    return Check(name, "failed", f"{reason}: measure more rows", free, 1.0)
+    return Finding("failed", f"{reason}: measure more rows", free, 1.0)
 
 
-def _null(evidence: Evidence) -> Check:
-    name, least = "no equation", SETTINGS.inference.chance_nats
-    if evidence.null_nats is None:
-        return _unsimulated(evidence, name)
-    nats = evidence.null_nats
+def _null(evidence: Evidence) -> Finding | None:
+    nats, least = evidence.null_nats, SETTINGS.inference.chance_nats
+    if nats is None:
+        return None
     if nats >= least:
-        return Check(
-            name, "passed", f"it describes the rows better than no equation (Δ log-likelihood {nats:.3g})", nats, least
-        )
+        reason = f"it describes the rows better than no equation (Δ log-likelihood {nats:.3g})"
+        return Finding("passed", reason, nats, least)
     what = "a constant" if evidence.kind == "target" else "a constant or a random walk"
     reason = f"the rows are described about as well without an equation, by {what}"
-    return Check(name, "failed", f"{reason} (Δ log-likelihood {nats:.2g}): measure more rows", nats, least)
+    return Finding("failed", f"{reason} (Δ log-likelihood {nats:.2g}): measure more rows", nats, least)
 
 
-def _held_out(evidence: Evidence) -> Check:
-    name, r2 = "held-out trajectories", evidence.held_out_r2
+def _held_out(evidence: Evidence) -> Finding:
+    r2 = evidence.held_out_r2
     if r2 is None:
-        return _nothing(name, "no trajectory was held out or left out")
+        return Finding("not applicable", "no trajectory was held out or left out")
+    which = "trajectories left out one at a time" if evidence.is_cross_validated else "held-out trajectories"
     least = 1.0 - evidence.relative_noise**2 - SETTINGS.inference.part
     if r2 >= least:
-        return Check(name, "passed", f"{_unseen(evidence)}: R2 {r2_text(r2)}", r2, least)
-    reason = f"{_unseen(evidence)} are simulated with R2 {r2_text(r2)} only"
-    return Check(name, "failed", reason, r2, least)
+        return Finding("passed", f"{which}: R2 {r2_text(r2)}", r2, least)
+    return Finding("failed", f"{which} are simulated with R2 {r2_text(r2)} only", r2, least)
 
 
-def _residual_size(evidence: Evidence) -> Check:
-    name = "residual size"
+def _residual_size(evidence: Evidence) -> Finding | None:
     if not evidence.residuals:
-        return _unsimulated(evidence, name)
-    left = evidence.left
+        return None
     if not evidence.is_noisy:
         return _size_without_noise(evidence)
-    statistics = evidence.statistics
+    statistics, limit, left = evidence.statistics, SETTINGS.inference.excess, evidence.left
     power = evidence.departure(max(statistics.seen_ratio**2 - 1.0, 0.0))
     size = f"the residuals ({percent(left)} of the standard deviation)"
-    if statistics.ratio > SETTINGS.inference.excess and statistics.too_large < SETTINGS.inference.improbable:
+    if statistics.ratio > limit and statistics.too_large < SETTINGS.inference.improbable:
         reason = f"{size} are {statistics.ratio:.2g} times the noise (p = {statistics.too_large:.1g})"
-        return Check(name, "failed", reason, statistics.ratio, SETTINGS.inference.excess, power)
-    reason = f"{size} agree with the noise ({percent(evidence.relative_noise)})"
+        return Finding("failed", reason, statistics.ratio, limit, power)
+    noise = percent(evidence.relative_noise)
+    reason = f"{size} agree with the noise ({noise})"
     if evidence.is_noise_residual:
-        reason, power = (
-            f"{size} are as rough as noise, which so few rows do not show otherwise",
-            evidence.largest_departure,
-        )
+        reason = f"{size} are as rough as noise, which so few rows do not show otherwise"
+        power = evidence.largest_departure
     if _are_of_integration(evidence):
-        reason = f"{size} are those of the integration, though the noise seems to be {percent(evidence.relative_noise)}"
-    if not evidence.is_noise_residual and statistics.ratio > SETTINGS.inference.excess:
-        reason = f"{size} may be noise ({percent(evidence.relative_noise)}), of which so few rows tell little"
-    return Check(name, "passed", reason, statistics.ratio, SETTINGS.inference.excess, power)
+        reason = f"{size} are those of the integration, though the noise seems to be {noise}"
+    if not evidence.is_noise_residual and statistics.ratio > limit:
+        reason = f"{size} may be noise ({noise}), of which so few rows tell little"
+    return Finding("passed", reason, statistics.ratio, limit, power)
 
 
-def _size_without_noise(evidence: Evidence) -> Check:
-    name, left = "residual size", evidence.left
+def _size_without_noise(evidence: Evidence) -> Finding:
+    left, negligible = evidence.left, SETTINGS.common.negligible
     limit = max(SETTINGS.inference.exact, 2.0 * evidence.relative_noise)
     reason = f"there is no noise, and the residuals are {percent(left)} of the standard deviation"
     if evidence.solver is not None:
         reason += f": {evidence.solver}, gives these rows of the equations so closely"
     elif evidence.are_errors_summed and 1.0 - left * left >= 1.0 - SETTINGS.inference.part:
         reason += ", since errors add up along trajectories, as those of a solver do"
-    elif left > SETTINGS.common.negligible and _exceeds(evidence):
-        return Check(name, "failed", reason.replace("noise, and", "noise, but"), left, limit)
-    elif left > SETTINGS.common.negligible:
+    elif left > negligible and _exceeds(evidence):
+        return Finding("failed", reason.replace("noise, and", "noise, but"), left, limit)
+    elif left > negligible:
         reason = (
             f"the residuals are {percent(left)} of the standard deviation, and so few rows do not exclude such noise"
         )
     elif left > limit:
-        limit = SETTINGS.common.negligible  # errors of integration, or a departure that no prediction shows
-    return Check(name, "passed", reason, left, limit, evidence.largest_departure)
+        limit = negligible  # errors of integration, or a departure that no prediction shows
+    return Finding("passed", reason, left, limit, evidence.largest_departure)
 
 
 def _exceeds(evidence: Evidence) -> bool:
@@ -366,115 +439,102 @@ def _are_of_integration(evidence: Evidence) -> bool:
     return is_small or evidence.solver is not None
 
 
-def _residual_pattern(evidence: Evidence) -> Check:
-    name = "residual pattern"
+def _residual_pattern(evidence: Evidence) -> Finding | None:
     if not evidence.residuals:
-        return _unsimulated(evidence, name)
-    if not evidence.statistics.standard_deviation > 0.0:
-        return _nothing(name, "there are no residuals")
+        return None
     statistics, limit = evidence.statistics, SETTINGS.inference.part
+    if not statistics.standard_deviation > 0.0:
+        return Finding("not applicable", "there are no residuals")
     if _are_of_integration(evidence):
         reason = (
             f"a term of {percent(evidence.left)} of the standard deviation would be taken for errors of integration"
         )
-        return Check(name, "passed", reason, statistics.correlation, limit, evidence.largest_departure)
+        return Finding("passed", reason, statistics.correlation, limit, evidence.largest_departure)
     seen = statistics.seen_correlation
     power = evidence.departure(seen / (1.0 - seen) if seen < 1.0 else math.inf)
     if statistics.correlation > limit and statistics.patterned < SETTINGS.inference.improbable:
         share = percent(min(statistics.correlation, 1.0))
         reason = f"{share} of the residual variance follows a pattern (p = {statistics.patterned:.1g})"
-        return Check(name, "failed", reason, statistics.correlation, limit, power)
+        return Finding("failed", reason, statistics.correlation, limit, power)
     reason = "the residuals show no pattern"
     if evidence.innovations is not None:
         reason = "the residuals are correlated as errors of a sensor are, and show no other pattern"
-    return Check(name, "passed", reason, statistics.correlation, limit, power)
+    return Finding("passed", reason, statistics.correlation, limit, power)
 
 
-def _whole(evidence: Evidence) -> Check:
-    name = "whole trajectories"
+def _whole(evidence: Evidence) -> Finding | None:
     if not evidence.residuals:
-        return _unsimulated(evidence, name)
+        return None
     if evidence.chaos is not None:
-        return _nothing(name, "errors of initial states grow in chaos, and the long run is compared")
-    if evidence.fits_whole is None and evidence.predictable_rows is not None:
-        reason = (
-            f"errors of initial states grow, so that no more than {evidence.predictable_rows} rows can be predicted, "
-        )
-        return Check(
-            name, "not made", f"{reason}and the long run of a driven model is not compared: measure shorter runs"
-        )
+        return Finding("not applicable", "errors of initial states grow in chaos, and the long run is compared")
+    if evidence.fits_whole:
+        return Finding("passed", "whole trajectories are simulated")
     if evidence.fits_whole is False:
         reason = f"it describes pieces of {evidence.piece} rows and not whole trajectories: what shows in the long "
-        return Check(name, "failed", f"{reason}run is missing")
-    if evidence.fits_whole is None:
-        reason = f"only pieces of {evidence.piece} rows were simulated, and not whole trajectories"
-        return Check(name, "not made", f"{reason}: sample less often, or measure shorter trajectories")
-    return Check(name, "passed", "whole trajectories are simulated")
+        return Finding("failed", f"{reason}run is missing")
+    if evidence.predictable_rows is not None:
+        reason = (
+            f"errors of initial states grow, so that no more than {evidence.predictable_rows} rows can be predicted, "
+            "and the long run of a driven model is not compared: measure shorter runs"
+        )
+        return Finding("not made", reason)
+    reason = f"only pieces of {evidence.piece} rows were simulated, and not whole trajectories"
+    return Finding("not made", f"{reason}: sample less often, or measure shorter trajectories")
 
 
-def _long_run(evidence: Evidence) -> Check:
+def _long_run(evidence: Evidence) -> Finding | None:
     """Check a chaotic model by a simulation far longer than errors of an initial state can be carried."""
-    name, chaos = "long run", evidence.chaos
+    chaos, limit = evidence.chaos, SETTINGS.inference.improbable
     if chaos is None and not evidence.residuals:
-        return _unsimulated(evidence, name)
+        return None
     if chaos is None:
-        return _nothing(name, "whole trajectories are tested, or no chaos was found")
-    limit, value = SETTINGS.inference.improbable, chaos.probability
+        return Finding("not applicable", "whole trajectories are tested, or no chaos was found")
+    value = chaos.probability
     if chaos.is_kept:
-        return Check(
-            name, "passed",
-            f"chaotic: errors grow e-fold in {chaos.lyapunov_time:.2g}, and a long simulation keeps the measured means "
-            "and variances", value, limit,
-        )  # fmt: skip
+        reason = (
+            f"chaotic: errors grow e-fold in {chaos.lyapunov_time or 0.0:.2g}, and a long simulation keeps the "
+            "measured means and variances"
+        )
+        return Finding("passed", reason, value, limit)
     if chaos.is_unfinished:
         reason = "a long simulation takes more steps than are allowed, so that it is not known where it leads"
-        return Check(name, "not made", reason, value, limit)
+        return Finding("not made", reason, value, limit)
     if value is None:
-        return Check(name, "failed", "a long simulation runs away from what was measured", value, limit)
+        return Finding("failed", "a long simulation runs away from what was measured", value, limit)
     reason = f"means or variances of a long simulation are not those measured (p = {value:.1g})"
-    return Check(name, "failed", reason, value, limit)
+    return Finding("failed", reason, value, limit)
 
 
 # ------------------------------------------------------------------------------------------------------- prediction
 
 
-def _other_starts(evidence: Evidence) -> Check:
+def _other_starts(evidence: Evidence) -> Finding | None:
     """Check how far the model can be relied on elsewhere in the measured range."""
-    name, known = "other initial states", evidence.prediction
+    known, limit = evidence.prediction, 1.0 - math.exp(-SETTINGS.inference.distinct_nats)
     if not evidence.residuals:
-        return _unsimulated(evidence, name)
-    wrong = math.exp(-SETTINGS.inference.distinct_nats)
+        return None
     if known is None:
-        return Check(name, "not made", f"predictions from other initial states were not tested: {evidence.unpredicted}")
-    lost = known.starts - known.followed - known.unfinished
+        return Finding("not made", f"predictions from other initial states were not tested: {evidence.unpredicted}")
+    starts, unfinished, probability = known.starts or 0, known.unfinished or 0, known.probability or 0.0
+    lost = starts - (known.followed or 0) - unfinished
     if lost:
-        reason = f"from {lost} of {known.starts} other initial states within the measured range it runs away"
-        return Check(name, "failed", reason, known.probability, 1.0 - wrong)
-    if known.unfinished:
+        reason = f"from {lost} of {starts} other initial states within the measured range it runs away"
+        return Finding("failed", reason, probability, limit)
+    if unfinished:
         reason = (
-            f"from {known.unfinished} of {known.starts} other initial states within the measured range its "
+            f"from {unfinished} of {starts} other initial states within the measured range its "
             "simulation takes more steps than are allowed, so that it is not known where it leads"
         )
-        return Check(name, "not made", reason, known.probability, 1.0 - wrong)
-    if 1.0 - known.probability > wrong:
+        return Finding("not made", reason, probability, limit)
+    if 1.0 - probability > math.exp(-SETTINGS.inference.distinct_nats):
         reason = (
             "alternative models that fit about as well predict something different from other initial states within "
-            f"the measured range ({percent(known.probability)} of the odds agree){_to_decide(known)}"
+            f"the measured range ({percent(probability)} of the odds agree): measure from {_where(known)} to decide"
         )
-        return Check(name, "failed", reason, known.probability, 1.0 - wrong)
+        return Finding("failed", reason, probability, limit)
     where = " near the measured ones" if evidence.is_near else ""
-    reason = f"{percent(known.probability)} of the odds agree from {known.starts} other initial states{where}"
-    return Check(name, "passed", reason, known.probability, 1.0 - wrong)
-
-
-def outside_of_range(known: Prediction | None) -> str:
-    """Return what a model predicts outside of the measured range as a clause, or nothing."""
-    if known is None or known.reached is None:
-        return ""
-    return (
-        f"from other initial states within the measured range it leads to {known.reached:.3g}, which was never "
-        f"measured: measure from {_where(known)} to know"
-    )
+    reason = f"{percent(probability)} of the odds agree from {starts} other initial states{where}"
+    return Finding("passed", reason, probability, limit)
 
 
 def _to_decide(known: Prediction | None) -> str:
@@ -489,126 +549,117 @@ def _where(known: Prediction) -> str:
 # ----------------------------------------------------------------------------------------------------------- target
 
 
-def _target_noise(evidence: Evidence) -> Check:
+def _target_noise(evidence: Evidence) -> Finding:
     """Check what is known of the target: nonsense fits an uncertain one as well as the law does."""
-    name, most = "target uncertainty", SETTINGS.inference.largest_uncertainty
-    uncertainty = evidence.target_uncertainty
+    uncertainty, most = evidence.target_uncertainty, SETTINGS.inference.largest_uncertainty
     if uncertainty <= most:
-        return Check(name, "passed", f"the target is uncertain by {percent(uncertainty)}", uncertainty, most)
+        return Finding("passed", f"the target is uncertain by {percent(uncertainty)}", uncertainty, most)
     reason = f"the target itself is uncertain by {percent(uncertainty)} of its standard deviation"
-    return Check(name, "failed", reason, uncertainty, most)
+    return Finding("failed", reason, uncertainty, most)
 
 
-def _predicted_rows(evidence: Evidence) -> Check:
+def _predicted_rows(evidence: Evidence) -> Finding:
     """Check the rows that take no part in a fit: of a good equation they are predicted with an R2 above 0.9.
 
     Where the target's own uncertainty is known, an equation cannot be asked for more than that.
     """
-    name, least = "rows left out", 1.0 - SETTINGS.inference.part
     r2 = evidence.predicted_r2
     if r2 is None:
-        return Check(name, "not made", "the equation has no finite value on some rows, so that none can be left out")
-    least -= min(2.0 * evidence.target_uncertainty, 1.0) ** 2
-    if r2 >= least:
-        return Check(name, "passed", f"rows left out one at a time are predicted with R2 {r2_text(r2)}", r2, least)
-    return Check(name, "failed", f"rows left out one at a time are predicted with R2 {r2_text(r2)} only", r2, least)
+        return Finding("not made", "the equation has no finite value on some rows, so that none can be left out")
+    least = 1.0 - SETTINGS.inference.part - min(2.0 * evidence.target_uncertainty, 1.0) ** 2
+    reason = f"rows left out one at a time are predicted with R2 {r2_text(r2)}"
+    return Finding("passed", reason, r2, least) if r2 >= least else Finding("failed", f"{reason} only", r2, least)
 
 
 # ------------------------------------------------------------------------------------------------------------ model
 
 
-def _distinct(evidence: Evidence) -> Check:
+def _distinct(evidence: Evidence) -> Finding | None:
     count, least = evidence.distinct_rows, SETTINGS.checks.min_rows
     if count is None:
-        return _unsimulated(evidence, "distinct rows")
+        return None
     if count >= least:
-        return Check("distinct rows", "passed", f"{count} rows differ", count, least)
+        return Finding("passed", f"{count} rows differ", count, least)
     reason = (
         f"the rows repeat {count} measurements, through which many equations lead: measure at other times or points"
     )
-    return Check("distinct rows", "failed", reason, count, least)
+    return Finding("failed", reason, count, least)
 
 
-def _inputs(evidence: Evidence) -> Check:
-    name, most, shares = "inputs between rows", SETTINGS.inference.part, evidence.unknown_inputs
+def _inputs(evidence: Evidence) -> Finding:
+    most, shares = SETTINGS.inference.part, evidence.unknown_inputs
     if not shares:
-        return _nothing(name, "the equations have no input")
-    if any(map(math.isnan, shares.values())):
-        untold = [one for one, share in shares.items() if math.isnan(share)]
-        return Check(
-            name, "not made", f"there are too few rows to know {_quoted(untold)} between them: sample more rows"
-        )
+        return Finding("not applicable", "the equations have no input")
+    untold = [one for one, share in shares.items() if math.isnan(share)]
+    if untold:
+        return Finding("not made", f"there are too few rows to know {_quoted(untold)} between them: sample more rows")
     unknown, worst = [one for one, share in shares.items() if share > most], max(shares.values())
     if not unknown:
         reason = f"what is not known of inputs between rows makes {percent(worst)} of the variance of a rate at most"
-        return Check(name, "passed", reason, worst, most)
+        return Finding("passed", reason, worst, most)
     held, verb = listed(sorted({*evidence.held_inputs, *unknown})), "is" if len(unknown) == 1 else "are"
     reason = (
         f"what is not known of {_quoted(unknown)} between rows makes {percent(worst)} of the variance of a rate: add "
         f"--hold {held} if {_quoted(unknown)} {verb} constant from row to row, else sample faster, or with less noise"
     )
-    return Check(name, "not made", reason, worst, most)
+    return Finding("not made", reason, worst, most)
 
 
 def _quoted(names: Sequence[str]) -> str:
     return " and ".join(f"'{name}'" for name in names)
 
 
-def _poles(evidence: Evidence) -> Check:
+def _poles(evidence: Evidence) -> Finding | None:
     if not evidence.residuals:
-        return _unsimulated(evidence, "poles")
+        return None
     if not evidence.passes_pole:
-        return Check("poles", "passed", "its simulation passes no pole")
-    reason = "its simulation passes a pole, where it has no value: measure there, or leave out divisions"
-    return Check("poles", "failed", reason)  # such as 6e-13/(3e-12 - x**3), by which a state seems to be switched
+        return Finding("passed", "its simulation passes no pole")
+    # such as the pole of 6e-13/(3e-12 - x**3), by which a state seems to be switched
+    return Finding(
+        "failed", "its simulation passes a pole, where it has no value: measure there, or leave out divisions"
+    )
 
 
-def _alternatives(evidence: Evidence) -> Check:
-    name, nats, least = "alternative equations", evidence.alternative, SETTINGS.inference.distinct_nats
+def _alternatives(evidence: Evidence) -> Finding | None:
+    nats, least = evidence.alternative, SETTINGS.inference.distinct_nats
     if nats is None and not evidence.residuals:
-        return _unsimulated(evidence, name)
+        return None
     if nats is None:
-        return _nothing(name, "no other equation with as few constants, which predicts something else, was compared")
+        reason = "no other equation with as few constants, which predicts something else, was compared"
+        return Finding("not applicable", reason)
     if nats >= least:
-        return Check(
-            name,
-            "passed",
-            f"the next best equation with as few constants fits worse (Δ description length {nats:.3g})",
-            nats,
-            least,
-        )
+        reason = f"the next best equation with as few constants fits worse (Δ description length {nats:.3g})"
+        return Finding("passed", reason, nats, least)
     where = _to_decide(evidence.prediction) if evidence.rivals_agree else ""
     reason = f"another equation describes the data about as well (Δ description length {nats:.2g}){where}"
-    return Check(name, "failed", reason, nats, least)
+    return Finding("failed", reason, nats, least)
 
 
-def _constants(evidence: Evidence) -> Check:
-    name, constants = "constants", evidence.constants
+def _constants(evidence: Evidence) -> Finding | None:
+    constants = evidence.constants
     if not constants and evidence.is_unsimulated:
-        return _unsimulated(evidence, name)
+        return None
     if evidence.unfitted:
         many = f"{evidence.unfitted} constants are" if evidence.unfitted > 1 else "constant is"
-        return Check(
-            name, "not made", f"how well its {many} determined is not known: seek a shorter equation, --max-size"
-        )
+        reason = f"how well its {many} determined is not known: seek a shorter equation, --max-size"
+        return Finding("not made", reason)
     if not constants:
-        return _nothing(name, "it has no constants")
-    bound = next((constant for constant in constants if constant.is_at_bound), None)
+        return Finding("not applicable", "it has no constants")
+    bound = next((constant for constant in constants if constant.at_bound), None)
     if bound is not None:
-        return Check(name, "failed", f"the data would have the constant {bound.value:.3g} beyond its bound")
+        return Finding("failed", f"the data would have the constant {bound.value or 0.0:.3g} beyond its bound")
     loose = sum(not constant.identifiable for constant in constants)
     if not loose:
-        return Check(name, "passed", "all constants are determined by the data", loose, 0.0)
+        return Finding("passed", "all constants are determined by the data", loose, 0.0)
     many = f"{loose} of {len(constants)} constants are" if len(constants) > 1 else "its constant is"
-    return Check(name, "failed", f"{many} not determined by the data", loose, 0.0)
+    return Finding("failed", f"{many} not determined by the data", loose, 0.0)
 
 
 # -------------------------------------------------------------------------------------------------------- exactness
 
 
-def _precision(evidence: Evidence) -> Check:
+def _precision(evidence: Evidence) -> Finding:
     """Check whether the equation is met but for rounding and errors of integration."""
-    name = "precision"
     if not evidence.residuals or evidence.kind == "target":
         error, limit = evidence.error, evidence.convergence_threshold
         is_met = evidence.target_uncertainty <= SETTINGS.common.clean and error <= limit
@@ -622,150 +673,107 @@ def _precision(evidence: Evidence) -> Check:
                 f"without noise: {evidence.solver}, gives these rows of the equations to {error:.1g} of the standard "
                 "deviation"
             )
-    return Check(name, "passed" if is_met else "failed", reason, error, limit)
+    return Finding("passed" if is_met else "failed", reason, error, limit)
 
 
-def _loosest(evidence: Evidence) -> Check:
+def _loosest(evidence: Evidence) -> Finding:
     """Check that all constants are known as in an exact law.
 
     Dropping a constant of which the estimate is t standard errors away from zero costs about t^2/2 nats. In data
     without noise a law stands out by millions of nats, while terms that follow the errors of a simulation do by tens.
     Factors of one of which some stand for others, as those of x*y in x*y - x*(y - x), have no errors and do not count.
     """
-    name, limit = "precision of constants", SETTINGS.common.negligible
-    known = [
-        (
-            constant.std_error / max(abs(constant.value if constant.fitted is None else constant.fitted), 1e-300),
-            constant.value,
-        )
+    limit = SETTINGS.common.negligible
+    shares = [
+        (constant.std_error / max(abs(constant.estimate), 1e-300), constant.value or 0.0)
         for constant in (*evidence.constants, *evidence.unit_coefficients)
-        if constant.std_error is not None and math.isfinite(constant.std_error)
+        if constant.std_error is not None
     ]
-    if not known:
-        return _nothing(name, "no constant has a standard error")
-    share, value = max(known)
-    outcome: CheckOutcome = "passed" if share <= limit else "failed"
+    if not shares:
+        return Finding("not applicable", "no constant has a standard error")
+    share, value = max(shares)
+    if share <= limit:
+        return Finding("passed", f"the constant known least is known to {percent(share)}", share, limit)
     certainty = f"is known to {percent(share)} only" if share < _UNKNOWN else "cannot be told from 0"
-    reason = f"the constant {value:.3g} {certainty}: its term may follow errors of the data"
-    if outcome == "passed":
-        reason = f"the constant known least is known to {percent(share)}"
-    return Check(name, outcome, reason, share, limit)
+    return Finding(
+        "failed", f"the constant {value:.3g} {certainty}: its term may follow errors of the data", share, limit
+    )
 
 
-def _digits(evidence: Evidence) -> Check:
+def _digits(evidence: Evidence) -> Finding:
     """Check that values with few digits are met by constants with as few: others follow the errors of rounding.
 
     What is periodic in the last digit of a column can give the rounding of every row.
     """
-    name, most = "digits of constants", evidence.digits
+    most = evidence.digits
     if most is None:
-        return _nothing(name, "the values are not rounded")
-    count = max((len(Decimal(repr(one.value)).normalize().as_tuple().digits) for one in evidence.constants), default=0)
+        return Finding("not applicable", "the values are not rounded")
+    values = (constant.value or 0.0 for constant in evidence.constants)
+    count = max((len(Decimal(repr(value)).normalize().as_tuple().digits) for value in values), default=0)
     if count <= most:
-        return Check(name, "passed", f"constants have {count} digits at most, and the values {most}", count, most)
+        return Finding("passed", f"constants have {count} digits at most, and the values {most}", count, most)
     reason = f"the values have {most} digits and a constant has {count}: its term may follow errors of rounding"
-    return Check(name, "failed", reason, count, most)
+    return Finding("failed", reason, count, most)
 
 
-def _undecided(evidence: Evidence) -> Check:
+def _undecided(evidence: Evidence) -> Finding:
     """Check that no other equation may be the law of a table without noise."""
-    name, limit = "other laws", math.exp(-SETTINGS.inference.exact_nats)
+    limit = math.exp(-SETTINGS.inference.exact_nats)
     if evidence.rivals <= limit:
-        return Check(name, "passed", "no other equation may be the law", evidence.rivals, limit)
+        return Finding("passed", "no other equation may be the law", evidence.rivals, limit)
     share = evidence.rivals / (1.0 + evidence.rivals)
     reason = (
         "the data do not distinguish it from other equations, which agree along the measured trajectories and differ "
         f"elsewhere ({percent(share)} of the odds){_to_decide(evidence.prediction)}"
     )
-    return Check(name, "failed", reason, evidence.rivals, limit)
+    return Finding("failed", reason, evidence.rivals, limit)
 
 
-def _chance(evidence: Evidence) -> Check:
+def _chance(evidence: Evidence) -> Finding | None:
     """Check that the equation stands out from none as an exact one must: odds of 200."""
     nats, least = evidence.null_nats, SETTINGS.inference.exact_nats
     if nats is None:
-        return _unsimulated(evidence, "odds against chance")
-    outcome: CheckOutcome = "passed" if nats >= least else "failed"
+        return None
     reason = f"it describes the rows better than no equation (Δ log-likelihood {nats:.2g}; {least} is needed)"
-    return Check("odds against chance", outcome, reason, nats, least)
+    return Finding("passed" if nats >= least else "failed", reason, nats, least)
 
 
 # ------------------------------------------------------------------------------------------------------------ table
 
-_NO_SIMULATION: Final = "nothing is simulated where a target is given"
-_PROCESS: Final = "the steps of a process have checks of their own, see `stochastic.conclusion`"
+_SIMULATED: Final[Sequence[JobKind]] = ("trajectories", "groups")
+_TARGET: Final[Sequence[JobKind]] = ("target",)
+_ALL: Final = (*_SIMULATED, *_TARGET)
+"""The steps of a process have checks of their own, see `stochastic.conclusion`."""
 
-
-def _simulation_alone() -> dict[JobKind, str]:
-    return {"trajectories": "", "groups": "", "target": _NO_SIMULATION, "process": _PROCESS}
-
-
-def _everywhere() -> dict[JobKind, str]:
-    return {"trajectories": "", "groups": "", "target": "", "process": _PROCESS}
-
-
-def _target_alone() -> dict[JobKind, str]:
-    reason = "derivatives of smoothed states are no measurements, along which a model is simulated"
-    return {"trajectories": reason, "groups": reason, "target": "", "process": _PROCESS}
-
-
+# name, what is measured, limit, kinds of job, function; those first that weigh most in a sentence
 RULES: Final[Sequence[Rule]] = (
-    Rule("explained variance", "R2 of the simulation, or on the target", "0.1", _everywhere(), _explained),
-    Rule("simulation", "whether the trajectories could be simulated", "all", _simulation_alone(), _simulated),
-    Rule("time", "what a limit of time has stopped", "nothing", _everywhere(), _time),
-    Rule("degrees of freedom", "rows less the numbers fitted to them", "1", _everywhere(), _freedom),
-    Rule("distinct rows", "rows that differ by more than rounding", "5", _everywhere(), _distinct),
-    Rule(
-        "inputs between rows",
-        "share of the variance of a rate that inputs make between rows",
-        "0.1",
-        _simulation_alone(),
-        _inputs,
-    ),
-    Rule("no equation", "Δ log-likelihood over a constant and a random walk", "4.6", _everywhere(), _null),
-    Rule("held-out trajectories", "R2 of trajectories left out", "0.9 less the noise", _simulation_alone(), _held_out),
-    Rule("rows left out", "R2 of rows left out one at a time", "0.9", _target_alone(), _predicted_rows),
-    Rule("target uncertainty", "uncertainty of the target", "0.01", _target_alone(), _target_noise),
-    Rule("residual size", "residuals over the noise", "1.25, p < 0.01", _simulation_alone(), _residual_size),
-    Rule(
-        "residual pattern", "correlation of neighbouring residuals", "0.1, p < 0.01", _everywhere(), _residual_pattern
-    ),
-    Rule("whole trajectories", "whether whole trajectories are described", "all", _simulation_alone(), _whole),
-    Rule("long run", "means and variances of a chaotic model", "p < 0.01", _simulation_alone(), _long_run),
-    Rule("other initial states", "odds of models that predict the same", "0.95", _simulation_alone(), _other_starts),
-    Rule("poles", "poles that the simulation passes", "none", _simulation_alone(), _poles),
-    Rule("alternative equations", "Δ description length of the next best equation", "3", _everywhere(), _alternatives),
-    Rule("constants", "constants that the data do not determine", "none", _everywhere(), _constants),
-    Rule("precision", "residuals without noise", "1e-6, or rounding", _everywhere(), _precision, is_exactness=True),
-    Rule("odds against chance", "Δ log-likelihood over no equation", "5.3", _everywhere(), _chance, is_exactness=True),
-    Rule("precision of constants", "standard error over estimate", "1e-3", _everywhere(), _loosest, is_exactness=True),
-    Rule(
-        "digits of constants",
-        "digits beside those of the values",
-        "as many",
-        _target_alone(),
-        _digits,
-        is_exactness=True,
-    ),
-    Rule("other laws", "odds of other equations", "1/200", _simulation_alone(), _undecided, is_exactness=True),
+    Rule("explained variance", "R2 of the simulation, or on the target", "0.1", _ALL, _explained),
+    Rule("simulation", "whether the trajectories could be simulated", "all", _SIMULATED, _simulated),
+    Rule("time", "what a limit of time has stopped", "nothing", _ALL, _time),
+    Rule("degrees of freedom", "rows less the numbers fitted to them", "1", _ALL, _freedom),
+    Rule("distinct rows", "rows that differ by more than rounding", "5", _ALL, _distinct),
+    Rule("inputs between rows", "share of the variance of a rate that is not known", "0.1", _SIMULATED, _inputs),
+    Rule("no equation", "Δ log-likelihood over a constant and a random walk", "4.6", _ALL, _null),
+    Rule("held-out trajectories", "R2 of trajectories left out", "0.9 less the noise", _SIMULATED, _held_out),
+    Rule("rows left out", "R2 of rows left out one at a time", "0.9", _TARGET, _predicted_rows),
+    Rule("target uncertainty", "uncertainty of the target", "0.01", _TARGET, _target_noise),
+    Rule("residual size", "residuals over the noise", "1.25, p < 0.01", _SIMULATED, _residual_size),
+    Rule("residual pattern", "correlation of neighbouring residuals", "0.1, p < 0.01", _ALL, _residual_pattern),
+    Rule("whole trajectories", "whether whole trajectories are described", "all", _SIMULATED, _whole),
+    Rule("long run", "means and variances of a chaotic model", "p < 0.01", _SIMULATED, _long_run),
+    Rule("other initial states", "odds of models that predict the same", "0.95", _SIMULATED, _other_starts),
+    Rule("poles", "poles that the simulation passes", "none", _SIMULATED, _poles),
+    Rule("alternative equations", "Δ description length of the next best equation", "3", _ALL, _alternatives),
+    Rule("constants", "constants that the data do not determine", "none", _ALL, _constants),
+    Rule("precision", "residuals without noise", "1e-6, or rounding", _ALL, _precision, is_exactness=True),
+    Rule("odds against chance", "Δ log-likelihood over no equation", "5.3", _ALL, _chance, is_exactness=True),
+    Rule("precision of constants", "standard error over estimate", "1e-3", _ALL, _loosest, is_exactness=True),
+    Rule("digits of constants", "digits of constants and values", "as many", _TARGET, _digits, is_exactness=True),
+    Rule("other laws", "odds of other equations", "1/200", _SIMULATED, _undecided, is_exactness=True),
 )
-"""All checks, those first that weigh most in a sentence."""
-
-
-def failures(checks: Sequence[Check]) -> Iterator[str]:
-    """Yield the reasons of checks that speak against an equation: failed ones, then those that were not made."""
-    failed = [check.reason for check in checks if check.outcome == "failed"]
-    unmade = dict.fromkeys(check.reason for check in checks if check.outcome == "not made")
-    if failed:
-        unmade.pop(_UNSIMULATED, None)  # the check of the simulation itself has said so
-    yield from (*failed, *unmade)
 
 
 # ------------------------------------------------------------------------------------------------------------- text
-
-
-def _unseen(evidence: Evidence) -> str:
-    return "trajectories left out one at a time" if evidence.is_cross_validated else "held-out trajectories"
 
 
 def percent(share: float) -> str:

@@ -23,14 +23,14 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.inference.attractor import along
-from atoll_coordinator.model.refinement import Prediction
+from atoll_coordinator.model.inference.long_run import along
 from atoll_coordinator.model.shooting.integration import Unsimulated
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.points_between import MOST_POINTS, points_between, without_kept
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.thinning import thinned_places
+from atoll_coordinator.result.equations import Prediction
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
@@ -70,7 +70,10 @@ def foretell(
     unfinished = sum(isinstance(course, str) and course == "out of steps" for course in own)
     states = range(len(measurements.observed))
     if not followed:
-        return [Prediction(len(own), 0, 0.0, math.inf, unfinished=unfinished) for _ in states]
+        nothing = Prediction(
+            starts=len(own), followed=0, unfinished=unfinished, probability=0.0, novelty=math.inf, is_disputed=False
+        )
+        return [nothing for _ in states]
     horizon = elsewhere.horizon(model, own)
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
     misses, misses_of_data = _Misses(courses, len(states)), _Misses(courses, len(states))
@@ -96,9 +99,16 @@ def foretell(
         probability, disputed = misses.agreement(state), misses.unlike(state)
         if reached is not None and misses_of_data.agreement(state) < probability:
             probability, disputed = misses_of_data.agreement(state), misses_of_data.unlike(state)
-        start = elsewhere.named(followed[farthest if disputed is None else disputed])
-        is_disputed = disputed is not None
-        return Prediction(len(own), len(followed), probability, novelty, reached, start, is_disputed, unfinished)
+        return Prediction(
+            starts=len(own),
+            followed=len(followed),
+            unfinished=unfinished,
+            probability=probability,
+            novelty=novelty,
+            reached=reached,
+            is_disputed=disputed is not None,
+            measure_from=elsewhere.named(followed[farthest if disputed is None else disputed]),
+        )
 
     return [predicted(state) for state in states]
 

@@ -13,27 +13,31 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.recording import Recording
-from atoll_coordinator.model.refinement import Simulation
+from atoll_coordinator.model.inference.trajectory_simulation import SimulatedTrajectory
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _LAGS: Final = (1, 2, 4, 8)
 
 
-def stochastic_remarks(recording: Recording, simulation: Simulation | None) -> list[str]:
-    """Return a sentence that proposes ``--stochastic``, if what is left of states by a simulation looks like it.
+def stochastic_remarks(
+    recording: Recording, states: Sequence[str] = (), simulated: Sequence[SimulatedTrajectory] = ()
+) -> list[str]:
+    """Return a sentence that proposes ``--stochastic``, if the residuals of states look like it.
 
-    Without a simulation that is what was measured: of a process, hardly a model can be simulated.
+    `states` are those that are `simulated` along the trajectories that were not held out. Without a simulation the
+    measurements stand for the residuals: of a process, hardly a model can be simulated.
     """
-    walking = [
-        state
-        for index, state in enumerate(recording.states)
-        if _walks(*_residuals(recording, simulation, index), _rounding(recording, index))
-    ]
+    walking = []
+    for index, state in enumerate(recording.states):
+        measured = [part.measured[index] for part in recording.trajectories if not part.held_out]
+        residuals = _residuals(measured, state, states, simulated) if simulated else measured
+        if _walks(measured, residuals, _rounding(recording, index)):
+            walking.append(state)
     if not walking:
         return []
     named = ", ".join(f"'{state}'" for state in walking)
-    what = "The measurements" if simulation is None else "The residuals"
+    what = "The residuals" if simulated else "The measurements"
     return [
         f"{what} of {named} grow like a random walk, as where noise moves the system itself: with --stochastic, drift "
         "and diffusion are sought."
@@ -41,21 +45,16 @@ def stochastic_remarks(recording: Recording, simulation: Simulation | None) -> l
 
 
 def _residuals(
-    recording: Recording, simulation: Simulation | None, index: int
-) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return measured values of a state along each trajectory, and what the simulation leaves of them."""
-    measured = [trajectory.measured[index] for trajectory in recording.trajectories if not trajectory.held_out]
-    if simulation is None:
-        return measured, measured
-    place = simulation.states.index(recording.states[index]) if recording.states[index] in simulation.states else None
-    simulated = [trajectory.values for trajectory in simulation.trajectories if not trajectory.held_out]
-    if place is None or len(simulated) != len(measured):
-        return measured, []
-    pairs = zip(measured, simulated, strict=True)
-    return measured, [
-        measured_values - values[place]
-        for measured_values, values in pairs
-        if values is not None and len(values[place]) == len(measured_values)
+    measured: Sequence[FloatArray], state: str, states: Sequence[str], simulated: Sequence[SimulatedTrajectory]
+) -> list[FloatArray]:
+    """Return measured minus simulated values of a state along each trajectory that was simulated in whole."""
+    if state not in states or len(simulated) != len(measured):
+        return []
+    place = states.index(state)
+    return [
+        values - part.values[place]
+        for values, part in zip(measured, simulated, strict=True)
+        if part.values is not None and len(part.values[place]) == len(values)
     ]
 
 

@@ -11,12 +11,14 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.inference.unknown_correlation import widening
-from atoll_coordinator.model.refinement import Constant, Correlation, Covariance
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
+from atoll_coordinator.result.base import finite
+from atoll_coordinator.result.equations import Constant
+from atoll_coordinator.result.findings import Correlation, Covariance, Place
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 from atoll_core.expression.program import Program, constant_places
@@ -27,7 +29,7 @@ _HIGH_CORRELATION: Final = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class ConstantErrors:
     """What the fit of all constants says of them.
 
     `values` (P,) have the joint `covariance` (P, P), which is that of the normal equations times `scale`, rows over
@@ -45,7 +47,7 @@ class Errors:
     reaches: Mapping[int, float] = field(default_factory=dict)
     columns: Ints | None = None
 
-    def of_constants(self, system: System) -> "Errors":
+    def of_constants(self, system: System) -> "ConstantErrors":
         """Return the errors of all constants of a system, given those of the numbers that these are multiples of."""
         if system.sharing is None:
             return self
@@ -54,7 +56,7 @@ class Errors:
         lower = upper = None
         if self.lower is not None and self.upper is not None:
             lower, upper = np.sort([multiples * self.lower[columns], multiples * self.upper[columns]], axis=0)
-        return Errors(
+        return ConstantErrors(
             multiples * self.values[columns], scale * self.covariance[np.ix_(columns, columns)],
             self.degrees_of_freedom, self.scale, lower, upper,
             {
@@ -66,7 +68,7 @@ class Errors:
         )  # fmt: skip
 
 
-def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
+def estimate_errors(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
     """Return the errors of the constants of a fit, by the errors of measurement by which systems are compared.
 
     Variances are corrected for the numbers fitted, and are as many times those of independent rows as rows count as one
@@ -80,7 +82,7 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
     left = max(counts - fit.system.count - fit.starts.size, 1.0)
     certain = float(comparison.counts @ fit.errors.degrees_of_freedom) / counts
     scale = max(wide, inflation) * counts / left
-    return Errors(
+    return ConstantErrors(
         fit.system.values, covariance(fit) * scale, max(left * certain / inflation, 1.0), scale,
         fit.system.lower, fit.system.upper,
         one_sided_reaches(
@@ -90,7 +92,10 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Errors:
 
 
 def describe_constants(
-    comparison: ModelComparison, explicit: Sequence[ExplicitCoefficients], shown: Sequence[Program], errors: Errors
+    comparison: ModelComparison,
+    explicit: Sequence[ExplicitCoefficients],
+    shown: Sequence[Program],
+    errors: ConstantErrors,
 ) -> list[Known]:
     """Return the constants of each program with standard errors and 95 % intervals (Student's t).
 
@@ -107,7 +112,7 @@ def describe_constants(
     for equation, (coefficients, program) in enumerate(zip(explicit, shown, strict=True)):
         if equation in comparison.fixed:
             values = program.constants[constant_places(program)].tolist()
-            constants.append(Known(tuple(map(Constant, values)), ()))
+            constants.append(Known(tuple(Constant(value=value) for value in values), ()))
             continue
         count = len(coefficients.origins)
         known = describe(coefficients, program, fitted[:count], spreads[:count], quantile)
@@ -116,7 +121,7 @@ def describe_constants(
     return constants
 
 
-def _bounded(known: Known, explicit: ExplicitCoefficients, errors: Errors, first: int) -> Known:
+def _bounded(known: Known, explicit: ExplicitCoefficients, errors: ConstantErrors, first: int) -> Known:
     """Return the constants of an equation, whose first number is `first`, with intervals within their bounds."""
     if errors.lower is None or errors.upper is None:
         return known
@@ -128,40 +133,37 @@ def _bounded(known: Known, explicit: ExplicitCoefficients, errors: Errors, first
     return Known(tuple(written), known.unit_coefficients)
 
 
-def find_correlations(
-    comparison: ModelComparison, variables: Sequence[str], explicit: Sequence[ExplicitCoefficients], errors: Errors
-) -> tuple[Correlation, ...]:
-    """Return the pairs of constants that are written and highly correlated, the highest first."""
-    names = _fitted_constants(comparison, variables, explicit)
-    spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 1e-300))
-    with np.errstate(invalid="ignore"):  # infinite variances
-        unit = errors.covariance / np.outer(spreads, spreads)
-    pairs = [
-        Correlation((first_variable, first_number), (second_variable, second_number), float(unit[first, second]))
-        for second, (second_variable, second_number) in enumerate(names)
-        for first, (first_variable, first_number) in enumerate(names[:second])
-        if first_number is not None and second_number is not None
-        if errors.columns is None or errors.columns[first] != errors.columns[second]
-        if _HIGH_CORRELATION <= abs(unit[first, second]) <= 1.0 + 1e-6
-    ]
-    return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))
-
-
-def joint_covariance(
-    comparison: ModelComparison, variables: Sequence[str], explicit: Sequence[ExplicitCoefficients], errors: Errors
-) -> Covariance | None:
-    """Return the covariance of the constants of all programs; None where no constant was fitted."""
-    names = _fitted_constants(comparison, variables, explicit)
-    return Covariance(tuple(names), errors.covariance, errors.degrees_of_freedom) if names else None
-
-
-def _fitted_constants(
+def fitted_places(
     comparison: ModelComparison, variables: Sequence[str], explicit: Sequence[ExplicitCoefficients]
-) -> list[tuple[str, int | None]]:
+) -> list[Place]:
     """Return variable and place of each fitted constant, None for a factor of one, in the order of the fit."""
     return [
-        (variable, origin)
+        Place(variable=variable, constant=origin)
         for equation, (variable, coefficients) in enumerate(zip(variables, explicit, strict=True))
         if equation not in comparison.fixed
         for origin in coefficients.origins
     ]
+
+
+def find_correlations(places: Sequence[Place], errors: ConstantErrors) -> tuple[Correlation, ...]:
+    """Return the pairs of constants that are written and highly correlated, the highest first."""
+    spreads = np.sqrt(np.maximum(np.diag(errors.covariance), 1e-300))
+    with np.errstate(invalid="ignore"):  # infinite variances
+        unit = (errors.covariance / np.outer(spreads, spreads)).tolist()
+    pairs = [
+        Correlation(first=places[first], second=places[second], value=unit[first][second])
+        for second in range(len(places))
+        for first in range(second)
+        if places[first].constant is not None and places[second].constant is not None
+        if errors.columns is None or errors.columns[first] != errors.columns[second]
+        if _HIGH_CORRELATION <= abs(unit[first][second]) <= 1.0 + 1e-6
+    ]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair.value or 0.0)))
+
+
+def joint_covariance(places: Sequence[Place], matrix: FloatArray, degrees_of_freedom: float) -> Covariance | None:
+    """Return the covariance (P, P) of the constants at these places; None without any. Infinite variances are null."""
+    if not places:
+        return None
+    rows = tuple(tuple(map(finite, row)) for row in matrix.tolist())
+    return Covariance(constants=tuple(places), matrix=rows, freedom=degrees_of_freedom)

@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.least_squares import inverse
-from atoll_coordinator.model.refinement import Constant, SimpleNumber, UnitCoefficient
+from atoll_coordinator.model.refinement import UnitCoefficient
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import fitted_length
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
+from atoll_coordinator.result.equations import Constant, SimpleNumber
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.unit_coefficients import (
@@ -39,19 +40,14 @@ class Known:
     @property
     def refuted_factors(self) -> list[int]:
         """The factors of one, by number, that the data refute: their intervals do not hold one."""
-        intervals = [coefficient.constant.interval for coefficient in self.unit_coefficients]
-        return [
-            number
-            for number, interval in enumerate(intervals)
-            if interval is not None and not interval[0] <= ONE <= interval[1]
-        ]
+        return [number for number, one in enumerate(self.unit_coefficients) if not one.constant.is_within]
 
     def with_simple(self, simple: Sequence[SimpleNumber | None]) -> "Known":
         """Return the same with the simple numbers near the constants that are written; none for a given equation."""
         if not simple:
             return self
         pairs = zip(self.written, simple, strict=True)
-        return replace(self, written=tuple(replace(constant, simple=number) for constant, number in pairs))
+        return replace(self, written=tuple(constant.replaced(simple=number) for constant, number in pairs))
 
 
 def covariance_of(fitted: Fitted, criterion: RegressionCriterion) -> FloatArray:
@@ -179,14 +175,18 @@ def describe(
     for origin, value, error in zip(explicit.origins, fitted, errors, strict=True):
         if origin is None:
             term = explicit.terms[len(unit_coefficients)]
-            unit_coefficients.append(UnitCoefficient(term, _constant(ONE, value, error, quantile)))
+            unit_coefficients.append(UnitCoefficient(term, constant_of(ONE, value, error, quantile)))
         else:
-            written[origin] = _constant(values[origin], value, error, quantile)
+            written[origin] = constant_of(values[origin], value, error, quantile)
     return Known(tuple(written[number] for number in range(len(values))), tuple(unit_coefficients))
 
 
-def _constant(value: float, fitted: float, error: float, quantile: float | None) -> Constant:
+def constant_of(value: float, fitted: float, error: float, quantile: float | None, **more: bool) -> Constant:
+    """Return a constant shown as `value`: its estimate, the standard error, and the 95 % interval (see `describe`)."""
     if quantile is None:
-        return Constant(value, fitted, error)
-    bounds = (fitted - quantile * error, fitted + quantile * error) if math.isfinite(error) else None
-    return Constant(value, fitted, error, bounds, quantile * error < abs(fitted))
+        return Constant(value=value, fitted=fitted, std_error=error, **more)
+    reach = quantile * error
+    interval = (fitted - reach, fitted + reach) if math.isfinite(error) else None
+    return Constant(
+        value=value, fitted=fitted, std_error=error, interval=interval, identifiable=reach < abs(fitted), **more
+    )

@@ -13,13 +13,14 @@ import numpy as np
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pools import Member, may_be_shown
-from atoll_coordinator.model.refinement import Alternative, Refined, SimpleNumber, SimpleTogether
+from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_coordinator.model.regression.covariance import covariance_of, estimate_constants
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.regression.rounding import Estimates, round_constants
 from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.thinning import thinned_places
+from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import FloatArray, Problem

@@ -26,10 +26,10 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.least_squares import inverse
-from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
 from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
+from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
@@ -164,10 +164,10 @@ class Rounding:
         chosen = sorted(numbers)
         away = self.means[chosen] - [numbers[index] for index in chosen]
         return SimpleTogether(
-            places,
-            tuple(numbers[constants[place]] for place in places),
-            odds,
-            2.0 * quadratic_form(away, self.covariance[np.ix_(chosen, chosen)]),
+            constants=places,
+            values=tuple(numbers[constants[place]] for place in places),
+            odds=odds,
+            chi_square=2.0 * quadratic_form(away, self.covariance[np.ix_(chosen, chosen)]),
         )
 
 
@@ -338,7 +338,8 @@ def _simple_number(
         return None
     number = max(near, key=near.__getitem__)
     error = math.sqrt(max(float(variance), 0.0))
-    return SimpleNumber(number, near[number], abs(number - float(mean)) / error if error > 0.0 else 0.0)
+    away = abs(number - float(mean)) / error if error > 0.0 else 0.0
+    return SimpleNumber(value=number, odds=near[number], standard_errors=away)
 
 
 def _measured(

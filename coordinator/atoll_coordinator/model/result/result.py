@@ -1,4 +1,7 @@
-"""The result of a job, made of what the search and refining have found; docs/result.md says what its keys mean."""
+"""The result of a job, made of what the search and refining have found; docs/result.md says what its keys mean.
+
+Here programs become text, with the names and units of the columns.
+"""
 
 import math
 import platform
@@ -6,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,46 +17,53 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.model.refinement import Constant, Refined, Refinement, SimpleNumber, SimpleTogether
+from atoll_coordinator.model.refinement import Alternative, JobKind, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.result.diagnostics import noise, smoothing
 from atoll_coordinator.model.result.digest import result_digest
-from atoll_coordinator.model.result.numbers import curve, finite, thinned
-from atoll_coordinator.model.result.process_findings import process
-from atoll_coordinator.model.result.regression import regression
 from atoll_coordinator.model.result.shared_terms import shared_terms
-from atoll_coordinator.model.result.source import data, settings, system
-from atoll_coordinator.model.result.trust import (
-    candidates,
-    chaos,
-    checks,
-    correlations,
-    covariance,
-    groups,
-    prediction,
-    simulation,
-    verdict,
+from atoll_coordinator.model.result.tables import data, noise, regression, smoothing, system
+from atoll_coordinator.model.thinning import curve, spread_places
+from atoll_coordinator.result.base import finite
+from atoll_coordinator.result.equations import (
+    Bound,
+    Candidate,
+    Constant,
+    Convergence,
+    Equation,
+    Estimate,
+    GroupEquation,
+    ImpliedConstant,
+    ImpliedUnit,
+    Member,
+    Units,
 )
-from atoll_coordinator.result import equations as parts
-from atoll_coordinator.result import findings
+from atoll_coordinator.result.findings import Group, SharedTerm
 from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll_core.config import JobConfig, Loss
-from atoll_core.data.dataset import Dataset, FloatArray, Problem, Target
-from atoll_core.expression.operators import CONSTANT
-from atoll_core.expression.program import Program, structure
+from atoll_core.config import JobConfig
+from atoll_core.data.dataset import Dataset, FloatArray, Target
+from atoll_core.data.notes import notes_of
+from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.restrictions import restrictions_of
 from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
 from atoll_core.expression.writing.shortest import points_of, shortest_at
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
+if TYPE_CHECKING:
+    from atoll_coordinator.model.inference.checks import Verdict
+
 KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
-EstimateT = TypeVar("EstimateT", bound=parts.Estimate)
-
+_STOPPED: Final = {
+    "max-time": "the limit of time stopped the search before it converged or stagnated: give more time with --max-time",
+    "max-epochs": "the search ended with its last epoch before it converged or stagnated: allow more with --max-epochs",
+    "cancelled": "the search was cancelled before it converged or stagnated: let it run on",
+}
+"""What stops a search before it has looked at all that it would have, by why it ended."""
 MOST_STEPS: Final = 40
 """Improvements of one island that are listed."""
+MOST_CANDIDATES: Final = 20
 NOT_BY_GROUP: Final = (
     "Constants by group were not fitted; those shown are of all groups of trajectories together, and --group cannot "
     "choose one."
@@ -72,10 +82,9 @@ class VariableOutcome:
     to the cut (0: none yet); `generation` the one that met the target, counted from the search's beginning, or None
     when none did; `evaluations` the cumulative point evaluations by part, all islands together; `seconds` the time from
     the first epoch's start to the cut's end; `why` how the search ended (None: it has not), as in
-    `atoll_core.wire.messages.views.VariableView`; `refined` is the equation made of the front after the search (None:
-    none yet); `runners_up` is what was kept beside the front; `convergence` has, for each island, the generations in
-    which it found a lower error, with that error. A known equation is the only member of its front, and `why` is
-    `KNOWN`.
+    `atoll_core.wire.messages.views.VariableView`; `runners_up` are the next best programs; `convergence` has, for each
+    island, the generations in which it found a lower error, with that error. A known equation is the only member of its
+    front, and `why` is `KNOWN`.
     """
 
     variable: str
@@ -85,7 +94,7 @@ class VariableOutcome:
     evaluations: Mapping[str, int] = field(default_factory=dict)
     seconds: float = 0.0
     why: str | None = None
-    refined: Refined | None = None
+    refined: None = None  # a part of the bytes in which tasks are given this, without a value
     runners_up: tuple[FrontEntry, ...] = ()
     convergence: Mapping[int, Sequence[tuple[int, float]]] = field(default_factory=dict)
 
@@ -120,59 +129,60 @@ def build_result(
         preparation: its dataset supplies names, left-hand sides, scales and warnings.
         outcomes: one for each equation, in the dataset's order.
         account: state and times.
-        refinement: what belongs to the model as a whole; what belongs to one equation is in its outcome.
+        refinement: the equations made of the fronts, and what belongs to the model as a whole.
     """
     dataset, model, recording = preparation.dataset, refinement or Refinement(), preparation.recording
-    warnings = (*dataset.warnings, *model.warnings, *_of_groups(preparation, model, account.state))
-    notes = {*dataset.notes, *model.notes}
+    is_final = account.state in FINAL_STATES
+    warnings = [*dataset.warnings, *model.warnings]
+    if is_final and recording is not None and recording.groups and not model.by_group:
+        warnings.append(NOT_BY_GROUP)
+    notes = {*dataset.notes, *notes_of(model.warnings)}
+    shown = {one.variable: equation_of(one, model.equations.get(one.variable), dataset, config) for one in outcomes}
+    known = {name: equation for name, equation in shown.items() if equation is not None}
+    first = next(iter(shown.values()), None)
+    shared: tuple[SharedTerm, ...] = ()
+    if is_final and len(outcomes) > 1:
+        shared = shared_terms(known, dataset.names, model.fluxes)
     return Result(
         job=job,
         seed=config.seed,
         preset=config.preset,
         state=account.state,
         reason=account.reason,
-        equations=tuple(_equation(config, preparation, outcome, account.state) for outcome in outcomes),
-        shared_terms=_shared_terms(config, dataset, outcomes, account.state, model),
+        equations=tuple(
+            _equation(config, preparation, outcome, shown[outcome.variable], account.state) for outcome in outcomes
+        ),
+        shared_terms=shared,
         noise=noise(recording, model.errors),
         smoothing=smoothing(recording),
-        correlations=correlations(model.correlations),
-        covariance=covariance(model.covariance),
-        groups=groups(recording, model.by_group),
-        simulation=simulation(model.simulation, preparation),
-        chaos=chaos(model.chaos),
-        process=process(model.process, preparation.process),
-        regression=regression(preparation, _first_program(outcomes, dataset, config)),
+        correlations=model.correlations,
+        covariance=model.covariance,
+        groups=tuple(
+            Group(
+                group=name,
+                trajectories=tuple(part.name for part in recording.trajectories if part.group == name),
+                covariance=model.by_group.get(name),
+            )
+            for name in (recording.groups if recording is not None else ())
+            if recording is not None
+        ),
+        simulation=model.simulation,
+        chaos=model.chaos,
+        process=model.process,
+        regression=regression(preparation, None if first is None else first.program),
         symbols=dict(dataset.symbols),
         system=system(preparation),
-        data=data(preparation, has_trajectories=account.state in FINAL_STATES),
-        config=settings(config),
+        data=data(preparation, has_trajectories=is_final),
+        config=config.model_dump(mode="json", exclude_defaults=True),
         refining=model.end if account.state in ("done", "cancelled") else None,
         warnings=tuple(map(str, warnings)),
         notes=tuple(sentence for sentence in dict.fromkeys(map(str, warnings)) if sentence in notes),
         point_evaluations=sum(_total(outcome) for outcome in outcomes),
-        search_seconds=finite(account.search_seconds),
-        seconds=finite(account.seconds),
+        search_seconds=account.search_seconds,
+        seconds=account.seconds,
         digest=result_digest([outcome for outcome in outcomes if outcome.why != KNOWN] or outcomes),
         versions=dict(versions()),
     )
-
-
-def _of_groups(preparation: Preparation, model: Refinement, state: JobState) -> list[str]:
-    """Return what is to be said where constants were to be fitted by group and were not."""
-    recording = preparation.recording
-    is_lacking = recording is not None and recording.groups and not model.by_group
-    return [NOT_BY_GROUP] if is_lacking and state in FINAL_STATES else []
-
-
-def _shared_terms(
-    config: JobConfig, dataset: Dataset, outcomes: Sequence[VariableOutcome], state: JobState, model: Refinement
-) -> tuple[findings.SharedTerm, ...]:
-    """Return the terms that equations have in common, none as long as these may change."""
-    if state not in FINAL_STATES or len(outcomes) < 2:
-        return ()
-    shown = {outcome.variable: equation_of(outcome, dataset, config) for outcome in outcomes}
-    equations = {name: refined for name, refined in shown.items() if refined is not None}
-    return shared_terms(equations, dataset.names, model.shared_terms)
 
 
 def versions() -> dict[str, str | int]:
@@ -195,74 +205,119 @@ def _version(package: str) -> str:
         return "unknown"
 
 
-def _equation(config: JobConfig, given: Preparation, outcome: VariableOutcome, state: JobState) -> parts.Equation:
-    dataset = given.dataset
+# ---------------------------------------------------------------------------------------------------- one equation
+
+
+def _equation(
+    config: JobConfig, preparation: Preparation, outcome: VariableOutcome, shown: Refined | None, state: JobState
+) -> Equation:
+    dataset = preparation.dataset
     target = dataset.problem(outcome.variable).target
-    problem = (given.counted or dataset).problem(outcome.variable)
-    shown = equation_of(outcome, dataset, config)
-    member = None if shown is None else shown.member
-    has_trajectories = given.recording is not None
-    judged = verdict(shown, problem, state, has_trajectories=has_trajectories, why=outcome.why, weights=given.weights)
-    described = {} if shown is None else _best(shown, dataset, target, config)
-    return parts.Equation.model_validate(
-        {
-            "variable": target.variable,
-            "lhs": target.lhs,
-            "expression": None if shown is None else to_infix(shown.program, dataset.names),
-            "converged": False,
-            **described,
-            "verdict": None if judged is None else judged.grade,
-            "reason": None if judged is None else judged.reason,
-            "checks": () if judged is None else checks(judged.checks),
-            "epoch": outcome.epoch,
-            "generation": _generation(None if member is None else outcome.front[member], outcome, config),
-            "point_evaluations": _total(outcome),
-            "point_evaluations_by_part": {part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
-            "seconds": finite(outcome.seconds),
-            "why": outcome.why,
-            "bounds": _bounds(shown, dataset, config, target.variable),
-            "derivative_floor": finite(target.uncertainty),
-            "target_error": target.convergence_threshold(config.budget.target_error),
-            "prediction": prediction(None if shown is None else shown.prediction),
-            "convergence": _convergence(outcome, target),
-            "candidates": candidates(shown.alternatives if shown is not None else (), dataset),
-            "front": _front(config, given, outcome, member),
-        }
+    threshold = target.convergence_threshold(config.budget.target_error)
+    verdict = None if state not in FINAL_STATES else _verdict(preparation, outcome, shown, state)
+    equation = Equation(
+        variable=target.variable,
+        lhs=target.lhs,
+        expression=None,
+        converged=False,
+        verdict=None if verdict is None else verdict.grade,
+        reason=None if verdict is None else verdict.reason,
+        checks=() if verdict is None else verdict.checks,
+        epoch=outcome.epoch,
+        generation=outcome.generation,
+        point_evaluations=_total(outcome),
+        point_evaluations_by_part={part: int(outcome.evaluations[part]) for part in sorted(outcome.evaluations)},
+        seconds=outcome.seconds,
+        why=outcome.why,
+        derivative_floor=target.uncertainty,
+        target_error=threshold,
+        convergence=_convergence(outcome, target),
+        front=_front(config, preparation, outcome, None if shown is None else shown.member),
+    )
+    if shown is None:
+        return equation
+    if outcome.generation is None and shown.member is not None and outcome.why != KNOWN:
+        entry = outcome.front[shown.member]
+        equation = equation.replaced(generation=entry.epoch * config.migration.generations + entry.generation)
+    normalized, names, estimate = _normalized(shown.error, target), dataset.names, Estimate.model_fields
+    bounds = restrictions_of(config, target.variable, names).bounds
+    return equation.replaced(
+        expression=to_infix(shown.program, names),
+        program=shown.program.to_bytes().hex(),
+        origin=shown.origin,
+        complexity=len(shown.program),
+        error=shown.error,
+        normalized_error=normalized,
+        r2=_r2(shown.mse, target),
+        converged=normalized <= threshold,
+        constants=_constants(shown.program, shown.constants, shown),
+        simple_together=shown.simple_together,
+        units=_units(shown),
+        groups=tuple(
+            GroupEquation(
+                group=group,
+                expression=to_infix(program, names),
+                program=program.to_bytes().hex(),
+                constants=_constants(program, constants, shown),
+            )
+            for group, (program, constants) in shown.by_group.items()
+        ),
+        implied=tuple(
+            ImpliedConstant(
+                of=to_infix(factor.of, names),
+                **{name: getattr(factor.constant, name) for name in estimate},
+            )
+            for factor in shown.unit_coefficients
+        ),
+        bounds=tuple(
+            Bound(bound=one.bound.text, values=tuple(map(finite, one.values)), active=one.is_active)
+            for one in (() if bounds is None else bounds.governed(shown.program))
+        ),
+        prediction=shown.prediction,
+        candidates=_candidates(shown.alternatives, names),
     )
 
 
-def _front(
-    config: JobConfig, given: Preparation, outcome: VariableOutcome, selected: int | None
-) -> tuple[parts.Member, ...]:
-    dataset = given.dataset
-    target = dataset.problem(outcome.variable).target
-    unseen = given.held_out.problem(outcome.variable) if given.held_out is not None else None
-    return tuple(
-        parts.Member(
-            expression=to_infix(program, dataset.names),
-            complexity=len(program),
-            error=finite(entry.error),
-            normalized_error=finite(_normalized(entry.error, target)),
-            r2=_r2(entry.mse, target),
-            constants=_constants(program),
-            holdout_error=_unseen_error(program, unseen, config.evolution.loss),
-            selected=is_selected,
-        )
-        for entry, program, is_selected in _written_front(outcome, dataset, selected)
-    )
+def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined | None, state: JobState) -> "Verdict":
+    """Return the verdict on an equation of a job that has ended.
+
+    Where refining did not judge it, its error on the target decides. Where there are trajectories, it is doubtful at
+    best then: it could not be simulated along them, or there was no time.
+    """
+    # loads kernels, which the process that serves needs for the results of jobs that were not refined alone
+    from atoll_coordinator.model.inference.checks import Verdict, judge, with_objection
+    from atoll_coordinator.model.inference.target_evidence import target_evidence
+
+    if shown is None:
+        return Verdict("no model", "The search has found no equation.", ())
+    why, has_trajectories = outcome.why, preparation.recording is not None
+    if shown.grade is not None:
+        verdict = Verdict(shown.grade, shown.reason or "", shown.checks)
+    else:
+        kind: JobKind = "trajectories" if has_trajectories else "target"
+        problem = (preparation.counted or preparation.dataset).problem(outcome.variable)
+        is_cancelled = "cancelled" in (why, state)
+        evidence = target_evidence(
+            shown, problem, preparation.weights, kind=kind, is_known=why == KNOWN,
+            stopped="the choice of the equation" if is_cancelled or why == "max-time" else "",
+        )  # fmt: skip
+        verdict = judge(replace(evidence, is_cancelled=is_cancelled))
+    if verdict.grade in ("exact", "good") and shown.units is not None and shown.units.faults:
+        verdict = with_objection(verdict, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
+    if verdict.grade == "good" and why in _STOPPED and not (has_trajectories and why == "max-epochs"):
+        verdict = with_objection(verdict, "search", "not made", _STOPPED[why])
+    return verdict
 
 
-def _normalized(error: float, target: Target) -> float:
-    return error / target.standard_deviation if target.standard_deviation else math.inf
-
-
-def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -> Refined | None:
-    """Return the equation that is shown: the refined one, before that the selected member of the front as it stands.
+def equation_of(
+    outcome: VariableOutcome, refined: Refined | None, dataset: Dataset, config: JobConfig
+) -> Refined | None:
+    """Return the equation that is shown: the `refined` one, without it the selected member of the front as it stands.
 
     None when there is no member that can be printed.
     """
-    if outcome.refined is not None:
-        return outcome.refined
+    if refined is not None:
+        return refined
     target = dataset.problem(outcome.variable).target
     printable = [index for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
     if not printable:
@@ -274,18 +329,58 @@ def equation_of(outcome: VariableOutcome, dataset: Dataset, config: JobConfig) -
     return Refined(member, _written(entry, outcome, dataset), entry.error, entry.mse, origin=origin)
 
 
-def _first_program(outcomes: Sequence[VariableOutcome], dataset: Dataset, config: JobConfig) -> Program | None:
-    shown = equation_of(outcomes[0], dataset, config) if outcomes else None
-    return None if shown is None else shown.program
+def _constants(program: Program, known: Sequence[Constant] = (), shown: Refined | None = None) -> tuple[Constant, ...]:
+    """Return the constants in node order with the values that the program has, and the units of the one `shown`.
+
+    `known` is what refinement knows of them, if there was any.
+    """
+    values = program.constants[constant_places(program)].tolist()
+    units = shown.units.constants if shown is not None and shown.units is not None else ()
+    return tuple(
+        constant.replaced(value=value, unit=str(units[place]) if units and units[place] is not None else None)
+        for place, (value, constant) in enumerate(zip(values, known or [Constant()] * len(values), strict=True))
+    )
 
 
-def _written_front(
-    outcome: VariableOutcome, dataset: Dataset, selected: int | None
-) -> list[tuple[FrontEntry, Program, bool]]:
+def _units(shown: Refined) -> Units | None:
+    """Return what units say of an equation, but for the units of its constants; None where no unit is known."""
+    if shown.units is None:
+        return None
+    implied = tuple(ImpliedUnit(of=term, unit=str(unit)) for term, unit in shown.units.implied)
+    return Units(implied=implied, faults=tuple(shown.units.faults))
+
+
+def _candidates(alternatives: Sequence[Alternative], names: Sequence[str]) -> tuple[Candidate, ...]:
+    """Return the equations that were compared with the one shown, itself first, then the best, and all guesses."""
+    printable = [alternative for alternative in alternatives if tree_size(alternative.program) <= PRINTABLE_SIZE]
+    ordered = sorted(printable, key=lambda alternative: (not alternative.is_shown, alternative.nats))
+    return tuple(
+        Candidate(
+            expression=to_infix(alternative.program, names),
+            complexity=len(alternative.program),
+            nats=alternative.nats,
+            r2=alternative.r2,
+            held_out_r2=alternative.held_out_r2,
+            cross_validated=alternative.is_cross_validated,
+            origin=alternative.origin,
+            selected=alternative.is_shown,
+        )
+        for place, alternative in enumerate(ordered)
+        if place < MOST_CANDIDATES or alternative.origin == "guess"
+    )
+
+
+# ---------------------------------------------------------------------------------------------- the search behind it
+
+
+def _front(
+    config: JobConfig, preparation: Preparation, outcome: VariableOutcome, selected: int | None
+) -> tuple[Member, ...]:
     """Return the members that can be printed in their shortest writing, by rising complexity and falling error.
 
     Of members of one structure the most accurate stays, and is the selected one if any of them is.
     """
+    dataset = preparation.dataset
     best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
     for index, entry in enumerate(outcome.front):
         if _is_printable(entry, dataset):
@@ -297,12 +392,26 @@ def _written_front(
     for member in sorted(best.values(), key=lambda candidate: (len(candidate[1]), candidate[0].error)):
         if member[2] or all(member[0].error < predecessor[0].error for predecessor in members):
             members.append(member)
-    return members
+    target = dataset.problem(outcome.variable).target
+    unseen = preparation.held_out.problem(outcome.variable) if preparation.held_out is not None else None
+    return tuple(
+        Member(
+            expression=to_infix(program, dataset.names),
+            complexity=len(program),
+            error=entry.error,
+            normalized_error=_normalized(entry.error, target),
+            r2=_r2(entry.mse, target),
+            constants=_constants(program),
+            holdout_error=None if unseen is None else errors_on(unseen, program, config.evolution.loss)[0],
+            selected=is_selected,
+        )
+        for entry, program, is_selected in members
+    )
 
 
 def _written(entry: FrontEntry, outcome: VariableOutcome, dataset: Dataset) -> Program:
     """Return the shortest writing of a member; a known equation as it was given."""
-    program = _program(entry, dataset)
+    program = Program.from_bytes(entry.program, len(dataset.names))
     return program if outcome.why == KNOWN else shortest_at(program, lambda: _points(dataset))
 
 
@@ -320,157 +429,29 @@ def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
 
 @lru_cache(maxsize=4096)
 def is_printable(program: bytes, inputs: int) -> bool:
-    """Tell whether an equation, written out, has a length that anybody could read."""
+    """Tell whether an equation, written out, has a length that can be read."""
     return tree_size(Program.from_bytes(program, inputs)) <= PRINTABLE_SIZE
 
 
-def _best(shown: Refined, dataset: Dataset, target: Target, config: JobConfig) -> dict[str, object]:
-    """Return what is said of the equation that is shown, by field."""
-    normalized = _normalized(shown.error, target)
-    return {
-        "program": shown.program.to_bytes().hex(),
-        "origin": shown.origin,
-        "complexity": len(shown.program),
-        "error": finite(shown.error),
-        "normalized_error": finite(normalized),
-        "r2": _r2(shown.mse, target),
-        "converged": normalized <= target.convergence_threshold(config.budget.target_error),
-        "constants": _constants(shown.program, shown.constants, shown),
-        "simple_together": _together(shown.simple_together),
-        "units": _units(shown),
-        "groups": _groups(shown, dataset),
-        "implied": tuple(
-            _estimate(parts.ImpliedConstant, factor.constant, of=to_infix(factor.of, dataset.names))
-            for factor in shown.unit_coefficients
-        ),
-    }
-
-
-def _generation(entry: FrontEntry | None, outcome: VariableOutcome, config: JobConfig) -> int | None:
-    """Return the generation in which the equation was found."""
-    if outcome.generation is None and entry is not None and outcome.why != KNOWN:
-        return entry.epoch * config.migration.generations + entry.generation
-    return outcome.generation
-
-
-def _convergence(outcome: VariableOutcome, target: Target) -> tuple[parts.Convergence, ...]:
+def _convergence(outcome: VariableOutcome, target: Target) -> tuple[Convergence, ...]:
     """Return by island the generations in which its error fell, at most `MOST_STEPS`, and the normalized errors."""
     courses = []
     for island, steps in sorted(outcome.convergence.items()):
-        chosen = [steps[index] for index in thinned(len(steps), MOST_STEPS)]
+        chosen = [steps[index] for index in spread_places(len(steps), MOST_STEPS)]
         errors = np.array([error for _, error in chosen]) / (target.standard_deviation or math.nan)
         generations = tuple(step for step, _ in chosen)
-        courses.append(parts.Convergence(island=island, generations=generations, errors=curve(errors)))
+        courses.append(Convergence(island=island, generations=generations, errors=curve(errors)))
     return tuple(courses)
+
+
+def _normalized(error: float, target: Target) -> float:
+    return error / target.standard_deviation if target.standard_deviation else math.inf
 
 
 def _r2(mse: float, target: Target) -> float | None:
     """Return the share of the target's variance that a mean squared error leaves explained; None if that is unknown."""
     variance = target.standard_deviation * target.standard_deviation
-    return finite(1.0 - mse / variance if variance else math.nan)
-
-
-def _unseen_error(program: Program, unseen: Problem | None, loss: Loss) -> float | None:
-    """Return the loss on held-out rows; None when there are none, or when it is not finite."""
-    return finite(errors_on(unseen, program, loss)[0]) if unseen is not None else None
-
-
-def _constants(
-    program: Program, known: Sequence[Constant] = (), shown: Refined | None = None
-) -> tuple[parts.Constant, ...]:
-    """Return the constants in node order; `known` is what refinement knows of them, if there was any.
-
-    Of the equation that is `shown`, also their units and which of them all groups of trajectories have in common.
-    """
-    values = program.constants[program.operators == np.int8(CONSTANT)].tolist()
-    pairs = zip(values, known or map(Constant, values), strict=True)
-    shared = shown.shared if shown is not None else ()
-    units = shown.units.constants if shown is not None and shown.units is not None else ()
-    return tuple(
-        _estimate(
-            parts.Constant,
-            replace(constant, value=value),
-            shared=shared[place] if shared else None,
-            unit=str(units[place]) if units and units[place] is not None else None,
-        )
-        for place, (value, constant) in enumerate(pairs)
-    )
-
-
-def _units(shown: Refined) -> parts.Units | None:
-    """Return what units say of an equation beside those of its constants; None where no unit is known."""
-    if shown.units is None:
-        return None
-    implied = tuple(parts.ImpliedUnit(of=term, unit=str(unit)) for term, unit in shown.units.implied)
-    return parts.Units(implied=implied, faults=tuple(shown.units.faults))
-
-
-def _groups(shown: Refined, dataset: Dataset) -> tuple[parts.GroupEquation, ...]:
-    """Return the equation of each group of trajectories, where these may differ in constants."""
-    return tuple(
-        parts.GroupEquation(
-            group=equation.group,
-            expression=to_infix(equation.program, dataset.names),
-            program=equation.program.to_bytes().hex(),
-            constants=_constants(equation.program, equation.constants, shown),
-        )
-        for equation in shown.by_group
-    )
-
-
-def _estimate(kind: type[EstimateT], constant: Constant, **more: object) -> EstimateT:
-    """Return what is known of a constant as this kind of estimate, with the fields that only that kind has."""
-    known = {
-        "value": finite(constant.value),
-        "std_error": finite(constant.std_error),
-        "fitted": finite(constant.fitted),
-        "interval": _pair(constant.interval),
-        "identifiable": constant.identifiable,
-        "simple": None if constant.simple is None else _simple(constant.simple),
-        "bounds": _pair(constant.bounds),
-        "at_bound": constant.is_at_bound,
-    }
-    return kind.model_validate({**known, **more})
-
-
-def _pair(ends: tuple[float, float] | None) -> tuple[float | None, float | None] | None:
-    return None if ends is None else (finite(ends[0]), finite(ends[1]))
-
-
-def _bounds(shown: Refined | None, dataset: Dataset, config: JobConfig, variable: str) -> tuple[parts.Bound, ...]:
-    """Return the bounds that the user has set, with the numbers of the equation that each is about."""
-    bounds = restrictions_of(config, variable, dataset.names).bounds
-    if shown is None or bounds is None:
-        return ()
-    return tuple(
-        parts.Bound(
-            bound=governed_bound.bound.text,
-            values=tuple(map(finite, governed_bound.values)),
-            active=governed_bound.is_active,
-        )
-        for governed_bound in bounds.governed(shown.program)
-    )
-
-
-def _simple(simple: SimpleNumber) -> parts.SimpleNumber:
-    return parts.SimpleNumber(
-        value=simple.value, odds=finite(simple.odds), standard_errors=finite(simple.standard_errors)
-    )
-
-
-def _together(together: SimpleTogether | None) -> parts.SimpleTogether | None:
-    if together is None:
-        return None
-    return parts.SimpleTogether(
-        constants=together.constants,
-        values=tuple(map(finite, together.values)),
-        odds=finite(together.odds),
-        chi_square=finite(together.chi_square),
-    )
-
-
-def _program(entry: FrontEntry, dataset: Dataset) -> Program:
-    return Program.from_bytes(entry.program, len(dataset.names))
+    return 1.0 - mse / variance if variance else None
 
 
 def _total(outcome: VariableOutcome) -> int:

@@ -8,24 +8,23 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from atoll_coordinator.model import refinement
 from atoll_coordinator.model.refinement import Refined
-from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.result.findings import SharedTerm
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.operators import VARIABLE
 from atoll_core.expression.program import ProgramBuilder
 from atoll_core.expression.text.infix import to_infix
-from atoll_core.expression.writing.expansion import inner_numbers, shape_of, terms_of
+from atoll_core.expression.writing.expansion import Shape, inner_numbers, shape_of, terms_of
 from atoll_core.expression.writing.layout import written
 from atoll_core.expression.writing.sums_of_products import ONE, Monomial, UndefinedError
 
+Flux = tuple[Shape, Mapping[str, float | None]]
 _SAME_NUMBER: Final = 1e-9
 """Share by which a number in a term may differ from the constant that it is."""
 
 
 def shared_terms(
-    equations: Mapping[str, Refined], names: Sequence[str], together: Sequence[refinement.SharedTerm] = ()
+    equations: Mapping[str, Refined], names: Sequence[str], together: Sequence[Flux] = ()
 ) -> tuple[SharedTerm, ...]:
     """Return the terms that two equations or more have, as `term`, with the `factors` that they have there.
 
@@ -50,7 +49,7 @@ def shared_terms(
         SharedTerm(
             term=_text(monomial, names),
             has_function=any(atom[0] != VARIABLE for atom, _ in monomial),
-            factors={variable: finite(factor) for variable, factor in factors.items()},
+            factors=factors,
             multiples=_multiples(monomial, factors, together),
         )
         for monomial, _, factors in terms
@@ -59,12 +58,12 @@ def shared_terms(
 
 
 def _multiples(
-    monomial: Monomial, factors: Mapping[str, float], together: Sequence[refinement.SharedTerm]
+    monomial: Monomial, factors: Mapping[str, float], together: Sequence[Flux]
 ) -> dict[str, float | None] | None:
     """Return how many times the flux stands in each equation, None of a term that was not fitted together."""
     shape = shape_of(monomial)
     return next(
-        (dict(term.multiples) for term in together if term.shape == shape and factors.keys() >= term.multiples.keys()),
+        (dict(multiples) for other, multiples in together if other == shape and factors.keys() >= multiples.keys()),
         None,
     )
 
@@ -98,8 +97,11 @@ def _are_one(left: Monomial, left_equation: Refined, right: Monomial, right_equa
 def _error(number: float, equation: Refined) -> float:
     """Return the standard error of a number in a term, a thousandth of it where none is known."""
     for constant in equation.constants:
-        if constant.std_error is not None and abs(constant.value - number) <= _SAME_NUMBER * abs(number):
-            return constant.std_error
+        if abs((constant.value or 0.0) - number) <= _SAME_NUMBER * abs(number):
+            if constant.std_error is not None:
+                return constant.std_error
+            if not constant.identifiable and constant.interval is None:
+                return math.inf
     return SETTINGS.common.negligible * abs(number)
 
 

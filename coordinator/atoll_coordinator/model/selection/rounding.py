@@ -6,16 +6,16 @@ of the constants, which tells what simple numbers the data single out and how ma
 
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Final
 
-from atoll_coordinator.model.refinement import SimpleNumber, SimpleTogether
 from atoll_coordinator.model.regression.rounding import Estimates, Rounding, find_simple, quadratic_form
 from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance
+from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
@@ -101,7 +101,7 @@ def _in_one_equation(system: System, rounding: Rounding, first: int, last: int) 
         return simple_together
     multiples = system.sharing.multiples[first:last]
     pairs = zip(simple_together.constants, simple_together.values, strict=True)
-    return replace(simple_together, values=tuple(value * float(multiples[place]) for place, value in pairs))
+    return simple_together.replaced(values=tuple((value or 0.0) * float(multiples[place]) for place, value in pairs))
 
 
 def _tidied(values: FloatArray) -> list[float]:
@@ -113,7 +113,7 @@ def _multiplied(system: System, simple: Sequence[SimpleNumber | None]) -> Iterat
     """Yield the simple number near each constant, given those near the numbers (Q,) that they are multiples of."""
     for place, number in enumerate(system.columns[0].tolist()):
         remark, multiple = simple[number], 1.0 if system.sharing is None else float(system.sharing.multiples[place])
-        yield None if remark is None else replace(remark, value=remark.value * multiple)
+        yield None if remark is None else remark.replaced(value=(remark.value or 0.0) * multiple)
 
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:

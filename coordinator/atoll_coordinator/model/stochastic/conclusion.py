@@ -15,19 +15,11 @@ import numpy.typing as npt
 
 from atoll_coordinator.data.increments.bins import Rows, split_into_bins
 from atoll_coordinator.data.increments.steps import take_steps
-from atoll_coordinator.model.inference.checks import failures
+from atoll_coordinator.model.inference.checks import Verdict, failures, sentence
 from atoll_coordinator.model.inference.residuals import residual_statistics
-from atoll_coordinator.model.inference.verdict import Verdict, sentence
+from atoll_coordinator.model.inference.standard_errors import joint_covariance
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.model.refinement import (
-    Alternative,
-    Check,
-    Constant,
-    Covariance,
-    ProcessFindings,
-    Refined,
-    Refinement,
-)
+from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import contains
@@ -36,6 +28,8 @@ from atoll_coordinator.model.selection.candidates import CandidateSet, form
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.path_ensembles import settle, simulate_ensemble
 from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, is_zero
+from atoll_coordinator.result.equations import Check, Constant
+from atoll_coordinator.result.findings import Covariance, MeasurementNoise, Place, Process
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.paths import Simulator
 from atoll_core.config import JobConfig
@@ -95,8 +89,8 @@ def summarize_process(
             verdict.checks,
             _origin(equation.program, candidate_set),
         )
-    findings = _findings(chosen, fitted, shown, config.seed)
-    return Refinement(refined, process=findings, covariance=_covariance(chosen, fitted, coefficients))
+    process = _process(chosen, fitted, shown, config.seed)
+    return Refinement(refined, process=process, covariance=_covariance(chosen, fitted, coefficients))
 
 
 def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoefficients], list[_Equation]]:
@@ -143,12 +137,14 @@ def _covariance(
     chosen: ChosenProcess, fitted: FittedProcess, coefficients: Sequence[ExplicitCoefficients]
 ) -> Covariance:
     """Return the joint covariance of all constants, those of noise left out."""
-    names = tuple(
-        (chosen.variables[number], origin) for number in chosen.free for origin in coefficients[number].origins
-    )
-    parameters = len(fitted.information)
-    matrix = fitted.covariance[: len(names), : len(names)]
-    return Covariance(names, matrix, float(len(chosen.likelihood.steps.lengths) - parameters))
+    places = [
+        Place(variable=chosen.variables[number], constant=origin)
+        for number in chosen.free
+        for origin in coefficients[number].origins
+    ]
+    freedom = float(len(chosen.likelihood.steps.lengths) - len(fitted.information))
+    matrix = fitted.covariance[: len(places), : len(places)]
+    return joint_covariance(places, matrix, freedom) or Covariance(constants=(), matrix=(), freedom=freedom)
 
 
 def _fitted(chosen: ChosenProcess, coefficients: Sequence[ExplicitCoefficients]) -> FittedProcess:
@@ -185,7 +181,7 @@ def _described(
             descriptions.append(describe(explicit, program, values[place].tolist(), errors[place].tolist(), quantile))
         else:
             constants = program.constants[constant_places(program)].tolist()
-            descriptions.append(Known(tuple(map(Constant, constants)), ()))
+            descriptions.append(Known(tuple(Constant(value=value) for value in constants), ()))
     return descriptions
 
 
@@ -231,7 +227,9 @@ def _origin(program: Program, candidates: CandidateSet) -> Origin:
 def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equation]) -> list[Verdict]:
     """Return the verdict on each equation."""
     if not _has_noise(chosen, model):
-        return [Verdict("doubtful", _NO_NOISE, (Check("noise", "failed", _NO_NOISE),))] * len(equations)
+        return [Verdict("doubtful", _NO_NOISE, (Check(name="noise", outcome="failed", reason=_NO_NOISE),))] * len(
+            equations
+        )
     residuals = chosen.likelihood.whitened(model).residuals
     steps = chosen.likelihood.steps
     bins = split_into_bins(steps.points, SETTINGS.effort.kept)
@@ -263,7 +261,7 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
             checks = _diffusion_checks(residuals[i], residuals[j], bins, is_variance=i == j)
             checks, good = checks + _model_checks(chosen, number, equation), f"{good}, and their sizes are normal."
         if chosen.is_stopped:
-            checks.append(Check("time", "not made", _STOPPED))
+            checks.append(Check(name="time", outcome="not made", reason=_STOPPED))
         against = list(failures(checks))
         verdicts.append(
             Verdict("doubtful", sentence(against), tuple(checks)) if against else Verdict("good", good, tuple(checks))
@@ -290,7 +288,8 @@ def _without_noise(model: ProcessModel) -> list[int]:
 
 def _check(name: str, chance: float, limit: float, fault: str, merit: str) -> Check:
     """Return a check by a probability, which fails below the limit."""
-    return Check(name, "failed" if chance < limit else "passed", fault if chance < limit else merit, chance, limit)
+    outcome, reason = ("failed", fault) if chance < limit else ("passed", merit)
+    return Check(name=name, outcome=outcome, reason=reason, value=chance, limit=limit)
 
 
 def _drift_checks(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDArray[np.bool_]) -> list[Check]:
@@ -395,24 +394,23 @@ def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> li
     if len(written) > 1:
         is_loose = any(not constant.identifiable for constant in written)
         reason = "a constant is not determined: its interval holds zero" if is_loose else "all constants are determined"
-        checks.append(Check("constants", "failed" if is_loose else "passed", reason))
+        checks.append(Check(name="constants", outcome="failed" if is_loose else "passed", reason=reason))
     rivals, limit = chosen.rivals[number], SETTINGS.inference.distinct_nats
     points = chosen.likelihood.steps.points
     near = (rival for rival in rivals[1:] if rival.nats - rivals[0].nats < limit)
     rival = next((rival for rival in near if not contains(rival.program, equation.program, points)), None)
     if rival is None:
-        checks.append(Check("alternative equations", "passed", "no other equation describes the data about as well"))
-        return checks
+        reason = "no other equation describes the data about as well"
+        return [*checks, Check(name="alternative equations", outcome="passed", reason=reason)]
     apart = rival.nats - rivals[0].nats
     reason = f"another equation describes the data about as well (Δ description length {apart:.1f})"
-    checks.append(Check("alternative equations", "failed", reason, apart, limit))
-    return checks
+    return [*checks, Check(name="alternative equations", outcome="failed", reason=reason, value=apart, limit=limit)]
 
 
 # ------------------------------------------------------------------------------------------------- simulations
 
 
-def _findings(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel, seed: int) -> ProcessFindings:
+def _process(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel, seed: int) -> Process:
     """Return what is known of the process as a whole."""
     process, steps = chosen.process, chosen.likelihood.steps
     errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
@@ -421,23 +419,22 @@ def _findings(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel,
     noise = {}
     for state, error in zip(noisy, relative, strict=True):
         sd = math.sqrt(fitted.model.noise[process.states.index(state)])
-        bounds = (sd * math.exp(-1.96 * error), sd * math.exp(1.96 * error)) if error < 50.0 else None
-        noise[state] = Constant(sd, sd, sd * error, bounds)
+        interval = (sd * math.exp(-1.96 * error), sd * math.exp(1.96 * error)) if error < 50.0 else None
+        noise[state] = MeasurementNoise(sd=sd, std_error=sd * error, interval=interval)
     simulator = Simulator(shown.moments, np.random.default_rng(seed))
     unseen = take_steps(process, held_out=True)
     held_out = None
     if len(unseen.lengths):
         likelihood = ProcessLikelihood(unseen)
         held_out = likelihood.of_a_step(likelihood.whitened(shown).misfit)
-    return ProcessFindings(
-        process.states,
-        len(steps.lengths),
-        float(np.median(steps.lengths)),
-        shown.discretisation,
-        chosen.discretisation_nats,
-        chosen.likelihood.of_a_step(fitted.misfit),
-        held_out,
-        noise,
-        *simulate_ensemble(simulator, process),
-        settle(simulator, process, steps),
+    return Process(
+        steps=len(steps.lengths),
+        step=float(np.median(steps.lengths)),
+        discretisation=shown.discretisation,
+        discretisation_nats=chosen.discretisation_nats,
+        log_likelihood=chosen.likelihood.of_a_step(fitted.misfit),
+        held_out_log_likelihood=held_out,
+        measurement_noise=noise,
+        ensemble=simulate_ensemble(simulator, process),
+        stationary=settle(simulator, process, steps),
     )

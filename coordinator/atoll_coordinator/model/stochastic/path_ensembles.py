@@ -1,21 +1,27 @@
 """Ensembles of paths of a fitted process, and the density that they settle into, beside the measurements."""
 
+from typing import Final
+
 import numpy as np
 
 from atoll_coordinator.data.increments.steps import Steps
 from atoll_coordinator.data.recording import ProcessRecording
-from atoll_coordinator.model.refinement import MeasuredDensity
+from atoll_coordinator.model.thinning import curve, spread_places
+from atoll_coordinator.result.findings import Density, PathEnsemble
 from atoll_coordinator.stochastic.densities import density_of, histograms, settled_paths
 from atoll_coordinator.stochastic.paths import PATHS, Ensemble, Simulator
+from atoll_core.data.dataset import FloatArray
 
-_STEPS = 500
-"""That are shown of an ensemble."""
+_STEPS: Final = 500
+"""Steps that an ensemble is simulated for, at most."""
+_MOST_POINTS: Final = 101
+"""Times at which an ensemble is listed."""
 
 
-def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> tuple[str, Ensemble | None]:
-    """Return an ensemble from where the first trajectory begins, at its times and with its inputs, after its name.
+def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> PathEnsemble | None:
+    """Return an ensemble from the initial state of the first trajectory, at its times and with its inputs.
 
-    No ensemble when hardly a path has finite states to the end.
+    None when hardly a path has finite states to the end. Times are those of the user's file.
     """
     path = next(path for path in process.paths if not path.held_out)
     rows = min(len(path.times), _STEPS + 1)
@@ -23,11 +29,30 @@ def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> tuple[
     starts = np.repeat(path.states[:, :1], PATHS, axis=1)
     paths = simulator.paths(starts, inputs, path.times[1:rows] - path.times[: rows - 1])
     ensemble = Ensemble(process.states, path.times[:rows], paths.transpose(2, 0, 1))
-    return path.name, ensemble if len(ensemble.finite) >= PATHS // 2 else None
+    if len(ensemble.finite) < PATHS // 2:
+        return None
+    listed = spread_places(len(ensemble.t), _MOST_POINTS)
+
+    def curves(values: FloatArray) -> dict[str, tuple[float | None, ...]]:
+        return {state: curve(values[listed, index]) for index, state in enumerate(ensemble.states)}
+
+    return PathEnsemble(
+        trajectory=path.name,
+        paths=len(ensemble.x),
+        finite_paths=len(ensemble.finite),
+        times=curve(ensemble.t[listed] + process.offset, digits=12),
+        mean=curves(ensemble.mean),
+        lower=curves(ensemble.lower),
+        median=curves(ensemble.median),
+        upper=curves(ensemble.upper),
+    )
 
 
-def settle(simulator: Simulator, process: ProcessRecording, steps: Steps) -> MeasuredDensity | None:
-    """Return the density that paths from measured states settle into; None when they do not, or there are inputs."""
+def settle(simulator: Simulator, process: ProcessRecording, steps: Steps) -> dict[str, Density] | None:
+    """Return the density that paths from measured states settle into and the measured one, by state.
+
+    None when they do not settle, or there are inputs. `overlap` is the integral of the lesser of both densities.
+    """
     if process.inputs:
         return None
     seen = steps.points[: len(process.states)]
@@ -38,4 +63,14 @@ def settle(simulator: Simulator, process: ProcessRecording, steps: Steps) -> Mea
     density = density_of(process.states, paths, seen)
     measured = histograms(seen, density.edges)
     overlap = (np.minimum(density.density, measured) * np.diff(density.edges, axis=1)).sum(axis=1)
-    return MeasuredDensity(density, measured, overlap)
+    return {
+        state: Density(
+            mean=float(density.mean[index]),
+            sd=float(density.sd[index]),
+            overlap=float(overlap[index]),
+            edges=curve(density.edges[index]),
+            density=curve(density.density[index]),
+            measured=curve(measured[index]),
+        )
+        for index, state in enumerate(density.states)
+    }

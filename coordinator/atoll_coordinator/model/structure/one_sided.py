@@ -1,13 +1,12 @@
 """What is known of a constant that lies on a bound: a one-sided interval. Pure."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.model.least_squares import inverse
-from atoll_coordinator.model.refinement import Constant
+from atoll_coordinator.result.equations import Constant
 from atoll_core.data.dataset import FloatArray
 
 
@@ -38,14 +37,17 @@ def one_sided_reaches(
 
 
 def within_bounds(constant: Constant, lower: float, upper: float, reach: float | None) -> Constant:
-    """Return a constant with its interval cut at its bounds; on a bound, with the one-sided one that `reach` makes."""
+    """Return a constant with its interval clipped to its bounds; on a bound, with the one-sided one that `reach` makes.
+
+    Its `bounds` are given then, infinite on an open side. There is no standard error on a bound: the data would have
+    the constant beyond.
+    """
     if reach is None:
-        ends = constant.interval
-        interval = None if ends is None else (max(ends[0], lower), min(ends[1], upper))
-        return replace(constant, bounds=(lower, upper), interval=interval)
+        low, high = constant.interval or (None, None)
+        clipped = (lower if low is None else max(low, lower), upper if high is None else min(high, upper))
+        return constant.replaced(bounds=(lower, upper), interval=constant.interval and clipped)
     at = lower if constant.fitted is not None and constant.fitted <= lower else upper
     interval = (at, min(at + reach, upper)) if at == lower else (max(at - reach, lower), at)
-    return replace(
-        constant, value=at, std_error=None, interval=interval, identifiable=True, bounds=(lower, upper),
-        is_at_bound=True,
-    )  # fmt: skip
+    return constant.replaced(
+        value=at, std_error=None, interval=interval, identifiable=True, bounds=(lower, upper), at_bound=True
+    )

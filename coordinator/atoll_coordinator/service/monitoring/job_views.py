@@ -6,14 +6,14 @@ Views are made when a client asks for them. Results of live jobs are composed in
 import contextlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, Protocol, cast
 
 from pydantic import ValidationError
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.numbers import finite
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
+from atoll_coordinator.result.base import finite
 from atoll_coordinator.result.result import UNTIMED
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job
@@ -113,7 +113,7 @@ def outcomes_of(job: Job) -> list[VariableOutcome]:
     outcomes = {name: outcome_of(archipelago) for name, archipelago in job.archipelagos.items()}
     outcomes |= {name: VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in job.prepared.known.items()}
     order = [name for name in job.prepared.dataset.variables if name in outcomes]
-    return [replace(outcomes[name], refined=job.refinement.equations.get(name)) for name in order]
+    return [outcomes[name] for name in order]
 
 
 def outcome_of(archipelago: Archipelago) -> VariableOutcome:
@@ -321,7 +321,7 @@ def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView
         finished=outcome.why is not None,
         why=cast(Why | Literal["known"] | None, outcome.why),
     )
-    shown = equation_of(outcome, prepared.dataset, prepared.config)
+    shown = equation_of(outcome, None, prepared.dataset, prepared.config)
     if shown is None:
         return view
     normalized = finite(shown.error / target.standard_deviation) if target.standard_deviation else None

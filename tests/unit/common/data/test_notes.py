@@ -7,7 +7,6 @@ import numpy as np
 
 from atoll.text.render import render_text
 from atoll.web.pictures import progress
-from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import Dataset
 from atoll_core.data.notes import Note, notes_of
@@ -22,10 +21,10 @@ def test_notes_are_told_by_what_they_are_and_not_by_their_words() -> None:
     assert [type(note) for note in notes_of([NOTE])] == [str]
 
 
-def test_datasets_and_refinements_know_their_notes_after_they_have_travelled() -> None:
+def test_datasets_know_their_notes_after_they_have_travelled() -> None:
     dataset = Dataset(("x",), np.zeros((1, 3)), (), {"x": "x"}, (WARNING, NOTE))
     more = replace(dataset, warnings=(*dataset.warnings, "Another one."))
-    for value in (dataset, more, Refinement(warnings=(WARNING, NOTE))):
+    for value in (dataset, more):
         made = decode_value(encode_value(value), type(value))
         assert made.warnings == value.warnings
         assert made.notes == value.notes == (str(NOTE),)

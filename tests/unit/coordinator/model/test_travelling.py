@@ -9,21 +9,15 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation, ProcessRecording, SampledPath
-from atoll_coordinator.dimensions import EquationUnits
 from atoll_coordinator.model.criteria import TrajectoryMisfit
-from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Law, LawsByGroup, Pools
-from atoll_coordinator.model.refinement import Chaos, Refinement, SharedTerm
-from atoll_coordinator.model.selection import joint_search
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.service.jobs.job import Prepared
-from atoll_coordinator.units import parse_unit
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.wire.values import decode_value, encode_value
-from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, compare, measurements, pools, table
 from tests.values import is_same
 
@@ -58,18 +52,6 @@ def test_preparations_and_pools(preparation: Preparation) -> None:
     path = SampledPath("a", TIMES, np.ones((1, 40)), np.ones((0, 40)))
     process = ProcessRecording(("x",), ("x",), (), (), 0.5, (path,), np.array([0.1]), ((0, 0),))
     assert is_back(replace(preparation, recording=None, process=process))
-
-
-def test_refinements(preparation: Preparation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(joint_search, "SETTINGS", settings("effort", work=1_000_000))
-    refined = refine_all(preparation, CONFIG, pools(preparation, **POOL))
-    assert refined.simulation is not None
-    assert refined.equations["x"].constants
-    assert is_back(refined)
-    unit = parse_unit("kg*m/s^2")
-    one = replace(refined.equations["x"], units=EquationUnits((unit, None), (("x", unit),), ("clause",)))
-    shared = (SharedTerm(((1, 2), (3, ((4, 1),))), {"x": None, "y": -1.5}),)
-    assert is_back(Refinement({"x": one}, chaos=Chaos(1.5, False, None), shared_terms=shared, end="max-time"))
 
 
 def test_what_comparisons_are_made_of() -> None:

@@ -312,7 +312,6 @@ def test_courses_last_as_long_as_the_longest_trajectory_and_are_allowed_its_rows
     region = _Elsewhere(replace(three, bounds=bounds, owners=owners, times=times), 1e-6, is_near=False)
     along = region._estimator(0).measurements.times
     assert (len(along), along[0], along[-1]) == (COUNT, 0.0, pytest.approx(7.9))
-    assert region._estimator(0)._rows_in_row == max(1.0, 80.0 / COUNT)
     assert {course.shape for course in region.courses(truth, range(12))} == {(2, COUNT)}
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from atoll_coordinator.data.recording import Quantisation, Recording, Smoothing, Trajectory
 from atoll_coordinator.model.inference.random_walk import stochastic_remarks
-from atoll_coordinator.model.refinement import Simulated, Simulation
+from atoll_coordinator.model.inference.trajectory_simulation import SimulatedTrajectory
 
 TIMES = 0.05 * np.arange(1000)
 
@@ -16,8 +16,9 @@ def recording(states: np.ndarray) -> Recording:
     return Recording(("x",), ("x",), (), (), (), 1, 0.0, (), (recorded,))
 
 
-def simulation(values: np.ndarray) -> Simulation:
-    return Simulation(("x",), (Simulated("1", False, TIMES, values[None], values[None], None, (0.5,)),), 1.96)
+def remarks(measured: Recording, values: np.ndarray) -> list[str]:
+    simulated = SimulatedTrajectory("1", False, TIMES, values[None], values[None], None, (0.5,))
+    return stochastic_remarks(measured, ("x",), [simulated])
 
 
 def walk(seed: int) -> np.ndarray:
@@ -27,8 +28,8 @@ def walk(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_walk_about_a_simulation_proposes_the_option(seed: int) -> None:
     wave = 2.0 * np.sin(TIMES)
-    assert "with --stochastic" in stochastic_remarks(recording(wave + walk(seed)), simulation(wave))[0]
-    assert "'x'" in stochastic_remarks(recording(wave + walk(seed)), None)[0]
+    assert "with --stochastic" in remarks(recording(wave + walk(seed)), wave)[0]
+    assert "'x'" in stochastic_remarks(recording(wave + walk(seed)))[0]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -36,17 +37,17 @@ def test_a_walk_about_a_simulation_proposes_the_option(seed: int) -> None:
 def test_errors_of_measurement_and_what_a_model_misses_do_not(seed: int, slope: float) -> None:
     wave = 2.0 * np.sin(TIMES)
     noise = 0.1 * np.random.default_rng(seed).standard_normal(len(TIMES))
-    assert stochastic_remarks(recording(wave + noise + slope * np.sin(2.0 * TIMES)), simulation(wave)) == []
+    assert remarks(recording(wave + noise + slope * np.sin(2.0 * TIMES)), wave) == []
 
 
 def test_errors_of_a_solver_do_not_though_they_add_up() -> None:
     wave = 2.0 * np.sin(TIMES)
-    assert stochastic_remarks(recording(wave + 1e-4 * walk(1)), simulation(wave)) == []
+    assert remarks(recording(wave + 1e-4 * walk(1)), wave) == []
 
 
 def test_errors_of_rounding_do_not_though_they_stay_from_row_to_row() -> None:
     wave = 0.8 * np.sin(0.05 * TIMES) + 0.001 * walk(0)
     rounded = recording(np.round(wave))
     smoothing = Smoothing("x", "loess", 0.3, 0.4, 9, 3, quantisation=Quantisation("steps", 1.0, 1.0 / 12.0**0.5))
-    assert stochastic_remarks(replace(rounded, smoothing=(smoothing,)), simulation(wave)) == []
-    assert stochastic_remarks(rounded, simulation(wave)) != []
+    assert remarks(replace(rounded, smoothing=(smoothing,)), wave) == []
+    assert remarks(rounded, wave) != []

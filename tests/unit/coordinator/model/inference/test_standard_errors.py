@@ -10,10 +10,9 @@ from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import (
     bands,
     fit_starts,
-    not_simulated,
     r2_of,
     scaled_covariance,
-    simulated,
+    simulate_trajectories,
 )
 from atoll_coordinator.model.inference.unknown_correlation import widening
 from atoll_coordinator.model.shooting.measurements import measurements_of
@@ -38,7 +37,8 @@ def describe_constants(comparison, shown, errors):
 
 
 def find_correlations(comparison, variables, shown, errors):
-    return standard_errors.find_correlations(comparison, variables, tuple(map(as_written, shown)), errors)
+    places = standard_errors.fitted_places(comparison, variables, tuple(map(as_written, shown)))
+    return standard_errors.find_correlations(places, errors)
 
 
 def banded(comparison, rows, model):
@@ -155,7 +155,7 @@ def test_a_constant_that_the_data_do_not_determine_is_said_to_be_none():
     assert [abs(described.value) for described in correlated] == sorted(
         (abs(described.value) for described in correlated), reverse=True
     )
-    assert {described.first[0] for described in correlated} == {"x"}
+    assert {described.first.variable for described in correlated} == {"x"}
 
 
 def test_well_determined_constants_are_not_correlated():
@@ -177,7 +177,7 @@ def test_constants_of_a_fixed_equation_have_a_value_alone():
     )
     assert all(described.std_error > 0.0 for described in second)
     correlated = find_correlations(comparison, ("x", "y"), model.programs, estimate_errors(comparison, model))
-    assert {name for described in correlated for name in (described.first[0], described.second[0])} <= {"y"}
+    assert {name for described in correlated for name in (described.first.variable, described.second.variable)} <= {"y"}
 
 
 def test_shown_values_stand_beside_fitted_ones():
@@ -202,18 +202,18 @@ def test_simulations_are_by_trajectory():
     comparison = compare(DECAY, rows, 1e-6)
     model = comparison.fit_model([TRUTH])
     errors = np.arange(60.0)[None]
-    curves = simulated(rows, model.fit, errors, ("x",), held_out=False)
+    curves = simulate_trajectories(rows, model.fit, errors, ("x",), held_out=False)
     assert [curve.name for curve in curves] == ["1", "2", "3"]
     assert [len(curve.times) for curve in curves] == [20, 20, 20]
     assert np.concatenate([curve.errors[0] for curve in curves]).tolist() == errors[0].tolist()
     assert np.concatenate([curve.values[0] for curve in curves]).tolist() == model.fit.simulated[0].tolist()
     assert all(0.5 < curve.r2[0] < 1.0 for curve in curves)
-    assert simulated(rows, model.fit, None, ("x",), held_out=True)[0].errors is None
+    assert simulate_trajectories(rows, model.fit, None, ("x",), held_out=True)[0].errors is None
 
 
 def test_what_could_not_be_simulated_has_neither_values_nor_r2():
     rows = measurements_of(recording(DECAY, STARTS, TIMES, NOISE), [0])
-    curves = not_simulated(rows, held_out=True)
+    curves = simulate_trajectories(rows, None, None, ("x",), held_out=True)
     assert [(curve.name, curve.held_out, curve.values, curve.errors, curve.r2) for curve in curves] == [
         (name, True, None, None, (None,)) for name in ("1", "2", "3")
     ]

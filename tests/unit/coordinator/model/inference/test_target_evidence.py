@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from atoll_coordinator.model.inference.checks import judge
 from atoll_coordinator.model.inference.target_evidence import target_evidence
-from atoll_coordinator.model.inference.verdict import judge
-from atoll_coordinator.model.refinement import Alternative, Constant, Refined
+from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.text.parsing import from_infix
+from tests.unit.coordinator.model.parts import constant
 
 INPUTS = np.linspace(0.5, 3.0, 40)[None]
 VALUES = 2.0 * INPUTS[0] + 0.01 * np.random.default_rng(4).standard_normal(40)
@@ -25,7 +26,7 @@ def judged(*others):
     program = parsed("2.0*a")
     errors = VALUES - 2.0 * INPUTS[0]
     alternatives = [Alternative(parsed(text), nats, 0.99) for text, nats in others]
-    known = (Constant(2.0, 2.0, 0.01, (1.98, 2.02)),)
+    known = (constant(2.0, 2.0, 0.01, (1.98, 2.02)),)
     shown = Refined(
         0, program, float(np.abs(errors).mean()), float(np.mean(errors**2)), known, (),
         (Alternative(program, 0.0, 1.0, is_shown=True), *alternatives),
@@ -51,8 +52,8 @@ def test_a_wave_in_the_last_digit_does_not_make_an_equation_exact():
     table = Problem(("x",), x[None], Target("y", "y", values, 0.0, float(values.std())))
 
     def judged_as_exact(number, error):
-        constant = Constant(number, number, 1e-14, (number, number))
-        shown = Refined(0, from_infix(f"{number}*x + 4.2", ("x",)), error, error**2, (constant,))
+        known = constant(number, number, 1e-14, (number, number))
+        shown = Refined(0, from_infix(f"{number}*x + 4.2", ("x",)), error, error**2, (known,))
         evidence = target_evidence(shown, table, None)
         return judge(replace(evidence, error=error, residuals=[np.full(26, 1e-15)], predicted_r2=1.0, noise=0.0))
 

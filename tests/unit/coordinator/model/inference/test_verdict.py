@@ -7,14 +7,15 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.checks import RULES, Evidence, make_checks
+from atoll_coordinator.model.inference.checks import RULES, Evidence, judge, make_checks, with_objection
 from atoll_coordinator.model.inference.residuals import residual_statistics
-from atoll_coordinator.model.inference.verdict import judge, with_objection
-from atoll_coordinator.model.refinement import Chaos, Check, Constant, JobKind, Prediction
+from atoll_coordinator.model.refinement import JobKind
+from atoll_coordinator.result.equations import Check
 from atoll_core.data.dataset import FloatArray
+from tests.unit.coordinator.model.parts import chaos, constant, prediction
 
-KNOWN = (Constant(3.0, 2.98, 0.02, (2.94, 3.02)), Constant(1.0, 1.01, 0.02, (0.97, 1.05)))
-SURE = Prediction(12, 12, 0.99, 0.1, None, {"x": 1.0, "y": 2.0})
+KNOWN = (constant(3.0, 2.98, 0.02, (2.94, 3.02)), constant(1.0, 1.01, 0.02, (0.97, 1.05)))
+SURE = prediction(12, 12, 0.99, measure_from={"x": 1.0, "y": 2.0})
 
 
 def noise(sd: float, seed: int = 0, rows: int = 100) -> tuple[FloatArray, ...]:
@@ -31,7 +32,7 @@ NOISY = Evidence(
     standard_deviation=2.0, constants=KNOWN, alternative=9.0, prediction=SURE, null_nats=500.0, piece=500,
     distinct_rows=400,
 )  # fmt: skip
-SHARP = (Constant(3.0, 3.0, 2e-9, (3.0, 3.0)), Constant(1.0, 1.0, 2e-9, (1.0, 1.0)))
+SHARP = (constant(3.0, 3.0, 2e-9, (3.0, 3.0)), constant(1.0, 1.0, 2e-9, (1.0, 1.0)))
 CLEAN = Evidence(
     error=1e-12, target_uncertainty=1e-9, target_r2=1.0, residuals=waves(1e-9), parameters=3.0, noise=0.0,
     standard_deviation=2.0, constants=SHARP, prediction=SURE, null_nats=500.0, piece=500,
@@ -48,11 +49,10 @@ def outcomes(evidence: Evidence) -> dict[str, str]:
     return {check.name: check.outcome for check in judge(evidence).checks}
 
 
-def test_every_kind_of_job_says_of_every_check_whether_it_applies() -> None:
-    """A kind that says nothing would skip checks: whoever adds one must say which apply, and why others do not."""
-    for rule in RULES:
-        assert set(rule.kinds) == set(get_args(JobKind)), rule.name
-        assert all(not reason or len(reason.split()) > 3 for reason in rule.kinds.values()), rule.name
+def test_every_check_applies_to_some_kind_of_job_and_every_kind_has_checks() -> None:
+    """The steps of a process have checks of their own."""
+    assert all(rule.kinds for rule in RULES)
+    assert {kind for rule in RULES for kind in rule.kinds} == {*get_args(JobKind)} - {"process"}
 
 
 @pytest.mark.parametrize("evidence", [NOISY, CLEAN, TARGET, EXACT_TARGET, replace(NOISY, kind="groups")])
@@ -70,7 +70,7 @@ def test_of_checks_that_apply_all_have_a_reason_and_passed(evidence: Evidence) -
             )
         }
     names = [check.name for check in make_checks(evidence)]
-    assert names == [rule.name for rule in RULES if not rule.kinds[evidence.kind] and not rule.is_exactness]
+    assert names == [rule.name for rule in RULES if evidence.kind in rule.kinds and not rule.is_exactness]
 
 
 def test_every_check_of_what_was_not_simulated_is_named() -> None:
@@ -78,7 +78,7 @@ def test_every_check_of_what_was_not_simulated_is_named() -> None:
     bare = replace(NOISY, residuals=(), null_nats=None, is_unsimulated=True, distinct_rows=None, alternative=None)
     verdict = judge(bare)
     made = {check.name: check.outcome for check in verdict.checks}
-    assert set(made) == {rule.name for rule in RULES if not rule.kinds["trajectories"] and not rule.is_exactness}
+    assert set(made) == {rule.name for rule in RULES if "trajectories" in rule.kinds and not rule.is_exactness}
     assert made["simulation"] == "failed"
     others = ("residual size", "residual pattern", "poles", "no equation", "distinct rows", "alternative equations")
     assert {made[name] for name in (*others, "long run")} == {"not made"}
@@ -140,19 +140,19 @@ def test_a_simulation_without_noise_and_without_error_is_exact() -> None:
         ({"residuals": noise(0.17)}, "are 1.7 times the noise"),
         ({"held_out_r2": 0.3}, "held-out trajectories are simulated with R2 0.3 only"),
         ({"held_out_r2": 0.3, "is_cross_validated": True}, "left out one at a time are simulated with R2 0.3 only"),
-        ({"constants": (KNOWN[0], replace(KNOWN[1], identifiable=False))}, "1 of 2 constants are not determined"),
-        ({"constants": (replace(KNOWN[1], identifiable=False),)}, "Its constant is not determined"),
-        ({"constants": (replace(KNOWN[1], value=0.5, is_at_bound=True),)}, "have the constant 0.5 beyond its bound"),
+        ({"constants": (KNOWN[0], KNOWN[1].replaced(identifiable=False))}, "1 of 2 constants are not determined"),
+        ({"constants": (KNOWN[1].replaced(identifiable=False),)}, "Its constant is not determined"),
+        ({"constants": (KNOWN[1].replaced(value=0.5, at_bound=True),)}, "have the constant 0.5 beyond its bound"),
         ({"residuals": waves(0.1), "noise": 0.0}, "there is no noise, but the residuals are 5 %"),
         ({"fits_whole": False}, "it describes pieces of 500 rows and not whole trajectories"),
         ({"passes_pole": True}, "its simulation passes a pole"),
         ({"distinct_rows": 4}, "the rows repeat 4 measurements"),
         ({"null_nats": 4.5}, "about as well without an equation"),
         ({"parameters": 400.0, "residuals": noise(0.01)}, "400 numbers were fitted to 400 rows"),
-        ({"prediction": replace(SURE, probability=0.7)}, "70 % of the odds agree): measure from x = 1, y = 2"),
-        ({"prediction": replace(SURE, followed=10)}, "From 2 of 12 other initial states within the measured range it"),
-        ({"chaos": Chaos(2.0, False, 0.001)}, "means or variances of a long simulation are not those measured"),
-        ({"chaos": Chaos(2.0, False, None)}, "a long simulation runs away"),
+        ({"prediction": SURE.replaced(probability=0.7)}, "70 % of the odds agree): measure from x = 1, y = 2"),
+        ({"prediction": SURE.replaced(followed=10)}, "From 2 of 12 other initial states within the measured range it"),
+        ({"chaos": chaos(2.0, False, 0.001)}, "means or variances of a long simulation are not those measured"),
+        ({"chaos": chaos(2.0, False, None)}, "a long simulation runs away"),
     ],
 )
 def test_a_check_that_fails_makes_an_equation_doubtful(change: dict[str, object], said: str) -> None:
@@ -168,8 +168,8 @@ def test_a_check_that_fails_makes_an_equation_doubtful(change: dict[str, object]
         ({"stopped": "the choice of the equations"}, "time", "limit of time stopped the choice of the equations"),
         ({"prediction": None, "unpredicted": "for a reason"}, "other initial states", "not tested: for a reason"),
         ({"fits_whole": None}, "whole trajectories", "only pieces of 500 rows were simulated"),
-        ({"prediction": replace(SURE, followed=9, unfinished=3)}, "other initial states", "takes more steps"),
-        ({"chaos": Chaos(2.0, False, None, is_unfinished=True)}, "long run", "a long simulation takes more steps"),
+        ({"prediction": SURE.replaced(followed=9, unfinished=3)}, "other initial states", "takes more steps"),
+        ({"chaos": chaos(2.0, False, None, is_unfinished=True)}, "long run", "a long simulation takes more steps"),
         (
             {"unknown_inputs": {"u": 0.3, "w 1": 0.2, "v": 0.01}, "held_inputs": ("h",)},
             "inputs between rows",
@@ -229,7 +229,7 @@ def test_few_interpolated_rows_do_not_exclude_noise() -> None:
 
 @pytest.mark.parametrize("part", ["constants", "unit_coefficients"])
 def test_a_term_that_may_follow_errors_of_a_solver_is_not_exact(part: str) -> None:
-    crumb = Constant(4.6e-07, 4.6e-07, 4.6e-08, (3.6e-07, 5.6e-07))
+    crumb = constant(4.6e-07, 4.6e-07, 4.6e-08, (3.6e-07, 5.6e-07))
     verdict = judge(replace(CLEAN, **{part: (*SHARP, crumb)}))
     assert verdict.grade == "good"
     assert "the constant 4.6e-07 is known to 10 % only" in verdict.reason
@@ -250,13 +250,13 @@ def test_an_equation_that_others_agree_with_on_the_curve_alone_is_not_exact() ->
 
 
 def test_what_is_good_may_lead_where_nothing_was_measured() -> None:
-    verdict = judge(replace(NOISY, prediction=replace(SURE, reached=3.51)))
+    verdict = judge(replace(NOISY, prediction=SURE.replaced(reached=3.51)))
     assert verdict.grade == "good"
     assert "leads to 3.51, which was never measured: measure from x = 1, y = 2 to know" in verdict.reason
 
 
 def test_a_factor_of_one_that_another_can_stand_for_is_no_doubt() -> None:
-    loose = Constant(1.0, 1.0, np.inf, None, identifiable=False)
+    loose = constant(1.0, 1.0, np.inf, None, identifiable=False)
     assert judge(replace(CLEAN, unit_coefficients=(loose,))).grade == "exact"
 
 
@@ -324,16 +324,16 @@ def test_what_counts_as_clean_and_exact_is_relative_to_the_deviation() -> None:
 
 
 def test_a_constant_is_known_to_a_share_of_its_estimate() -> None:
-    rounded = Constant(3.0, 1e-6, 1e-8, (0.0, 3.0))
+    rounded = constant(3.0, 1e-6, 1e-8, (0.0, 3.0))
     assert "the constant 3 is known to 1 % only" in judge(replace(CLEAN, constants=(rounded,))).reason
-    unfitted = Constant(3.0, None, 0.3, (2.0, 4.0))
+    unfitted = constant(3.0, None, 0.3, (2.0, 4.0))
     assert "the constant 3 is known to 10 % only" in judge(replace(CLEAN, constants=(unfitted,))).reason
-    below = Constant(-3.0, -3.0, 0.3, (-3.0, -3.0))
+    below = constant(-3.0, -3.0, 0.3, (-3.0, -3.0))
     assert "the constant -3 is known to 10 % only" in judge(replace(CLEAN, constants=(below,))).reason
-    crumb = Constant(-1e-12, -1e-12, 1e-9, (-2e-9, 2e-9))
+    crumb = constant(-1e-12, -1e-12, 1e-9, (-2e-9, 2e-9))
     assert "the constant -1e-12 cannot be told from 0" in judge(replace(CLEAN, constants=(crumb,))).reason
     assert judge(replace(CLEAN, constants=())).grade == "exact"
-    assert judge(replace(CLEAN, constants=(Constant(0.5, 0.5),))).grade == "exact"
+    assert judge(replace(CLEAN, constants=(constant(0.5, 0.5),))).grade == "exact"
 
 
 def test_noise_takes_its_part_of_what_held_out_trajectories_can_be_predicted() -> None:
@@ -351,13 +351,13 @@ def test_errors_that_add_up_along_trajectories_may_be_larger_but_not_large() -> 
 
 
 def test_a_chaotic_model_that_keeps_means_and_variances_is_good() -> None:
-    verdict = judge(replace(NOISY, chaos=Chaos(2.0, True, 0.3), fits_whole=None))
+    verdict = judge(replace(NOISY, chaos=chaos(2.0, True, 0.3), fits_whole=None))
     assert verdict.grade == "good"
     assert "chaotic: errors grow e-fold in 2" in verdict.reason
 
 
 def test_what_is_followed_nowhere_is_not_blamed_on_alternatives() -> None:
-    reason = judge(replace(NOISY, prediction=Prediction(12, 0, 0.0, math.inf))).reason
+    reason = judge(replace(NOISY, prediction=prediction(12, 0, 0.0))).reason
     assert reason == "From 12 of 12 other initial states within the measured range it runs away."
 
 
@@ -383,7 +383,7 @@ def test_an_objection_of_another_kind_makes_a_good_equation_doubtful_and_no_othe
     ):
         verdict = with_objection(judge(evidence), "units", "failed", "units contradict it")
         assert verdict.grade == grade
-        assert verdict.checks[-1] == Check("units", "failed", "units contradict it")
+        assert verdict.checks[-1] == Check(name="units", outcome="failed", reason="units contradict it")
 
 
 def test_the_best_of_several_orders_of_rows_is_a_pattern_less_often() -> None:

@@ -1,13 +1,12 @@
 """Long trajectories, fitted in pieces and tested in whole; few rows a period; and what no equation describes."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.inference import conclusion
+from atoll_coordinator.model.inference import long_run
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.selection import joint_search, model_selection
 from atoll_coordinator.settings import SETTINGS
@@ -39,7 +38,7 @@ def _little_work(monkeypatch):
 def test_a_trajectory_longer_than_what_is_simulated_at_a_stretch_is_no_chaos(monkeypatch, system, start, candidates):
     """Where errors shrink, or grow as slowly as those of a phase do, initial states are of use however long it is."""
     if system is SWING:  # known by its errors alone
-        monkeypatch.setattr(conclusion, "_fits_in_whole", lambda _: None)
+        monkeypatch.setattr(long_run, "_fits_in_whole", lambda _: None)
     refinement = refined(system, [start], candidates, times=0.05 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
     assert SETTINGS.shooting.piece < 700
     assert refinement.chaos is None
@@ -97,7 +96,7 @@ def test_a_model_of_the_plane_is_not_chaotic_however_fast_errors_grow():
 
 def test_a_model_of_the_plane_whose_errors_grow_is_tested_along_whole_trajectories(monkeypatch):
     """As in `test_what_is_missing_in_the_long_run_alone_is_a_doubt`, with errors that grow as those of chaos do."""
-    monkeypatch.setattr(conclusion, "growth_rate", lambda _: 10.0)
+    monkeypatch.setattr(long_run, "growth_rate", lambda _: 10.0)
     slow = Known(("x", "v"), lambda _, z: [z[1], -z[0] - 0.001 * z[1]])
     times, wrong = 0.06 * np.arange(8_000.0), {"x": ("v",), "v": ("-x",)}
     refinement = refined(slow, [[1.0, 0.0]], wrong, times=times, noise=0.05, config=NOTHING_ELSE)
@@ -115,29 +114,6 @@ def test_a_driven_model_whose_errors_grow_is_not_blamed_for_whole_trajectories_t
                   config=JobConfig(space=NO_LIBRARIES, data=DataConfig(states=("x", "v"), inputs=("w",))))  # fmt: skip
     whole = [check_of(refinement, name, "whole trajectories") for name in ("x", "v")]
     assert all(check.outcome == "not made" and "can be predicted" in check.reason for check in whole)
-
-
-def test_what_the_time_did_not_allow_to_try_is_no_doubt(monkeypatch):
-    fit = conclusion.ModelComparison.fit_model
-
-    def late(comparison, *args, **named):
-        model = fit(comparison, *args, **named)
-        monkeypatch.setattr(type(comparison.estimator.deadline), "is_over", True)
-        return None if model is None else replace(model, made=replace(model.fit, squares=9.0 * model.fit.squares))
-
-    tried = conclusion._fits_in_whole
-    answers = []
-
-    def trial(final):
-        with monkeypatch.context() as patch:
-            patch.setattr(conclusion.ModelComparison, "fit_model", late)
-            answers.append(tried(final))
-        return answers[-1]
-
-    monkeypatch.setattr(conclusion, "_fits_in_whole", trial)
-    refined(SWING, [[4.0, 0.0]], {"x": ("y",), "y": ("-2*x - 0.3*y",)}, times=0.1 * np.arange(700.0), noise=0.05,
-            config=NOTHING_ELSE)  # fmt: skip
-    assert answers == [None]
 
 
 TURNING = Known(("x", "v"), lambda _, z: [z[1], -z[0]])

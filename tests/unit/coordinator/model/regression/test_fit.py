@@ -131,11 +131,11 @@ def test_a_constant_on_its_bound_has_a_one_sided_interval():
     on_bound, free = estimate_constants(
         program, least_squares, RegressionCriterion.of(sought.target), has_intervals=True
     ).written
-    assert (on_bound.value, on_bound.std_error, on_bound.is_at_bound) == (2.5, None, True)
+    assert (on_bound.value, on_bound.std_error, on_bound.at_bound) == (2.5, None, True)
     assert on_bound.interval[1] == 2.5
     assert on_bound.interval[0] < 2.5
     assert free.std_error > 0.0
-    assert not free.is_at_bound
+    assert not free.at_bound
 
 
 def test_what_may_not_stand_has_no_finite_error():

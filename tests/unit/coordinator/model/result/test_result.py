@@ -11,16 +11,19 @@ import pytest
 
 from atoll.text.render import parse_picks
 from atoll_coordinator.data.recording import Preparation, Source
-from atoll_coordinator.model.refinement import Constant, Correlation, Refined, Refinement, Simulated, Simulation
+from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
 from atoll_coordinator.result.equations import Equation
+from atoll_coordinator.result.findings import Correlation, Place
+from atoll_coordinator.result.listed_trajectories import Simulated, Simulation
 from atoll_core.config import BudgetConfig, JobConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import UsageError
 from atoll_core.expression.simplification import complexity
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.search.pareto import FrontEntry
+from tests.unit.coordinator.model.parts import constant
 from tests.unit.coordinator.model.result.plain import pick, render_text, rendered
 
 NAMES = ("x", "S", "v")
@@ -240,12 +243,18 @@ def test_text_of_clean_data_says_the_verdict_and_is_short():
 
 
 def refined_result() -> dict:
-    constants = (Constant(3.0, 2.981, 0.018, (2.945, 3.016)), Constant(2.0, 2.04, 0.05))
+    constants = (constant(3.0, 2.981, 0.018, (2.945, 3.016)), constant(2.0, 2.04, 0.05))
     shown = Refined(2, from_infix(TRUTH, NAMES), 0.1, 0.02, constants, grade="doubtful", reason="It may be another.")
-    curve = Simulated("1", False, np.arange(3.0), np.ones((1, 3)), np.ones((1, 3)), None, (0.99,))
-    model = Refinement({"x": shown}, Simulation(("x",), (curve,), 2.0), (Correlation(("x", 0), ("x", 1), 0.99),))
-    outcome = replace(outcomes()[0], refined=shown)
-    return build_result("job-1", JobConfig(), PREPARATION, [outcome], Account("done", 1.0, 1.0), model).as_dict()
+    curves = {"x": (1.0, 1.0, 1.0)}
+    simulated = Simulated(name="1", r2={"x": 0.99}, times=(0.0, 1.0, 2.0), measured=curves, values=curves)
+    places = [Place(variable="x", constant=number) for number in (0, 1)]
+    model = Refinement(
+        {"x": shown},
+        Simulation(trajectories=(simulated,)),
+        (Correlation(first=places[0], second=places[1], value=0.99),),
+    )
+    account = Account("done", 1.0, 1.0)
+    return build_result("job-1", JobConfig(), PREPARATION, outcomes()[:1], account, model).as_dict()
 
 
 def test_text_of_a_refined_model_has_constants_verdict_and_tables():

@@ -2,10 +2,11 @@
 
 import pytest
 
-from atoll_coordinator.model.refinement import Constant, Refined, SharedTerm
+from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.result import shared_terms as made
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing.expansion import shape_of, terms_of
+from tests.unit.coordinator.model.parts import constant
 from tests.unit.coordinator.model.result.plain import plainly
 
 shared_terms = plainly(made.shared_terms)
@@ -16,7 +17,7 @@ NAMES = ("x", "y", "z")
 def equation(text, error=1e-4):
     program = from_infix(text, NAMES)
     values = [value for code, _, _, value in program.nodes() if code == 1]
-    return Refined(0, program, 0.0, 0.0, tuple(Constant(value, value, error) for value in values))
+    return Refined(0, program, 0.0, 0.0, tuple(constant(value, value, error) for value in values))
 
 
 def test_a_flux_is_in_both_equations_with_its_factors():
@@ -42,5 +43,5 @@ def test_products_are_terms_lone_variables_and_numbers_are_none():
 def test_terms_that_were_fitted_together_have_their_multiples():
     equations = {"x": equation("3.0 - 0.5*x - x*y"), "y": equation("0.5*x - x*y")}
     ((monomial, _),) = terms_of(from_infix("0.5*x", NAMES))
-    terms = shared_terms(equations, NAMES, (SharedTerm(shape_of(monomial), {"x": -1.0, "y": 1.0}),))
+    terms = shared_terms(equations, NAMES, ((shape_of(monomial), {"x": -1.0, "y": 1.0}),))
     assert [(term["term"], term["multiples"]) for term in terms] == [("x", {"x": -1.0, "y": 1.0}), ("x*y", None)]

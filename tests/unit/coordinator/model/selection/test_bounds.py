@@ -76,7 +76,7 @@ def test_a_constant_on_its_bound_has_a_one_sided_interval():
     )
     free = decay().fit_model([DECAY.parsed("-0.7*x")])
     error = float(np.sqrt(estimate_errors(decay(), free).covariance[0, 0]))
-    assert constant.is_at_bound
+    assert constant.at_bound
     assert constant.std_error is None
     assert constant.interval[0] == -0.4995
     assert 0.0 < constant.interval[1] - constant.interval[0] < 1.96 * error * 1.2

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.refinement import Alternative
-from atoll_coordinator.model.result.trust import candidates
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
 from atoll_coordinator.model.selection.model_selection import with_guesses
@@ -58,16 +56,3 @@ def test_a_guess_has_its_origin_also_where_the_search_has_it():
     guess = GROWTH.parsed(TRUTH)
     given = CandidateSet(runners_up=(guess,), guesses=(guess,))
     assert given.origins(())[form(guess)] == "guess"
-
-
-def test_the_result_lists_a_guess_beyond_the_most_alternatives():
-    programs = [GROWTH.parsed("h"), *(GROWTH.parsed(f"{number}.5*h") for number in range(1, 40))]
-    alternatives = [Alternative(program, float(place), None) for place, program in enumerate(programs)]
-    alternatives[0], alternatives[-1] = (
-        replace(alternatives[0], is_shown=True),
-        replace(alternatives[-1], origin="guess"),
-    )
-    selection = selected(GROWTH, TRUTH, 0.02)
-    listed = candidates(alternatives, selection.task.dataset)
-    assert len(listed) < len(alternatives)
-    assert listed[-1].origin == "guess"

@@ -6,7 +6,8 @@ from functools import cache
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.inference.conclusion import summarize
+from atoll_coordinator.data.recording import Preparation
+from atoll_coordinator.model.inference.conclusion import conclude
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Law, Member, Pool
 from atoll_coordinator.model.refinement import Refined
@@ -28,10 +29,15 @@ def task_of(*sample, **options):
     return ModellingTask(preparation.dataset, preparation.recording, PRESETS["default"], candidates)
 
 
+def concluded(task):
+    selection = select_model(task)
+    assert selection is not None
+    return selection, conclude(selection, Preparation(task.dataset, task.recording))
+
+
 def test_lorenz_with_five_percent_of_noise_is_found_without_a_search_and_called_good():
-    selection = select_model(task_of(1000, 0.05, trajectories=2))
+    selection, refinement = concluded(task_of(1000, 0.05, trajectories=2))
     assert selection.task.piece < 300
-    refinement = summarize(selection)
     for name in NAMES:
         equation = refinement.equations[name]
         assert monomials(to_infix(equation.program, NAMES)) == TERMS[name], name
@@ -40,7 +46,7 @@ def test_lorenz_with_five_percent_of_noise_is_found_without_a_search_and_called_
 
 @pytest.mark.slow
 def test_lorenz_by_a_solver_of_tolerance_1e_6_has_no_further_terms():
-    refinement = summarize(select_model(task_of(1000, 0.0, step=0.02, rtol=1e-6, atol=1e-9, method="RK45")))
+    _, refinement = concluded(task_of(1000, 0.0, step=0.02, rtol=1e-6, atol=1e-9, method="RK45"))
     for name in NAMES:
         assert monomials(to_infix(refinement.equations[name].program, NAMES)) == TERMS[name], name
 

@@ -71,7 +71,7 @@ def test_the_log_likelihood_of_a_step_is_that_of_its_density_also_on_trajectorie
     columns |= {"trajectory": np.repeat([1.0, 2.0], 120)}
     process = refine_all(prepare(table_of(columns), config), config, {}).process
     assert abs(process.log_likelihood - exact[:119].mean()) < 1e-5
-    assert abs(process.held_out - exact[120:].mean()) < 1e-5
+    assert abs(process.held_out_log_likelihood - exact[120:].mean()) < 1e-5
 
 
 ROWS = np.arange(101.0)

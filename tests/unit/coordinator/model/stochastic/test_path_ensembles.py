@@ -15,15 +15,16 @@ def recording(states: np.ndarray, step: float) -> ProcessRecording:
 def test_an_ensemble_and_a_settled_density_are_those_of_the_process() -> None:
     process = recording(ornstein_uhlenbeck(3000, 0.1, seed=1) + np.where(np.arange(3000) == 0, 2.0, 0.0), 0.1)
     simulator = Simulator(model_of("-1*x", "0.25").moments, np.random.default_rng(1))
-    name, ensemble = simulate_ensemble(simulator, process)
-    assert name == "1"
+    ensemble = simulate_ensemble(simulator, process)
     assert ensemble is not None
-    assert len(ensemble.finite) == len(ensemble.x)
-    assert abs(ensemble.mean[10, 0] - 2.0 * np.exp(-1.0)) < 4.0 * 0.35 / np.sqrt(len(ensemble.x))
+    assert ensemble.trajectory == "1"
+    assert ensemble.finite_paths == ensemble.paths
+    place = ensemble.times.index(1.0)
+    assert abs(ensemble.mean["x"][place] - 2.0 * np.exp(-1.0)) < 4.0 * 0.35 / np.sqrt(ensemble.paths)
     density = settle(simulator, process, take_steps(process))
     assert density is not None
-    assert abs(density.settled.sd[0] - 0.5 / np.sqrt(2.0)) < 0.01
-    assert density.overlap[0] > 0.9
+    assert abs(density["x"].sd - 0.5 / np.sqrt(2.0)) < 0.01
+    assert density["x"].overlap > 0.9
 
 
 def test_what_grows_without_end_does_not_settle() -> None:

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.model.refinement import Refined
-from atoll_coordinator.model.result.trust import verdict
 from atoll_coordinator.model.structure.constant_units import equation_units
 from atoll_coordinator.tasks.defaults import with_units
 from atoll_core.config import Angle, DataConfig, JobConfig
-from atoll_core.data.dataset import Dataset, Problem, Target
+from atoll_core.data.dataset import Dataset, Target
 from atoll_core.errors import DataError, UsageError
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.data.tables import oscillator, table_of
@@ -58,14 +56,3 @@ def test_units_of_the_header_and_of_the_options_come_together():
 def test_units_that_cannot_be_used_are_refused(given, error, words):
     with pytest.raises(error, match=words):
         prepare(table_of(oscillator()), JobConfig(data=DataConfig(units=given)))
-
-
-def test_a_verdict_names_the_term_that_units_contradict():
-    program = from_infix("2*exp(x)", ("x", "v"))
-    target = Target("x", "dx/dt", np.ones(4), 0.0, 1.0)
-    shown = Refined(0, program, 0.0, 0.0, grade="good", reason="It fits.", units=units("2*exp(x)", units={"x": "m"}))
-    problem = Problem(("x", "v"), np.ones((2, 4)), target)
-    judged = verdict(shown, problem, "done", has_trajectories=True)
-    assert judged is not None
-    assert judged.grade == "doubtful"
-    assert judged.reason == "Units contradict it: the argument x of a function has the unit m instead of none."

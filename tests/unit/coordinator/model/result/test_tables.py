@@ -1,21 +1,24 @@
-"""What a result says of smoothing: noise, residuals, doubtful rows with reasons, a table of bounded size."""
+"""What a result says of the data: columns and source, noise, doubtful rows with reasons, tables of bounded size."""
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from atoll.text.tables import noise_lines
+from atoll_coordinator.data.prepare import prepare
+from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory
-from atoll_coordinator.model.refinement import StateErrors
-from atoll_coordinator.model.result import diagnostics
-from atoll_coordinator.model.result.diagnostics import MOST_EXCLUDED, MOST_ROWS
+from atoll_coordinator.model.result import tables
+from atoll_coordinator.model.result.tables import MOST_ROWS
+from atoll_coordinator.result.findings import Errors
 from atoll_coordinator.result.result import Result
+from atoll_core.config import DataConfig, JobConfig
 from tests.unit.coordinator.model.result.plain import plainly
 
-noise = plainly(diagnostics.noise)
-smoothing = plainly(diagnostics.smoothing)
+data, system, noise, smoothing = map(plainly, (tables.data, tables.system, tables.noise, tables.smoothing))
 
 
 def trajectory(rows: int, name: str = "1", held_out: bool = False) -> Trajectory:
@@ -86,9 +89,9 @@ def test_doubtful_rows_stand_by_trajectory_and_reason() -> None:
 
 
 def test_only_so_many_doubtful_rows_are_listed() -> None:
-    excluded = tuple(ExcludedRow(0, row, "jump") for row in range(MOST_EXCLUDED + 10))
-    (described,) = noise(recording(trajectory(MOST_EXCLUDED + 10), excluded=excluded), {})["x"]["doubtful"]
-    assert len(described["times"]) == MOST_EXCLUDED
+    excluded = tuple(ExcludedRow(0, row, "jump") for row in range(MOST_ROWS + 10))
+    (described,) = noise(recording(trajectory(MOST_ROWS + 10), excluded=excluded), {})["x"]["doubtful"]
+    assert len(described["times"]) == MOST_ROWS
 
 
 def test_smoothed_rows_stand_beside_measured_ones() -> None:
@@ -127,13 +130,15 @@ def test_no_table_without_smoothed_states_and_nothing_but_numbers() -> None:
     json.dumps([described, noise(recording(wild), {})], allow_nan=False)
 
 
-def whole(errors: dict[str, StateErrors]) -> Result:
-    return Result(equations=(), symbols={}, noise=diagnostics.noise(recording(trajectory(101)), errors))
+def whole(errors: dict[str, Errors]) -> Result:
+    return Result(equations=(), symbols={}, noise=tables.noise(recording(trajectory(101)), errors))
 
 
 def test_what_residuals_say_of_errors_is_listed_and_told_in_words():
-    solver = StateErrors(2e-4, 0.0, 1.0, 5.0, 20.0, True, 10)
-    sensor = StateErrors(0.1, 0.8, 0.5, 6.3, 30.0, False)
+    solver = Errors(
+        sd=2e-4, proportional=0.0, correlated=1.0, correlation_rows=5.0, independent_rows=20.0, add_up=True, piece=10
+    )
+    sensor = Errors(sd=0.1, proportional=0.8, correlated=0.5, correlation_rows=6.3, independent_rows=30.0)
     described = noise(recording(trajectory(101)), {"x": sensor})["x"]["errors"]
     assert (described["sd"], described["proportional"], described["correlation_rows"], described["add_up"]) == (
         0.1,
@@ -146,3 +151,49 @@ def test_what_residuals_say_of_errors_is_listed_and_told_in_words():
     assert "50 % of the errors' variance of neighbouring rows goes together over about 6 rows" in line
     line, *_ = noise_lines(whole({"x": solver}))
     assert "errors add up along trajectories, as those of a solver do: 0.0002 within 10 rows" in line
+
+
+CONFIG = JobConfig(seed=3, data=DataConfig(target="y"))
+
+
+def test_columns_units_ranges_and_digest_are_those_of_the_table(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x [m],y [m/s]\n" + "\n".join(f"{row},{2 * row}" for row in range(9)))
+    table = read_table([tmp_path / "a.csv"], CONFIG.data)
+    preparation = prepare(table, CONFIG)
+    source = {"digest": table.digest, "files": ["a.csv"], "rows": 9, "read_as": "text with commas"}
+    assert data(preparation) == {**source, "trajectories": None}
+    assert system(preparation) == {
+        "kind": "regression",
+        "order": 1,
+        "time": None,
+        "states": [],
+        "velocities": [],
+        "inputs": ["x"],
+        "input_kinds": {},
+        "target": "y",
+        "units": {"x": "m", "y": "m/s"},
+        "ranges": {"x": [0.0, 8.0]},
+    }
+
+
+def test_what_was_measured_of_trajectories_is_kept_evenly_thinned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [f"{run},{0.1 * row:.1f},{row + run},{row * row},{1 + row % 2}" for run in (1, 2) for row in range(20)]
+    (tmp_path / "a.csv").write_text("run,t,x,u,w\n" + "\n".join(rows))
+    config = JobConfig(data=DataConfig(trajectory="run", inputs=("u",), weights="w", holdout=1))
+    preparation = prepare(read_table([tmp_path / "a.csv"], config.data), config)
+    assert data(preparation, has_trajectories=False)["trajectories"] is None  # type: ignore[index]
+    first, second = data(preparation)["trajectories"]  # type: ignore[index]
+    assert (first["held_out"], second["held_out"]) == (False, True)
+    assert first["rows"] == len(first["times"]) == 20
+    assert first["measured"] == {"x": [float(row + 1) for row in range(20)]}
+    assert first["inputs"]["u"][3] == 9.0
+    assert abs(first["input_slopes"]["u"][3] - 60.0) < 1e-6
+    assert abs(first["weights"][1] - 2.0 * first["weights"][0]) < 1e-9
+    assert first["robustness_weights"] is None
+    np.testing.assert_allclose(first["times"], np.arange(20) / 10.0, atol=1e-12)
+    monkeypatch.setattr(tables, "MOST_ROWS", 24)
+    first, second = data(preparation)["trajectories"]  # type: ignore[index]
+    assert (len(first["times"]), first["rows"]) == (12, 20)
+    assert (first["measured"]["x"][0], first["measured"]["x"][-1]) == (1.0, 20.0)

@@ -6,16 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference import attractor
-from atoll_coordinator.model.inference.attractor import _block_means, _welch, along, look_for_chaos
-from atoll_coordinator.model.inference.checks import Evidence
-from atoll_coordinator.model.inference.verdict import judge
-from atoll_coordinator.model.refinement import Chaos, Prediction
-from atoll_coordinator.model.result.trust import chaos
+from atoll_coordinator.model.inference import long_run
+from atoll_coordinator.model.inference.checks import Evidence, judge
+from atoll_coordinator.model.inference.long_run import _block_means, _welch, along, look_for_chaos
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_core.expression.text.parsing import from_infix
+from tests.unit.coordinator.model.parts import chaos, prediction
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, prepared
 
 TRUTH = ("10*(y - x)", "28*x - x*z - y", "x*y - 2.6666666666666665*z")
@@ -70,7 +68,7 @@ def test_a_simulation_that_takes_too_many_steps_does_not_run_away(measured):
 def test_ours_has_blocks_enough_to_know_its_variance_however_many_rows_were_measured(monkeypatch, rows):
     """Of 8,000 rows and more a simulation of 4,000 had one block, whose mean was taken for exact."""
     blocks = []
-    monkeypatch.setattr(attractor, "_welch", lambda *both: [blocks.append([part.shape for part in both]) or 1.0])
+    monkeypatch.setattr(long_run, "_welch", lambda *both: [blocks.append([part.shape for part in both]) or 1.0])
     measured = measurements_of(prepared(2000, 0.01, trajectories=1).recording, [0, 1, 2], piece=50)
     looked(several(measured, rows // 2000), TRUTH)
     assert blocks == [[(3, 4), (3, 4)]] * 2
@@ -84,9 +82,9 @@ def test_of_a_driven_model_nothing_is_said():
 def test_the_long_simulation_begins_where_the_last_trajectory_ended(monkeypatch):
     asked = []
     estimator = SimpleNamespace(measurements=None, simulate=lambda _, start: start.tolist())
-    monkeypatch.setattr(attractor, "along", lambda _, times, *rest: asked.append([times.tolist(), *rest]) or estimator)
+    monkeypatch.setattr(long_run, "along", lambda _, times, *rest: asked.append([times.tolist(), *rest]) or estimator)
     fit = SimpleNamespace(estimator=estimator, system=None, simulated=np.arange(6.0).reshape(2, 3))
-    assert attractor._simulated(fit, 6, 2, 0.5, 1e-6) == [2.0, 5.0]
+    assert long_run._simulated(fit, 6, 2, 0.5, 1e-6) == [2.0, 5.0]
     assert asked == [[[0.0, 1.0, 2.0], 1e-6, 6]]
 
 
@@ -113,8 +111,8 @@ def compared(monkeypatch):
         assert look_for_chaos(SimpleNamespace(estimator=SimpleNamespace(measurements=measured)), 0.9, 1e-6).is_kept
         return asked.pop(), [means.pop(0), means.pop(0)]
 
-    monkeypatch.setattr(attractor, "_simulated", simulated)
-    monkeypatch.setattr(attractor, "_welch", lambda *both: [means.append([part.tolist() for part in both]) or 1.0])
+    monkeypatch.setattr(long_run, "_simulated", simulated)
+    monkeypatch.setattr(long_run, "_welch", lambda *both: [means.append([part.tolist() for part in both]) or 1.0])
     return of
 
 
@@ -161,28 +159,20 @@ def test_the_verdict_says_in_which_time_errors_grow_and_refuses_what_is_not_kept
     residuals = [0.1 * np.random.default_rng(1).normal(size=400)]
     evidence = Evidence(
         distinct_rows=60, null_nats=100.0,
-        residuals=residuals, noise=0.1, standard_deviation=1.0, chaos=Chaos(1.13, True, 0.4),
-        prediction=Prediction(12, 12, 1.0, 0.1),
+        residuals=residuals, noise=0.1, standard_deviation=1.0, chaos=chaos(1.13, True, 0.4),
+        prediction=prediction(12, 12, 1.0),
     )  # fmt: skip
     verdict = judge(evidence)
     assert verdict.grade == "good"
     assert "errors grow e-fold in 1.1" in verdict.reason
-    verdict = judge(replace(evidence, chaos=Chaos(1.13, False, 1e-5)))
+    verdict = judge(replace(evidence, chaos=chaos(1.13, False, 1e-5)))
     assert verdict.grade == "doubtful"
     assert "eans or variances" in verdict.reason
-    assert "runs away" in judge(replace(evidence, chaos=Chaos(1.13, False, None))).reason
-    verdict = judge(replace(evidence, chaos=Chaos(1.13, False, None, is_unfinished=True)))
+    assert "runs away" in judge(replace(evidence, chaos=chaos(1.13, False, None))).reason
+    verdict = judge(replace(evidence, chaos=chaos(1.13, False, None, is_unfinished=True)))
     assert verdict.grade == "doubtful"
     assert "more steps than are allowed" in verdict.reason
     assert "runs away" not in verdict.reason
-
-
-def test_what_is_reported():
-    assert chaos(None) is None
-    known = {"lyapunov_time": 2.0, "is_kept": True, "is_unfinished": False, "probability": 0.5}
-    reported = chaos(Chaos(2.0, True, 0.5))
-    assert reported is not None
-    assert reported.model_dump() == known
 
 
 def test_means_are_of_whole_blocks():
@@ -231,6 +221,6 @@ def test_what_is_simulated_in_the_place_of_measurements_was_not_measured(measure
 def test_the_level_is_shared_by_means_and_variances_of_all_states(monkeypatch, measured):
     """0.01 over six comparisons."""
     for probability, is_kept in ((0.0018, True), (0.0015, False)):
-        monkeypatch.setattr(attractor, "_welch", lambda *_, level=probability: [1.0, level, 0.5])
+        monkeypatch.setattr(long_run, "_welch", lambda *_, level=probability: [1.0, level, 0.5])
         seen = looked(measured, TRUTH)
         assert (seen.is_kept, seen.probability) == (is_kept, probability)

@@ -56,23 +56,22 @@ def refined(noise=0.02, **data):
 def test_what_differs_is_told_and_what_does_not_is_shared():
     _, refinement = refined(group="strain")
     (equation,) = refinement.equations.values()
-    assert [group.group for group in equation.by_group] == ["1", "2", "3"]
-    assert sorted(equation.shared) == [False, True]
-    rate, capacity = equation.shared.index(False), equation.shared.index(True)
+    assert [*equation.by_group] == ["1", "2", "3"]
+    shared = [constant.shared for constant in equation.constants]
+    assert sorted(shared) == [False, True]
+    rate, capacity = shared.index(False), shared.index(True)
     points = np.array([[0.5, 1.0, 1.5]])
-    for equation_of_group, true in zip(equation.by_group, RATES, strict=True):
-        assert values_of(equation_of_group.program, points) == pytest.approx(
-            true * points[0] * (1.0 - points[0] / CAPACITY), rel=0.1
-        )
-        low, high = equation_of_group.constants[rate].interval
-        assert low < equation_of_group.constants[rate].fitted < high
+    for (program, constants), true in zip(equation.by_group.values(), RATES, strict=True):
+        assert values_of(program, points) == pytest.approx(true * points[0] * (1.0 - points[0] / CAPACITY), rel=0.1)
+        low, high = constants[rate].interval
+        assert low < constants[rate].fitted < high
+        assert constants[capacity] == equation.constants[capacity]
     assert equation.grade == "good"
-    assert len({id(equation_of_group.constants[capacity]) for equation_of_group in equation.by_group}) == 1
 
 
 def test_a_result_has_the_equation_of_each_group():
     preparation, refinement = refined(group="strain")
-    outcome = VariableOutcome("x", (), 1, refined=refinement.equations["x"])
+    outcome = VariableOutcome("x", (), 1)
     result = build_result(
         "j", config(group="strain"), preparation, [outcome], Account("done", 1.0, 1.0), refinement
     ).as_dict()
@@ -112,7 +111,7 @@ def test_a_known_equation_alone_has_no_constants_by_group(data):
     preparation = prepare(table(), config)
     refinement = refine_all(preparation, config, {})
     front = (FrontEntry(9, 0.1, 0.1, 0, 0, 0, refinement.equations["x"].program.to_bytes()),)
-    outcome = VariableOutcome("x", front, 0, refined=refinement.equations["x"], why=KNOWN)
+    outcome = VariableOutcome("x", front, 0, why=KNOWN)
     result = build_result("j", config, preparation, [outcome], Account("done", 1.0, 1.0), refinement).as_dict()
     model = Model(result)
     assert model.groups == ()
@@ -125,15 +124,15 @@ def test_a_known_equation_stands_beside_one_by_group():
     config = JobConfig(data=DataConfig(group="strain"), space=space, prior=PriorConfig(known={"y": "-0.7*y"}))
     preparation = prepare(two_states(), config)
     refinement = refine_all(preparation, config, pools(preparation, x=("x", "x*(2 - x)")))
-    assert refinement.equations["y"].by_group == ()
-    assert refinement.equations["y"].shared == ()
-    assert [group.group for group in refinement.equations["x"].by_group] == ["1", "2"]
+    assert refinement.equations["y"].by_group == {}
+    assert refinement.equations["y"].constants[0].shared is None
+    assert [*refinement.equations["x"].by_group] == ["1", "2"]
 
 
 def test_constants_that_no_group_differs_in_have_one_covariance():
     preparation = prepare(table(rates=(1.0, 1.0)), config(group="strain"))
     refinement = refine_all(preparation, config(group="strain"), pools(preparation, x=("x", "x*(2 - x)")))
-    assert all(refinement.equations["x"].shared)
+    assert all(constant.shared for constant in refinement.equations["x"].constants)
     assert refinement.covariance is not None
 
 
@@ -186,4 +185,4 @@ def test_a_group_may_have_one_trajectory_that_is_short():
     rows = {name: getattr(measured, name)[kept] for name in ("file_of_row", "line_of_row")}
     preparation = prepare(replace(measured, columns=measured.columns[:, kept], **rows), config(group="strain"))
     refinement = refine_all(preparation, config(group="strain"), pools(preparation, x=("x", "x*(2 - x)")))
-    assert [group.group for group in refinement.equations["x"].by_group] == ["1", "2", "3"]
+    assert [*refinement.equations["x"].by_group] == ["1", "2", "3"]

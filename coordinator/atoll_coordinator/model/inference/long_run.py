@@ -1,0 +1,233 @@
+"""Whether a model describes whole trajectories, and whether a chaotic one stays on the attractor that was measured.
+
+No trajectory of a chaotic system can be predicted beyond some Lyapunov times, but averages can: a long simulation has
+the means and variances of the measurements, up to sampling errors. Both are compared by Welch's t, with averages over
+blocks that are long against the time in which errors grow: the later halves of trajectories, which begin where they
+were made to begin and come to the attractor first, or where there are few trajectories, parts of them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.model.inference.final_model import FinalModel
+from atoll_coordinator.model.inference.trajectory_simulation import r2_of
+from atoll_coordinator.model.selection.shortcut import predictable_rows
+from atoll_coordinator.model.shooting.integration import Unsimulated
+from atoll_coordinator.model.shooting.measurements import Measurements
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, growth_rate, speed_growth
+from atoll_coordinator.result.findings import Chaos
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import FloatArray
+
+_BLOCKS: Final = 4
+"""Blocks that there are at least: the variance of fewer averages is not known."""
+_MOST_ROWS: Final = 4_000
+"""Rows of the long simulation, at most: where it has to be longer, they stand for several measured ones each."""
+
+
+@dataclass(frozen=True, eq=False)
+class LongRun:
+    """What is known of a model along trajectories that are longer than the pieces of its fit.
+
+    It `fits` them in whole up to their noise or not, None where that is not known, as where there is or may be `chaos`.
+    `r2` has the R2 of each state by simulations of whole trajectories of the equations as they are shown, only the
+    initial states fitted; None where they were not simulated, minus infinity where they could not be. Of a driven model
+    whose errors grow as those of chaos do `predictable_rows` can be predicted, where that is less than a piece.
+    """
+
+    fits: bool | None
+    chaos: Chaos | None
+    r2: Sequence[float | None] | None = None
+    predictable_rows: int | None = None
+
+
+def long_run_of(final: FinalModel) -> LongRun:
+    """Return what is known of a model along whole trajectories.
+
+    It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
+    has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing; one that
+    cannot be chaotic is tested along them however fast errors grow.
+    """
+    if final.task.piece >= final.task.longest:
+        return LongRun(True, None)
+    fit = final.free.fit
+    rate = growth_rate(fit)
+    growths = (rate, rate - speed_growth(fit))
+    may_be = may_be_chaotic(final.seen.estimator.measurements)
+    fits = None if may_be and all(_is_exponential(final, growth) for growth in growths) else _fits_in_whole(final)
+    if fits:
+        return LongRun(fits, None)
+    may_be = may_be and not final.by_group
+    predictable = max(predictable_rows(fit, final.comparison, growth) for growth in growths)
+    if may_be and predictable < final.task.longest:
+        if len(final.seen.estimator.measurements.inputs) and predictable < final.task.piece:
+            return LongRun(fits, None, None, round(predictable))
+        chaos = look_for_chaos(final.seen_fit, rate, final.seen.estimator.tolerance)
+        return LongRun(None, chaos, None if chaos is not None else _whole_r2(final))
+    fits = None if final.task.is_nearly_clean else fits  # errors of a solver add up
+    return LongRun(fits, None, _whole_r2(final) if fits is None else None)
+
+
+def _whole_r2(final: FinalModel) -> list[float | None] | None:
+    """Return R2 (O,) of the equations as they are shown along whole trajectories; None where time is over.
+
+    Without inputs, of very many rows every so-manyth is simulated.
+    """
+    task = replace(final.task, piece=final.task.longest)
+    if task.is_over:
+        return None
+    measurements = task.measurements(task.variables)
+    if not len(measurements.inputs):
+        measurements = measurements.strided(-(-measurements.rows // SETTINGS.rows.most))
+    comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=measurements.rows)
+    fit = final.simulated_by(comparison)
+    if fit is None:
+        return None if task.is_over else [-math.inf for _ in measurements.observed]
+    return r2_of(measurements, fit, slice(None))
+
+
+def _is_exponential(final: FinalModel, rate: float) -> bool:
+    """Tell whether errors that grow at this rate grow more along a trajectory than a power of time does.
+
+    Without exponential growth those of D linear equations grow like t^(D - 1) at most: over N rows less than N^D times.
+    """
+    measurements = final.comparison.estimator.measurements
+    rows = final.task.longest
+    return rate * measurements.step * rows > len(measurements.scales) * math.log(rows)
+
+
+def _fits_in_whole(final: FinalModel) -> bool | None:
+    """Tell whether equations as they are shown describe whole trajectories up to their noise; None: it was not asked.
+
+    Errors of a phase grow in proportion to time, which is fast at first: that tells it from slow chaos. Constants are
+    fitted once more, in pieces that grow to whole trajectories, where there are very many rows to every so-manyth. It
+    is not asked of a model that does not describe the pieces, nor when the time is over.
+    """
+    task, programs = final.task, final.shown
+    limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
+    if task.piece >= task.longest or not final.comparison.excess(final.free) <= limit:
+        return None
+    rows, allowed = task.measurements(task.variables).rows, SETTINGS.selection.fitted_sensitivities
+    stride = -(-rows // max(allowed // len(task.variables) ** 2, SETTINGS.shooting.piece))
+    if stride > 1 and len(final.comparison.estimator.measurements.inputs):
+        return None
+    while task.piece < task.longest:
+        begun = max(task.piece // stride, SETTINGS.shooting.lengths[1])
+        task = replace(task, piece=min(task.piece * SETTINGS.shooting.segment_growth, task.longest))
+        measurements = task.measurements(task.variables).strided(stride)
+        comparison = task.compare(measurements, task.variables, is_precise=True, measured_rows=rows)
+        model = comparison.fit_model(programs, lengths=(begun, None))
+        if deadline.is_over:
+            return None
+        if model is None or not comparison.excess(model) <= limit:
+            return False
+        programs = model.programs
+    return True
+
+
+def may_be_chaotic(measurements: Measurements) -> bool:
+    """Tell whether a model of these measurements can be chaotic at all.
+
+    A bounded trajectory of fewer than three states without inputs comes to a fixed point or a cycle, or is one
+    (Poincaré and Bendixson; Strogatz 1994, section 7.3); equations of second order have two states each.
+    """
+    return len(measurements.inputs) > 0 or len(measurements.smoothed) > 2
+
+
+def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
+    """Return what is to be said of a model whose errors grow at this `rate`; None where it has inputs.
+
+    Args:
+        fit: the model as it is shown, along the measured trajectories.
+        rate: e-folds per unit of time, above zero.
+        tolerance: error of an integration step over a state's standard deviation.
+    """
+    measurements = fit.estimator.measurements
+    if len(measurements.inputs):
+        return None
+    step = float(np.median(np.diff(measurements.times)[np.diff(measurements.owners_of_rows) == 0]))
+    lengths = np.bincount(measurements.owners_of_rows)
+    are_few = len(lengths) < _BLOCKS
+    block = int(lengths.max()) // (_BLOCKS if are_few else 2)
+    rows = max(_BLOCKS * block, min(measurements.rows, _MOST_ROWS))
+    stride = -(-rows // _MOST_ROWS)
+    simulated = _simulated(fit, rows, stride, step, tolerance)
+    if isinstance(simulated, str):
+        return Chaos(lyapunov_time=1.0 / rate, is_kept=False, is_unfinished=simulated == "out of steps")
+    measured = [measurements.smoothed[:, measurements.owners_of_rows == owner] for owner in range(len(lengths))]
+    measured = measured if are_few else [trajectory[:, trajectory.shape[1] // 2 :] for trajectory in measured]
+    centre = np.concatenate(measured, axis=1).mean(axis=1, keepdims=True)
+    probability = 1.0
+    for power in (1, 2):
+        simulated_means = _block_means((simulated - centre) ** power, block // stride)
+        measured_means = np.concatenate(
+            [_block_means((trajectory - centre) ** power, block) for trajectory in measured], axis=1
+        )
+        probability = min(probability, *_welch(simulated_means, measured_means))
+    is_kept = probability >= SETTINGS.inference.improbable / (2.0 * len(centre))
+    return Chaos(lyapunov_time=1.0 / rate, is_kept=is_kept, is_unfinished=False, probability=probability)
+
+
+def _simulated(fit: TrajectoryFit, rows: int, stride: int, step: float, tolerance: float) -> FloatArray | Unsimulated:
+    """Return every `stride`-th of so many rows of the states from the end of the last trajectory on, or why not."""
+    times = step * np.arange(0.0, rows, stride)
+    estimator = along(fit.estimator.measurements, times, tolerance, rows)
+    return estimator.simulate(fit.system, fit.simulated[:, -1])
+
+
+def along(
+    measurements: Measurements, times: FloatArray, tolerance: float, measured_rows: int, owner: int = 0
+) -> MultipleShooting:  # fmt: skip
+    """Return an estimator that simulates systems without inputs along these `times`, where nothing was measured.
+
+    So much time has about so many `measured_rows`, each of which is allowed its steps. Constants are those of the group
+    of the trajectory `owner`.
+    """
+    rows, count = len(times), len(measurements.observed)
+    low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)
+    made = replace(
+        measurements,
+        bounds=np.array([[0, rows]], dtype=np.int64),
+        owners=np.array([owner], dtype=np.int64),
+        times=times,
+        measured=np.zeros((count, rows)),
+        weights=np.ones((count, rows)),
+        smoothed=np.ascontiguousarray(np.linspace(low, high, rows).T),
+        offset=np.zeros(0, dtype=np.int64),
+        inputs=np.zeros((0, rows)),
+        input_slopes=np.zeros((0, rows)),
+        inverse_variances=None,
+        resting=None,
+        consistency=None,
+    )
+    return MultipleShooting(made, tolerance, measured_rows=measured_rows)
+
+
+def _block_means(values: FloatArray, block: int) -> FloatArray:
+    """Return the means (D, B) of whole blocks of rows."""
+    count = max(values.shape[1] // block, 1)
+    return np.array([part.mean(axis=1) for part in np.array_split(values[:, : count * block], count, axis=1)]).T
+
+
+def _welch(simulated_means: FloatArray, measured_means: FloatArray) -> list[float]:
+    """Return for each state the probability of means as different as these (B. L. Welch 1947)."""
+    from scipy import special
+
+    probabilities = []
+    for simulated, measured in zip(simulated_means, measured_means, strict=True):
+        shares = [means.var(ddof=1) / len(means) if len(means) > 1 else 0.0 for means in (simulated, measured)]
+        total = sum(shares)
+        if not total > 0.0:
+            probabilities.append(1.0)
+            continue
+        parts = zip(shares, (simulated, measured), strict=True)
+        degrees_of_freedom = total**2 / sum(share**2 / max(len(means) - 1, 1) for share, means in parts)
+        probabilities.append(
+            2.0 * float(special.stdtr(degrees_of_freedom, -abs(simulated.mean() - measured.mean()) / math.sqrt(total)))
+        )
+    return probabilities

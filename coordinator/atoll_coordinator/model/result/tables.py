@@ -1,0 +1,232 @@
+"""What a result says of the data: their source, columns, noise, smoothed trajectories, and the rows of a regression."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from atoll_coordinator.data import recording as recordings
+from atoll_coordinator.data.recording import ExcludedRow, Preparation, Recording, Trajectory
+from atoll_coordinator.model.thinning import curve, spread_places
+from atoll_coordinator.result.findings import (
+    Data,
+    Errors,
+    ExcludedRows,
+    LargestResidual,
+    Noise,
+    Quantisation,
+    Regression,
+    System,
+)
+from atoll_coordinator.result.listed_trajectories import Recorded, Smoothed, Smoothing
+from atoll_core.data.dataset import FloatArray
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.program import Program
+
+MOST_ROWS: Final = 2_000
+"""Rows listed of each state, all trajectories together; of more, rows spread evenly. As many excluded rows are."""
+MOST_NUMBERS: Final = 100_000
+"""Numbers listed in all, about 1 MB as text."""
+MOST_REGRESSION_ROWS: Final = 1_000
+LEAST_ROWS: Final = 8
+"""Measured rows listed of each trajectory at least."""
+DIGITS: Final = 12
+"""Significant digits of what was measured: errors of less than 1e-11 of a value are none."""
+
+
+# ---------------------------------------------------------------------------------------------------- measured rows
+
+
+def data(preparation: Preparation, *, has_trajectories: bool = True) -> Data | None:
+    """Return digest, files and number of rows of the table, how it was read, and what was measured of each trajectory.
+
+    None where the source is not known. `trajectories` is null where states were not measured in time, or not wanted.
+    """
+    source, recording = preparation.source, preparation.recording
+    if source is None:
+        return None
+    trajectories = None
+    if recording is not None and has_trajectories:
+        rows = sum(len(part.times) for part in recording.trajectories)
+        most = min(MOST_ROWS, MOST_NUMBERS // (1 + len(recording.states) + 2 * len(recording.inputs)))
+        share = min(1.0, most / max(rows, 1))
+        trajectories = tuple(_measured(recording, part, share) for part in recording.trajectories)
+    return Data(
+        digest=source.digest, files=source.files, rows=source.rows, read_as=source.read_as, trajectories=trajectories
+    )
+
+
+def _measured(recording: Recording, part: Trajectory, share: float) -> Recorded:
+    """Return one trajectory as it was measured, a `share` of its rows; weights are null where all are 1."""
+    count = len(part.times)
+    rows = spread_places(count, max(LEAST_ROWS, int(share * count)))
+    if len(rows) < count:
+        # Also the rows at which a held input changes: without them the value before would last too long.
+        held = part.inputs[np.isnan(part.input_slopes).any(axis=1)]
+        switches = (np.flatnonzero((held[:, 1:] != held[:, :-1]).any(axis=0)) + 1).tolist()
+        rows = sorted({*rows, *switches[:MOST_ROWS]})
+
+    def by_name(names: Sequence[str], values: FloatArray) -> dict[str, tuple[float | None, ...]]:
+        return {name: curve(row[rows], DIGITS) for name, row in zip(names, values, strict=True)}
+
+    robust = part.robustness_weights
+    return Recorded(
+        name=part.name,
+        held_out=part.held_out,
+        rows=count,
+        times=curve(part.times[rows] + recording.offset, DIGITS),
+        measured=by_name(recording.states, part.measured),
+        inputs=by_name(recording.inputs, part.inputs),
+        input_slopes=by_name(recording.inputs, part.input_slopes),
+        weights=None if part.weights is None else curve(part.weights[rows], DIGITS),
+        robustness_weights=None if robust is None else by_name(recording.states, robust),
+    )
+
+
+def system(preparation: Preparation) -> System | None:
+    """Return what the columns are, their units, and the range of each variable in the rows that count.
+
+    All by column name; angles are in radians there. None where the source is not known.
+    """
+    source, recording = preparation.source, preparation.recording
+    if source is None:
+        return None
+    dataset = preparation.counted or preparation.dataset
+    dynamics = "process" if preparation.process is not None else "dynamics"
+    return System(
+        kind="regression" if source.target is not None else dynamics,
+        order=source.order,
+        time=source.time,
+        states=source.states,
+        velocities=source.velocities,
+        inputs=source.inputs,
+        input_kinds={} if recording is None else dict(zip(recording.inputs, recording.input_kinds, strict=False)),
+        target=source.target,
+        units=dict(source.units),
+        ranges={
+            name: (float(values.min()), float(values.max()))
+            for name, values in zip(dataset.symbols, dataset.inputs, strict=True)
+        },
+    )
+
+
+def regression(preparation: Preparation, program: Program | None) -> Regression | None:
+    """Return some of the rows with the fitted values of `program`; None where no target was given, or no equation."""
+    if preparation.source is None or preparation.source.target is None or program is None:
+        return None
+    dataset = preparation.dataset
+    problem = (preparation.counted or dataset).problem(dataset.variables[0])
+    rows = spread_places(len(problem.target.values), MOST_REGRESSION_ROWS)
+    return Regression(
+        rows=len(problem.target.values),
+        listed=len(rows),
+        variables={name: curve(values[rows]) for name, values in zip(dataset.symbols, problem.inputs, strict=True)},
+        measured=curve(problem.target.values[rows]),
+        fitted=curve(values_of(program, problem.inputs)[rows]),
+    )
+
+
+# --------------------------------------------------------------------------------------------- noise and smoothing
+
+
+def noise(recording: Recording | None, errors: Mapping[str, Errors]) -> dict[str, Noise]:
+    """Return what is known of the measurement errors of each state; empty when no state was measured in time.
+
+    `errors` are what the residuals of the shown model say of them, by state.
+    """
+    if recording is None:
+        return {}
+    return {
+        known.state: _noise(recording, index, known, errors.get(known.state))
+        for index, known in enumerate(recording.smoothing)
+    }
+
+
+def _noise(recording: Recording, index: int, known: recordings.Smoothing, errors: Errors | None) -> Noise:
+    longest = max((len(part.times) for part in recording.trajectories), default=None)
+    rms, largest = _residuals(recording, index)
+    step = known.quantisation
+    return Noise(
+        sd=known.noise,
+        relative=known.relative_noise,
+        method=known.method,
+        span=known.span if known.span is None or longest is None else min(known.span, longest),
+        degree=known.degree,
+        quantisation=None if step is None else Quantisation(kind=step.kind, step=step.step, error=step.error),
+        residual_rms=rms,
+        largest_residual=largest,
+        doubtful_rows=known.uncertain_rows,
+        outliers=known.outliers,
+        doubtful=_excluded(recording, known.excluded_rows),
+        errors=errors,
+    )
+
+
+def _residuals(recording: Recording, index: int) -> tuple[float | None, LargestResidual | None]:
+    """Return the root mean square of measured minus smoothed values of one state, and where it is largest."""
+    residuals = [
+        (residual, part.name, time)
+        for part in recording.trajectories
+        if not part.held_out
+        for residual, time in zip(
+            (part.measured[index] - part.smoothed[index]).tolist(), part.times.tolist(), strict=True
+        )
+        if math.isfinite(residual)
+    ]
+    value, name, time = max(residuals, key=lambda residual: abs(residual[0]), default=(0.0, "", 0.0))
+    squares = sum(residual * residual for residual, *_ in residuals)
+    rms = math.sqrt(squares / len(residuals)) if residuals else None
+    if not value:
+        return rms, None
+    return rms, LargestResidual(value=value, trajectory=name, time=_rounded(time + recording.offset))
+
+
+def _rounded(time: float) -> float:
+    return float(f"{time:.12g}")
+
+
+def _excluded(recording: Recording, rows: Sequence[ExcludedRow]) -> tuple[ExcludedRows, ...]:
+    """Return the times of excluded rows by trajectory and reason, each list in order."""
+    lists: dict[tuple[int, str], list[float]] = {}
+    for row in rows[:MOST_ROWS]:
+        time = float(recording.trajectories[row.trajectory].times[row.row])
+        lists.setdefault((row.trajectory, row.reason), []).append(_rounded(time + recording.offset))
+    return tuple(
+        ExcludedRows(trajectory=recording.trajectories[number].name, reason=reason, times=tuple(times))
+        for (number, reason), times in lists.items()
+    )
+
+
+def smoothing(recording: Recording | None) -> Smoothing | None:
+    """Return smoothed and measured values of the states that were smoothed; None when none was.
+
+    `rows` counts all rows, `listed` those that are here: all of them, or rows of each trajectory spread evenly.
+    """
+    if recording is None:
+        return None
+    chosen = [index for index, known in enumerate(recording.smoothing) if known.method != "interpolation"]
+    if not chosen:
+        return None
+    counts = [len(part.times) for part in recording.trajectories]
+    rows, most = sum(counts), min(MOST_ROWS, MOST_NUMBERS // (1 + 3 * len(chosen)))
+    lists = [spread_places(count, max(2, count * most // rows) if rows > most else count) for count in counts]
+
+    def by_name(values: FloatArray, listed: list[int]) -> dict[str, tuple[float | None, ...]]:
+        return {recording.states[index]: curve(values[index, listed]) for index in chosen}
+
+    return Smoothing(
+        rows=rows,
+        listed=sum(map(len, lists)),
+        trajectories=tuple(
+            Smoothed(
+                name=part.name,
+                held_out=part.held_out,
+                times=curve(part.times[listed] + recording.offset, digits=12),
+                measured=by_name(part.measured, listed),
+                smoothed=by_name(part.smoothed, listed),
+                residuals=by_name(part.measured - part.smoothed, listed),
+            )
+            for part, listed in zip(recording.trajectories, lists, strict=True)
+        ),
+    )
