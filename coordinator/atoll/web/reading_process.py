@@ -2,7 +2,7 @@
 
 ``python -m atoll.web.reading_process SOCKET`` has everything loaded, so that a fork costs milliseconds. Through the
 socket it receives one descriptor for each file: a socket with a line of JSON, on which the exit code is answered.
-Whatever a file does to its fork (memory, time, a crash in a library) affects nothing else.
+Memory, time and crashes of one file's fork affect nothing else.
 """
 
 import importlib
@@ -32,11 +32,11 @@ MAX_ANSWER: Final = 4 * 1024**2
 """Bytes of an outline or preview: enough for `submission.VALUES` values in ten thousand columns."""
 
 MAX_COLUMNS: Final = 1_000
-"""Columns of a table that are named where it is refused, for a page that lets one of them be chosen."""
+"""Columns named in the refusal of a table, for a page on which one of them can be chosen."""
 
 
 class TooLargeError(AtollError):
-    """Raised where an answer is too large for a page."""
+    """Raised when an answer is too large for a page."""
 
 
 def _json(content: Mapping[str, object]) -> bytes:
@@ -51,14 +51,14 @@ ANSWERS: Final[Mapping[str, Callable[[Submission], bytes]]] = {
     "outline": lambda submission: _json(submission.outline()),
     "preview": lambda submission: _json(submission.preview()),
 }
-"""What may be wanted."""
+"""Kinds of answers."""
 
 
 def main() -> None:
-    """Fork for each socket that comes, until the web process is gone."""
+    """Fork for each received socket, until the web process has ended."""
     control = socket.socket(fileno=int(sys.argv[1]))
     _load_ahead()
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system removes those that have ended
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system removes ended processes
     while True:
         sent, descriptors, _, _ = socket.recv_fds(control, 1, 1)
         if not sent:
@@ -66,14 +66,14 @@ def main() -> None:
         with (
             socket.socket(fileno=descriptors[0]) as connection,
             suppress(OSError),
-        ):  # no fork: it is closed
+        ):  # without a fork it is closed
             _fork(_watch_over, connection)
 
 
 def _load_ahead() -> None:
-    """Load what reading and smoothing need, kernels too; an error here comes again where it is answered.
+    """Load the modules and kernels of reading and smoothing; an error here occurs again where it is answered.
 
-    Not polars, which starts threads: they would be missing after a fork.
+    Not polars: its threads would be missing after a fork.
     """
     for name in ("openpyxl", "h5py"):
         with suppress(Exception):
@@ -84,7 +84,7 @@ def _load_ahead() -> None:
 
 
 def _fork(work: Callable[[T], int], given: T) -> int:
-    """Return the process id of a fork that does this work and then exits, without returning into its parent's code."""
+    """Return the process id of a fork that does `work` and then exits, without returning into its parent's code."""
     pid = os.fork()
     if pid:
         return pid
@@ -98,7 +98,7 @@ def _fork(work: Callable[[T], int], given: T) -> int:
 
 
 def _watch_over(connection: socket.socket) -> int:
-    """Fork once more, and report the exit code of that; kill it when it is late or the web process waits no more."""
+    """Fork again, and report the exit code of that fork; kill it when it is late or no longer waited for."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     task = Reading.model_validate_json(connection.makefile("rb").readline())
     ended, held = os.pipe()
@@ -107,17 +107,17 @@ def _watch_over(connection: socket.socket) -> int:
     with suppress(OSError):
         os.setpgid(pid, pid)
     is_late = not select.select([ended, connection.fileno()], [], [], task.limits.total_s)[0]
-    for kill in (os.killpg, os.kill):  # also what it has started
+    for kill in (os.killpg, os.kill):  # also its own children
         with suppress(OSError):
             kill(pid, signal.SIGKILL)
     code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    with suppress(OSError):  # the web process waits no more
+    with suppress(OSError):  # the web process no longer waits
         connection.sendall(b"%d\n" % (LATE if is_late else code))
     return 0
 
 
 def _answer(task: Reading) -> int:
-    """Write the answer, and next to it the name of the data; return the exit code."""
+    """Write the answer and, next to it, the name of the data; return the exit code."""
     with suppress(OSError):
         os.setpgid(0, 0)
     _limit(task.limits)
@@ -127,7 +127,7 @@ def _answer(task: Reading) -> int:
         submission = Submission.of(paths, task.options, task.media_type)
         answer.with_name("name").write_text(submission.filenames[0], "utf-8")
         content = ANSWERS[task.wanted](submission)
-    except BaseException as error:  # also the panics of polars
+    except BaseException as error:  # also panics of polars
         status, sentence = _refusal(error, ", ".join(path.name for path in paths), task.limits)
         columns = [] if submission is None else submission.columns()[:MAX_COLUMNS]
         refusal = {"status_code": status, "detail": sentence, "columns": columns}
@@ -137,11 +137,11 @@ def _answer(task: Reading) -> int:
 
 
 def _limit(limits: Limits) -> None:
-    """Limit memory, time and files of this process; if the machine runs out of memory, it is the first to be killed."""
+    """Limit memory, time and file sizes of this process; the system kills it first when memory runs out."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (limits.processor_s, limits.processor_s + 1))
     resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_UPLOAD, MAX_UPLOAD))
-    if sys.platform == "linux":  # elsewhere address space is not counted
+    if sys.platform == "linux":  # elsewhere address space cannot be limited
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
         most = pages * os.sysconf("SC_PAGE_SIZE") + limits.memory
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
