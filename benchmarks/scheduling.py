@@ -31,7 +31,7 @@ from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Total
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig
 from atoll_core.search.seeding import Stream, stream_key
-from atoll_core.wire.messages.clients import Delete, Request, Submit, Upload
+from atoll_core.wire.messages.clients import ClientRequest, Delete, Submit, Upload
 from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.security.roles import RoleBindings
 from benchmarks.harness.command_line import option, program, whole
@@ -278,7 +278,7 @@ def _one_thing(stream: Stream, controller: JobController, clients: ClientRequest
         upload = Upload(blob=digest, size=len(table), index=0, sha256=digest, data=table)
         submit = Submit(job=f"j{number}", name="", config=_CONFIG, table=digest)
         for body in (upload, submit)[: 1 + stream.below(4)]:
-            clients.answer(user, Request(body=body))
+            clients.answer(user, ClientRequest(body=body))
     elif choice == 2 and controller.jobs:
         job = list(controller.jobs.values())[stream.below(len(controller.jobs))]
         text = controller._fitting(job, "x" * stream.below(150))
@@ -286,7 +286,7 @@ def _one_thing(stream: Stream, controller: JobController, clients: ClientRequest
         controller._remove(job.id)
         controller._take_turns(0.0)
     elif ended := [record.id for record in controller._store.jobs() if record.state in FINAL_STATES]:
-        clients.answer(user, Request(body=Delete(job=ended[stream.below(len(ended))])))
+        clients.answer(user, ClientRequest(body=Delete(job=ended[stream.below(len(ended))])))
 
 
 _CONFIG: Final = JobConfig()

@@ -90,7 +90,7 @@ _API: Final = (
     ("class", "atoll.model.simulation.Simulation"),
     ("class", "atoll.analysis.analysis.Analysis"),
     ("function", "atoll.workers.start.start_on"),
-    ("class", "atoll.workers.handle.Handle"),
+    ("class", "atoll.workers.start.Handle"),
 )
 _SETTINGS: Final = """\
 project = "Atoll"

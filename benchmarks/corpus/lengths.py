@@ -43,7 +43,7 @@ def excess_of_truth(
             models = [comparison.fit_model(system, 40) for system in systems]
             fitted = [model for model in models if model is not None]
             if fitted:
-                comparison.calibrate(min(fitted, key=lambda model: model.nats))
+                comparison, _ = comparison.calibrated(min(fitted, key=lambda model: model.nats))
                 models = [None if model is None else comparison.measure(model.fit) for model in models]
     except AtollError:
         return None

@@ -12,7 +12,8 @@ from typing import Final
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.structure.moves.neighbours import neighbours

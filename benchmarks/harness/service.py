@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from atoll.client.client import Client, connected
-from atoll.client.local_workers import worker_command
+from atoll.client.local_processes import worker_command
 from atoll.terminal.output import count, duration, note
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table

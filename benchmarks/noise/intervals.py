@@ -78,13 +78,13 @@ def fit(law: Law, columns: dict[str, FloatArray]) -> Fit | None:
     model = comparison.fit_model([written])
     if model is None:
         return None
-    model = comparison.calibrate(model)
+    comparison, model = comparison.calibrated(model)
     errors = estimate_errors(comparison, model)
     truth = written.constants[written.constants != 0.0]
     reach = student_95(errors.degrees_of_freedom) * np.sqrt(np.diag(errors.covariance))
     weights = comparison.estimator.measurements.inverse_variances
     holds = tuple((np.abs(errors.values - truth) <= reach).tolist())
-    return Fit(holds, weights is not None and float(np.ptp(weights)) > 0.0, comparison.errors is not None)
+    return Fit(holds, weights is not None and float(np.ptp(weights)) > 0.0, comparison.score.errors is not None)
 
 
 @program(

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from typing import Final
 
 from atoll.client.client import connected
-from atoll.client.subscription import Subscription
+from atoll.client.follower import Subscription
 from atoll.terminal.output import note, say
 from atoll_core.errors import AtollError
 from benchmarks.harness.accounts import processor_seconds, status

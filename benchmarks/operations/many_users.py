@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from atoll.client.client import Client, connected
-from atoll.client.subscription import Subscription
+from atoll.client.follower import Subscription
 from atoll.terminal.output import note, say
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table

@@ -38,7 +38,7 @@ COORDINATOR: Final = """
 import sys
 from atoll.cli.main import main
 from atoll_coordinator.service.tasks.task_controller import TaskController
-from atoll_island_worker.processes.fork_server import end_with_parent
+from atoll_island_worker.processes import end_with_parent
 from benchmarks.pools.stored import keep
 end_with_parent(int(sys.argv[1]))
 TaskController.refine = keep

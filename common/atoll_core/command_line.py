@@ -4,7 +4,7 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
 from atoll_core.errors import AtollError, UsageError
@@ -18,8 +18,7 @@ TLS_OPTIONS: Final = {
     "--tls-cert": ("ATOLL_TLS_CERT", "our certificate"),
     "--tls-key": ("ATOLL_TLS_KEY", "the certificate's private key, unencrypted"),
 }
-"""The option of each file, the environment variable in its place, and what the file is (all PEM)."""
-
+"""The option of each file, the environment variable in its place, and the file (all PEM)."""
 
 _UNITS: Final = {"": 1.0, "ms": 1e-3, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
@@ -33,7 +32,7 @@ class Parser(argparse.ArgumentParser):
     def parse_args(  # type: ignore[override]  # of the overloads this one is used
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
-        """Parse the words; raises UsageError, and for an unknown option says which one may have been meant."""
+        """Parse the words; raises UsageError, for an unknown option with a similar one."""
         options, left = self.parse_known_args(args, namespace or argparse.Namespace())
         if left:
             used = self._used(options)
@@ -54,7 +53,7 @@ class Parser(argparse.ArgumentParser):
             raise unwritable(error) from error
 
     def _used(self, options: argparse.Namespace) -> argparse.ArgumentParser:
-        """Return the parser of the verb that was given, or this one."""
+        """Return the parser of the verb, or this one without a verb."""
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
                 verb: argparse.ArgumentParser | None = action.choices.get(getattr(options, action.dest))
@@ -72,7 +71,7 @@ def unwritable(error: OSError) -> AtollError:
 
 
 def _reworded(message: str) -> tuple[str, str]:
-    """Return argparse's complaint in the order found, expected; and what may have been meant."""
+    """Return argparse's message in the order found, expected; and a suggestion."""
     choice = re.fullmatch(r"argument (.+): invalid choice: (.+) \(choose from (.+)\)", message)
     if choice:
         known = [word.strip("' ") for word in choice[3].split(",")]
@@ -88,7 +87,7 @@ def _reworded(message: str) -> tuple[str, str]:
 
 
 def whole_number(least: int, most: int) -> Callable[[str], int]:
-    """Return the type of an option that is a whole number within limits; it raises ArgumentTypeError."""
+    """Return the type of an option that is an integer within limits; it raises ArgumentTypeError."""
 
     def parse(text: str) -> int:
         if not (re.fullmatch("-?[0-9]{1,6}", text) and least <= int(text) <= most):
@@ -144,28 +143,18 @@ _ALTERNATIVES = re.compile(r"[a-z0-9]+(?:\|[a-z0-9]+)+")
 
 
 def complete(parser: argparse.ArgumentParser, **settings: Any) -> None:
-    """Answer a shell that asks how its words go on, and end the process; else do nothing.
+    """Answer a shell that asks for completions, and end the process; else do nothing.
 
-    `settings` are those of `argcomplete.autocomplete`.
+    `settings` are arguments of `argcomplete.autocomplete`.
     """
     if "_ARGCOMPLETE" not in os.environ:
         return
     import argcomplete
 
-    for verb_parser in _parsers(parser):
-        for action in verb_parser._actions:
+    verbs = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    for one in (parser, *(verb_parser for action in verbs for verb_parser in action.choices.values())):
+        for action in one._actions:
             if isinstance(action.metavar, str) and _ALTERNATIVES.fullmatch(action.metavar):
-                action.completer = _chooser(action.metavar.split("|"))  # type: ignore[attr-defined]
+                words = action.metavar.split("|")
+                action.completer = lambda words=words, **_: words
     argcomplete.autocomplete(parser, **settings)
-
-
-def _chooser(words: list[str]) -> Callable[..., list[str]]:
-    return lambda **_: words
-
-
-def _parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """Yield a parser and those of its verbs."""
-    yield parser
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            yield from action.choices.values()

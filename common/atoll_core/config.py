@@ -1,7 +1,7 @@
-"""The configuration of a job, grouped by intent. Pure data: it travels on the wire and decides every bit of a result.
+"""The configuration of a job, grouped by purpose. Pure data: messages carry it, and it decides every bit of a result.
 
-Two presets: ``default`` (all of Atoll's additions) and ``paper`` (Table II of Schmidt & Lipson 2008, nothing added).
-Fields left ``None`` are resolved from the data when the job is prepared, see `atoll_coordinator.service`.
+Two presets: ``default`` (all of Atoll's additions) and ``paper`` (Table II of Schmidt & Lipson 2008 without additions).
+Fields that are ``None`` are set from the data when the job is prepared.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,9 +16,9 @@ ConstantSteps = Literal["relative", "log-uniform"]
 Agreement = Literal["difference", "relative"]
 
 BASE_OPERATORS: Final = ("+", "-", "*", "/", "sin", "cos")
-"""What a search begins with."""
+"""Operators with which a search begins."""
 FURTHER_OPERATORS: Final = ("exp", "log", "sqrt", "abs", "tanh", "pow")
-"""What is tried as well where none are named and equations of `BASE_OPERATORS` may not be the shortest description."""
+"""Also tried where no operators are named and `BASE_OPERATORS` may not give the shortest description."""
 
 PAPER_TERMINALS = 7
 TERMINALS_BEYOND_VARIABLES = 5
@@ -46,14 +46,14 @@ class Frozen(BaseModel):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: type[BaseModel], handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Let every sequence be read up to its first wrong item: a million wrong ones would make a million errors."""
+        """Stop reading a sequence at its first wrong item: a million wrong items would make a million errors."""
         schema = handler(source)
         _fail_fast(schema)
         return schema
 
 
 def _without(retired: Mapping[str, object]) -> Callable[[object], object]:
-    """Return what drops options that are gone where a file of an earlier version gives what is always done now."""
+    """Return a validator that drops `retired` options whose value in an older file is what is always done now."""
 
     def drop(data: object) -> object:
         if not isinstance(data, dict):
@@ -163,7 +163,7 @@ class SpaceConfig(Frozen):
 
 
 class PriorConfig(Frozen):
-    """What is known beforehand, as infix text over the table's symbols, by left-hand side such as `x` or `dx/dt`.
+    """Prior knowledge as infix text over the table's symbols, by left-hand side such as `x` or `dx/dt`.
 
     When a job is prepared, left-hand sides become the names of their variables.
     """
@@ -224,7 +224,7 @@ class PredictorConfig(Frozen):
 
 
 class MigrationConfig(Frozen):
-    """When solutions are reshuffled over the islands of a variable."""
+    """When solutions migrate between the islands of a variable."""
 
     generations: Annotated[int, Field(ge=1, le=10_000)] = 100
     joining: PositiveInt | None = Field(
@@ -233,7 +233,7 @@ class MigrationConfig(Frozen):
 
 
 class BudgetConfig(Frozen):
-    """When a job ends. By default by convergence, stagnation or a fixed number of epochs: never by the clock."""
+    """When a job ends: by default by convergence, stagnation or a number of epochs, never by the clock."""
 
     target_error: Annotated[float, Field(gt=0.0)] | None = Field(
         default=None, description="normalized error that is enough"
@@ -275,6 +275,6 @@ PAPER = JobConfig(
     migration=MigrationConfig(joining=None),
     budget=BudgetConfig(max_epochs=5000, stagnation=500),
 )
-"""Table II of the paper, nothing added; what it leaves open is read as ADR 0042 says."""
+"""Table II of the paper without additions; ADR 0042 has its interpretation."""
 
 PRESETS: dict[Preset, JobConfig] = {"default": JobConfig(), "paper": PAPER}

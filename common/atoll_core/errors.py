@@ -13,12 +13,12 @@ _PASSING: Final = frozenset({
 
 
 def may_pass(error: OSError) -> bool:
-    """Tell whether what the system refused may be had later, with the same options: a full disk."""
+    """Tell whether an operation may succeed later with the same options, as after a full disk."""
     return error.errno in _PASSING
 
 
 class Field(NamedTuple):
-    """What a person sets, perhaps to a value: `order=2` in Python is ``--order 2`` on the command line."""
+    """An option, perhaps with a value: `order=2` in Python is ``--order 2`` on the command line."""
 
     name: str
     value: object = None
@@ -36,28 +36,26 @@ class Field(NamedTuple):
 
 
 class AtollError(Exception):
-    """Root of all errors that are meant for a person; `exit_code` is what a program ends with.
+    """Root of all errors that are meant for users; `exit_code` is the exit code of the program.
 
-    What to set and what to do have other names in Python than on the command line: the text of the error is for
-    Python, `on_command_line` for programs, and `fields` are the names of what the sentence says is to be set.
+    Options and advice differ between Python and the command line: the text of the error is for Python,
+    `on_command_line` for programs, and `fields` are the names of the options in the sentence.
     """
 
     exit_code = 1
 
     def __init__(self, sentence: str = "", *parts: object, python: str = "", command: str = "") -> None:
-        """Take the sentence, or its beginning and how it goes on in Python and on the command line.
+        """Take the sentence, or its beginning and its ends for Python and for the command line.
 
-        `parts` take the places of ``%s`` in it, each `Field` among them in the words of either side.
+        `parts` replace ``%s`` in it; a `Field` is written as each side writes it.
         """
         self.fields = tuple(part.name for part in parts if isinstance(part, Field))
-        said = _filled(sentence, [part.in_python if isinstance(part, Field) else part for part in parts])
-        typed = _filled(sentence, [part.on_command_line if isinstance(part, Field) else part for part in parts])
-        super().__init__(without_secrets(f"{said}; {python}" if python else said))
-        self.on_command_line = without_secrets(f"{typed}; {command}" if command else typed)
-
-
-def _filled(sentence: str, parts: list[object]) -> str:
-    return sentence % tuple(parts) if parts else sentence
+        in_python = on_command_line = sentence
+        if parts:
+            in_python %= tuple(part.in_python if isinstance(part, Field) else part for part in parts)
+            on_command_line %= tuple(part.on_command_line if isinstance(part, Field) else part for part in parts)
+        super().__init__(without_secrets(f"{in_python}; {python}" if python else in_python))
+        self.on_command_line = without_secrets(f"{on_command_line}; {command}" if command else on_command_line)
 
 
 class UsageError(AtollError):
@@ -67,7 +65,7 @@ class UsageError(AtollError):
 
 
 class NotNowError(UsageError):
-    """Raised when what was asked for cannot be had now, which may pass: a port in use, a full disk. Try again."""
+    """Raised when something is not available now, but may be later: a port in use, a full disk. Try again."""
 
     exit_code = 1
 
@@ -91,15 +89,15 @@ class RefusedError(AtollError):
 
 
 class UnknownJobError(RefusedError):
-    """Raised when there is no such job, or none that we may see."""
+    """Raised when there is no such job, or none that this user may see."""
 
 
 class TableMissingError(RefusedError):
-    """Raised when a job is submitted whose table the coordinator does not have, or not any more: upload it again."""
+    """Raised when the coordinator does not (or no longer) have the table of a submitted job: upload it again."""
 
 
 class LocalProtocolError(AtollError):
-    """Raised when our own side breaks the protocol: a bug; the process stops."""
+    """Raised when this program violates the protocol: a bug; the process stops."""
 
 
 class RemoteProtocolError(AtollError):
@@ -107,10 +105,10 @@ class RemoteProtocolError(AtollError):
 
 
 class StoreError(AtollError):
-    """Raised when the coordinator's store cannot be opened, read or written, which may pass: a disk that is full."""
+    """Raised when the coordinator's store cannot be opened, read or written, perhaps only now: a full disk."""
 
 
 class WrongStoreError(StoreError):
-    """Raised when what was named is no store, or none of this version, or is there already: name something else."""
+    """Raised when a path is no store, no store of this version, or exists already: name something else."""
 
     exit_code = 2

@@ -1,7 +1,7 @@
 """Log lines: an event in a few words, then fields (job, variable, island, epoch, term, worker …), as text or as JSON.
 
-Everybody logs through the standard library: ``_LOG.info("placed", extra=fields(job=job, term=3))``. Only the command
-lines configure.
+All modules log through the standard library: ``_LOG.info("placed", extra=fields(job=job, term=3))``. Only the command
+lines call `configure`.
 """
 
 import contextlib
@@ -17,21 +17,19 @@ from typing import Final
 from atoll_core.redaction import redacted, without_secrets
 
 _KEY: Final = "atoll_fields"
-_SEEN: Final = "atoll_has_context"
+_HAS_CONTEXT: Final = "atoll_has_context"
 
-
-_context: ContextVar[Mapping[str, object]] = ContextVar("what log lines are about", default=MappingProxyType({}))
+_context: ContextVar[Mapping[str, object]] = ContextVar("fields of all log lines", default=MappingProxyType({}))
 
 
 @contextlib.contextmanager
 def about(**values: object) -> Iterator[None]:
-    """Let every line that is logged in this block have these fields, such as `job` or `task`; those that are None not.
+    """Add these fields, such as `job` or `task`, to every line that is logged in this block; None adds nothing.
 
-    A line's own fields go before them, and inner blocks before outer ones. It holds for the thread, or the task of
-    asyncio, that it was begun in.
+    A line's own fields take precedence, and inner blocks over outer ones. The context belongs to the thread, or the
+    asyncio task, that entered the block.
     """
-    given = {name: value for name, value in values.items() if value is not None}
-    token = _context.set({**_context.get(), **given})
+    token = _context.set({**_context.get(), **_without_none(values)})
     try:
         yield
     finally:
@@ -39,22 +37,26 @@ def about(**values: object) -> Iterator[None]:
 
 
 def fields(**values: object) -> dict[str, object]:
-    """Return what a log call takes as `extra`: the fields of the line; those that are None do not apply."""
-    return {_KEY: {name: value for name, value in values.items() if value is not None}}
+    """Return the fields of a line, without those that are None, as a log call takes them (`extra`)."""
+    return {_KEY: _without_none(values)}
+
+
+def _without_none(values: Mapping[str, object]) -> dict[str, object]:
+    return {name: value for name, value in values.items() if value is not None}
 
 
 class TextLines(logging.Formatter):
     """``2026-01-01T00:00:00.000Z INFO placed job=a term=3 (atoll_coordinator.service.job_controller)``, on one line."""
 
     def __init__(self, context: dict[str, object]) -> None:
-        """`context` stands in every line."""
+        """`context` are fields of every line."""
         super().__init__()
         self._context = context
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line, with a traceback below it if there is one."""
-        said = " ".join(f"{name}={_quoted(value)}" for name, value in (self._context | fields_of(record)).items())
-        line = " ".join(part for part in (_time(record), record.levelname, record.getMessage(), said) if part)
+        values = " ".join(f"{name}={_quoted(value)}" for name, value in (self._context | fields_of(record)).items())
+        line = " ".join(part for part in (_time(record), record.levelname, record.getMessage(), values) if part)
         text = f"{line} ({record.name})"
         trace = trace_of(record)
         return without_secrets(f"{text}\n{trace}" if trace else text)
@@ -64,25 +66,24 @@ class JsonLines(logging.Formatter):
     """One JSON object for each line: time, level, logger, event, then the fields."""
 
     def __init__(self, context: dict[str, object]) -> None:
-        """`context` stands in every line."""
+        """`context` are fields of every line."""
         super().__init__()
         self._context = context
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line; a traceback is the field `exception`."""
-        said: dict[str, object] = {
-            "time": _time(record), "level": record.levelname.lower(), "logger": record.name,
-            "event": record.getMessage(),
-        }  # fmt: skip
+        values = self._context | fields_of(record)
+        values |= {"time": _time(record), "level": record.levelname.lower(), "logger": record.name}
+        values |= {"event": record.getMessage()}
         if trace := trace_of(record):
-            said["exception"] = trace
-        return json.dumps(redacted(self._context | fields_of(record) | said), ensure_ascii=False)
+            values["exception"] = trace
+        return json.dumps(redacted(values), ensure_ascii=False)
 
 
 def configure(
     form: str = "text", level: str = "info", handler: logging.Handler | None = None, **context: object
 ) -> None:
-    """Send the log to `handler`, or to stderr, one line an event from `level` on; `context` stands in every line."""
+    """Send the log to `handler`, or to stderr, a line for each event from `level` on; every line has `context`."""
     handler = handler or logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines(context) if form == "json" else TextLines(context))
     handler.addFilter(with_context)
@@ -90,10 +91,10 @@ def configure(
 
 
 def with_context(record: logging.LogRecord) -> bool:
-    """Give a line, once, the fields of what it is about: by then it may be written by another thread."""
-    if not getattr(record, _SEEN, False):
+    """Add the fields of `about` to a line, once: the line may be formatted later by another thread."""
+    if not getattr(record, _HAS_CONTEXT, False):
         setattr(record, _KEY, {**_context.get(), **getattr(record, _KEY, {})})
-        setattr(record, _SEEN, True)
+        setattr(record, _HAS_CONTEXT, True)
     return True
 
 
@@ -105,7 +106,7 @@ def fields_of(record: logging.LogRecord) -> dict[str, object]:
 
 
 def trace_of(record: logging.LogRecord) -> str | None:
-    """Return the traceback of a record; one that comes from another process has it as text."""
+    """Return the traceback of a record; a record from another process has it as text."""
     return logging.Formatter().formatException(record.exc_info) if record.exc_info else record.exc_text
 
 

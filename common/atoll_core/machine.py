@@ -20,7 +20,7 @@ from typing import Final
 from atoll_core.errors import UsageError
 
 _LONGEST: Final = 10
-"""Digits of a job's id."""
+"""Most digits of a job's id."""
 
 _VARIABLES: Final[Mapping[str, tuple[str, str | None]]] = {
     "slurm": ("SLURM_JOB_ID", None),
@@ -28,13 +28,13 @@ _VARIABLES: Final[Mapping[str, tuple[str, str | None]]] = {
     "lsf": ("LSB_JOBID", None),
     "sge": ("JOB_ID", "SGE_ROOT"),
 }
-"""The variable with the id, and one that has to be there for that to be what it says."""
+"""The variable with the id, and another one that must be set for it to have this meaning."""
 
 _IN_NAME: Final = re.compile(rf"-(?:{'|'.join(_VARIABLES)})([0-9]+)-")
 
 
 def batch_job(environment: Mapping[str, str]) -> str:
-    """Return the system and the number of the job, such as ``slurm123``; "" outside of one."""
+    """Return batch system and job number of this process, such as ``slurm123``; "" outside of a batch job."""
     for system, (variable, beside) in _VARIABLES.items():
         found = re.match(r"\d+", environment.get(variable, ""), re.ASCII)
         if found and len(found[0]) <= _LONGEST and (beside is None or beside in environment):
@@ -43,7 +43,7 @@ def batch_job(environment: Mapping[str, str]) -> str:
 
 
 def job_of(worker: str) -> str | None:
-    """Return the number of the job that a worker is of, by its name; None: of none that is known."""
+    """Return the number of the batch job in a worker's name, where ``coordinator adapt`` looks for it; None without."""
     found = _IN_NAME.search(worker)
     return found[1] if found else None
 
@@ -53,7 +53,7 @@ _OWN_CGROUP: Final = Path("/proc/self/cgroup")
 
 
 def usable_cores(environment: Mapping[str, str]) -> tuple[int, str]:
-    """Return the number of cores that may be used, at least 1, and which limit it comes from."""
+    """Return the number of usable cores, at least 1, and the limit that decides it."""
     limits = [(affinity(), "one per core this process may use")]
     quota = cgroup_quota()
     if quota is not None:
@@ -65,18 +65,23 @@ def usable_cores(environment: Mapping[str, str]) -> tuple[int, str]:
 
 
 def affinity() -> int:
-    """Return how many cores this process may be scheduled on."""
+    """Return the number of cores on which this process may be scheduled."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def cgroup_quota(own: Path = _OWN_CGROUP, root: Path = _CGROUPS) -> float | None:
     """Return the smallest CPU quota, in cores, of this process's control group and those above it; None without one."""
-    quotas = [quota for folder in _folders(own, root) for quota in (_v2(folder), _v1(folder)) if quota is not None]
+    quotas = []
+    for folder in _folders(own, root):
+        version_2 = _read(folder / "cpu.max").split()
+        version_1 = [_read(folder / "cpu.cfs_quota_us").strip(), _read(folder / "cpu.cfs_period_us").strip()]
+        pairs = [pair for pair in (version_2, version_1) if len(pair) == 2 and all(map(str.isdigit, pair))]
+        quotas += [int(quota) / int(period) for quota, period in pairs if int(period) > 0]  # no pair: "max" or -1
     return min(quotas, default=None)
 
 
 def _folders(own: Path, root: Path) -> Iterator[Path]:
-    """Yield the folders whose quota may bind this process; inside a container, only the root is visible."""
+    """Yield the folders whose quota may limit this process; inside a container, only the root is visible."""
     yield root
     yield root / "cpu"
     for line in _read(own).splitlines():
@@ -88,21 +93,6 @@ def _folders(own: Path, root: Path) -> Iterator[Path]:
             while place != base and base in place.parents:
                 yield place
                 place = place.parent
-
-
-def _v2(folder: Path) -> float | None:
-    words = _read(folder / "cpu.max").split()
-    return _ratio(*words) if len(words) == 2 else None
-
-
-def _v1(folder: Path) -> float | None:
-    return _ratio(_read(folder / "cpu.cfs_quota_us").strip(), _read(folder / "cpu.cfs_period_us").strip())
-
-
-def _ratio(quota: str, period: str) -> float | None:
-    if quota.isdigit() and period.isdigit() and int(period) > 0:
-        return int(quota) / int(period)
-    return None  # "max" or -1: no quota
 
 
 def _read(path: Path) -> str:
@@ -117,7 +107,7 @@ _MOUNTS: Final = Path("/proc/self/mounts")
 
 
 def file_system(place: Path, mounts: Path = _MOUNTS) -> str | None:
-    """Return the kind of file system that `place` is on, or would be on; None where this is not known."""
+    """Return the kind of file system of an existing or future `place`; None where it is not known (Linux only)."""
     kinds = {}
     with contextlib.suppress(OSError):
         for line in mounts.read_text("utf-8", "replace").splitlines():
@@ -135,8 +125,8 @@ def is_networked(kind: str | None) -> bool:
 def user_folder(variable: str, usual: str) -> Path:
     """Return the folder that `variable` names, else `usual` in the home folder, else a temporary one of this user.
 
-    `variable` is one of the environment, such as ``XDG_CACHE_HOME``. A user without an entry in the list of users, as a
-    container may have, has no home folder. Raises UsageError where the temporary one is somebody else's.
+    `variable` is an environment variable such as ``XDG_CACHE_HOME``. Users without an entry in the list of users, as in
+    some containers, have no home folder. Raises UsageError where the temporary folder belongs to another user.
     """
     chosen = os.environ.get(variable)
     if chosen:
@@ -148,7 +138,7 @@ def user_folder(variable: str, usual: str) -> Path:
 
 
 def _own_temporary_folder(variable: str) -> Path:
-    """Return a folder whose contents nobody else has written: machine code is loaded from there."""
+    """Return a folder that no other user can write: machine code is loaded from there."""
     folder = Path(tempfile.gettempdir()) / f"atoll-of-user-{os.getuid()}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -156,7 +146,7 @@ def _own_temporary_folder(variable: str) -> Path:
     except OSError as error:
         raise _without_home(folder, variable, error.strerror or str(error)) from error
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
-        raise _without_home(folder, variable, "somebody else may write there")
+        raise _without_home(folder, variable, "other users may write there")
     return folder
 
 
@@ -167,14 +157,16 @@ def _without_home(folder: Path, variable: str, reason: str) -> UsageError:
 
 
 CORE_TYPES: Final[Mapping[str, str]] = {"x86_64": "Nehalem", "amd64": "Nehalem"}
-"""By kind of processor, the core whose kernels are used. Of kinds that are not here OpenBLAS chooses itself."""
+"""By kind of processor, the core whose BLAS kernels are used. For other kinds OpenBLAS chooses."""
 
 
 def use_common_instructions(environment: MutableMapping[str, str], machine: str | None = None) -> None:
-    """Set in `environment` what OpenBLAS reads when it is loaded, unless the user has; before numpy is imported.
+    """Make numpy's and scipy's linear algebra use the same instructions on all processors of a kind; before importing.
 
-    One thread: how a product falls to several depends on how many there are, and small ones wait for each other.
-    `machine` is the kind of processor, as `platform.machine` says; this one's unless given.
+    OpenBLAS has kernels for each processor, which add in different orders. The kernels of the oldest processor that
+    numpy supports run on all later ones; matrices here are small, so that newer kernels would save little. One thread,
+    because the order of additions depends on the number of threads. Variables that the user has set stay as they are.
+    `machine` is the kind of processor as in `platform.machine` (default: this machine's).
     """
     core = CORE_TYPES.get((machine or platform.machine()).lower())
     if core is not None:
@@ -188,7 +180,7 @@ _STATM: Final = Path("/proc/self/statm")
 
 
 def memory_bytes() -> int:
-    """Return the memory that this process occupies; where that cannot be told (not Linux), the most it ever did."""
+    """Return the memory that this process uses in bytes; where that is not known (not Linux), its maximum so far."""
     try:
         return int(_STATM.read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):
@@ -197,7 +189,7 @@ def memory_bytes() -> int:
 
 
 def total_memory_bytes() -> int:
-    """Return the memory of this machine; 0 where that cannot be told."""
+    """Return the memory of this machine in bytes; 0 where it is not known."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError):
@@ -205,7 +197,7 @@ def total_memory_bytes() -> int:
 
 
 def available_bytes() -> int | None:
-    """Return the memory that more data can take here, in the machine and in our control group; None: not told."""
+    """Return the memory in bytes that is available for data, in the machine and the control group; None: unknown."""
     try:
         lines = dict(line.split(":", 1) for line in _MEMINFO.read_text("ascii").splitlines())
         available = int(lines["MemAvailable"].split()[0]) * 1024
@@ -218,9 +210,5 @@ def available_bytes() -> int | None:
 
 
 def collect_rarely() -> None:
-    """Look for garbage less often than Python would, from now on.
-
-    Loading libraries makes hundreds of thousands of objects that stay. Looking at them again and again took a tenth of
-    the time that loading takes.
-    """
+    """Run the garbage collector less often than by default: scanning new, lasting objects took 10 % of loading time."""
     gc.set_threshold(20_000, 20, 20)

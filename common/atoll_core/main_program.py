@@ -1,4 +1,4 @@
-"""How both programs begin and end: standard streams, errors as sentences. Light to import."""
+"""Start and end of both programs: standard streams, errors as sentences. Few imports."""
 
 import contextlib
 import importlib
@@ -13,10 +13,9 @@ from atoll_core.signals import INTERRUPTED, end_at_interrupts, reap_children
 def run_program(module: str) -> NoReturn:
     """Import a module, call its `main` with the words of the command line and end the process with its exit code.
 
-    Until the module calls `signals.raise_interrupts`, Ctrl-C ends the process at once: a KeyboardInterrupt in the
-    middle of an import may be lost or be printed as a traceback. At the end nothing is left to be closed, so the
-    process does not wait for the interpreter to take itself apart, which takes long once the libraries for numbers are
-    loaded, nor for a thread in the middle of compiling.
+    Until the module calls `signals.raise_interrupts`, Ctrl-C ends the process at once: a KeyboardInterrupt during an
+    import may be lost or printed as a traceback. The process ends without the interpreter's shutdown, which takes long
+    with numerical libraries loaded, and does not wait for a thread that is compiling: `main` has closed everything.
     """
     end_at_interrupts()
     reap_children()
@@ -31,7 +30,7 @@ def run_program(module: str) -> NoReturn:
 
 
 def exit_code_of(work: Callable[[], int], complain: Callable[[str], object]) -> int:
-    """Do `work` and return its exit code, or the one of an error, whose sentence `complain` is called with."""
+    """Do `work` and return its exit code, or call `complain` with the sentence of an error and return its exit code."""
     from atoll_core.errors import AtollError
 
     try:
@@ -46,14 +45,14 @@ def exit_code_of(work: Callable[[], int], complain: Callable[[str], object]) -> 
 
 
 def flush_streams() -> None:
-    """Write what is still to be written, if anybody is there to read it."""
+    """Flush the standard streams, if their readers still exist."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
             stream.flush()
 
 
 def open_closed_streams() -> None:
-    """Let standard streams that were closed before the start lead nowhere, so that no file takes their numbers."""
+    """Open standard streams that were closed before the start to nowhere, so that no file gets their descriptors."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)

@@ -10,11 +10,11 @@ from typing import Final
 from atoll_core.errors import UsageError
 
 _LIKENESS: Final = 0.6
-"""Least share of characters that two names have in common, in order, as `difflib` measures it by default."""
+"""Least share of characters that two similar names have in common, in order, as `difflib` measures it."""
 
 
 def similar_file(path: Path) -> str:
-    """Return ``; did you mean 'a.csv'?`` for a file that is not there, "" where its folder has none like it."""
+    """Return ``; did you mean 'a.csv'?`` for a missing file, "" where its folder has no similar name."""
     try:
         return did_you_mean(
             path.name, [neighbour.name for neighbour in path.parent.iterdir() if neighbour.name != path.name]
@@ -24,7 +24,7 @@ def similar_file(path: Path) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean 'states'?`` for the end of a sentence, "" where nothing known is like `name`."""
+    """Return ``; did you mean 'states'?`` for the end of a sentence, "" where no known name is similar to `name`."""
     import difflib  # takes a few milliseconds, and is rarely needed
 
     by_lower = {word.lower(): word for word in known}
@@ -36,17 +36,17 @@ _LONGEST: Final = 40
 """Characters of a value that a sentence shows."""
 _MOST_LINES: Final = 20
 _WIDEST: Final = 160
-"""Lines, and characters of each, of what a value shows of itself in a notebook."""
+"""Lines, and characters of each, that a value shows in a notebook."""
 
 
 _SPECIAL: Final = re.compile(r"[^\x20-\x7e\t\n\r]|\r(?!\n)")
 _UNSEEN: Final = ("Cc", "Cf", "Co", "Cs", "Zl", "Zp")
-"""What moves a terminal's cursor, colours, titles it, turns the direction of what follows, or has no width or no one
-picture: control, format and private-use characters, separators of lines, by their category in Unicode."""
+"""Categories in Unicode of characters that can control a terminal or are invisible: control, format and private-use
+characters, surrogates, separators of lines."""
 
 
 def visible(text: str) -> str:
-    """Return a text for a terminal: what others have named cannot steer it. Escapes are those of JSON."""
+    """Return a text in which special characters cannot control a terminal; escapes as in JSON."""
     return _SPECIAL.sub(_escaped, text)
 
 
@@ -70,14 +70,14 @@ def shown(value: object) -> str:
 
 
 def enumerated(names: Sequence[str], most: int | None = None) -> str:
-    """Return names as ``a, b and c``; of more than `most` the first ones and the number of the others."""
+    """Return names as ``a, b and c``; with more than `most`, the first ones and the number of the others."""
     if most is not None and len(names) > most:
         return f"{', '.join(names[:most])} and {len(names) - most} more"
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def first_lines(text: str, more: str) -> str:
-    """Return the beginning of a text for people, in lines that a screen holds; where lines are left out, say `more`."""
+    """Return the beginning of a text in lines that fit on a screen; where lines are missing, add `more`."""
     lines = [line if len(line) <= _WIDEST else f"{line[: _WIDEST - 1]}…" for line in text.splitlines()]
     if len(lines) <= _MOST_LINES:
         return "\n".join(lines)

@@ -1,10 +1,10 @@
-"""What no log, message or file is to show: tokens and passwords in addresses."""
+"""Removes secrets from logs, messages and files: tokens, and passwords in addresses."""
 
 import re
 from typing import Final
 
 _WORD: Final = r"""(?:\\*'[^']*'|\\*"[^"]*")?\S*?(?=\\*['"]?[,;:)\]}>]{0,3}(?:\s|$))"""
-"""The rest of a word, perhaps quoted, but for what closes it in a sentence."""
+"""The rest of a word, perhaps quoted, without closing punctuation."""
 
 _TOKEN: Final = re.compile(rf"""([?&#;]token=|\bATOLL_WEB_TOKEN["']?\s*[=:]\s*(?=\S)){_WORD}""", re.IGNORECASE)
 _HEADER: Final = re.compile(
@@ -22,7 +22,7 @@ _SIGNS: Final = ("://", "token", "bearer", "authorization")
 def without_secrets(text: str) -> str:
     """Return a text without the queries of HTTP addresses, tokens, and names with passwords before a host.
 
-    Of a token the whole word is left out, whatever characters it has. In JSON a word ends elsewhere: see `redacted`.
+    The whole word of a token is removed, whatever its characters. Words end differently in JSON: see `redacted`.
     """
     lower = text.lower()
     if not any(sign in lower for sign in _SIGNS):

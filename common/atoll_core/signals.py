@@ -1,6 +1,6 @@
-"""What signals do in both programs: Ctrl-C, SIGTERM and hang-up, and those of child processes. Light to import.
+"""Handling of signals in both programs: Ctrl-C, SIGTERM, hang-up and SIGCHLD. Few imports.
 
-A signal that whoever started us has ignored stays so (``nohup``), but for Ctrl-C where it is said to be raised.
+A signal that the parent process has set to be ignored (``nohup``) stays ignored, except for Ctrl-C where noted.
 """
 
 import os
@@ -21,17 +21,17 @@ INTERRUPTED: Final = 130
 
 _TERMINATION: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 ENDING: Final[tuple[signal.Signals, ...]] = (signal.SIGINT, *_TERMINATION)
-"""Those that ask a program to end."""
+"""Signals that ask a program to end."""
 
 
 def termination_signals() -> list[signal.Signals]:
-    """Return the signals other than Ctrl-C that end us, without those that are ignored."""
+    """Return the signals other than Ctrl-C that end this process, without ignored ones."""
     return [number for number in _TERMINATION if signal.getsignal(number) != signal.SIG_IGN]
 
 
 @contextmanager
 def handling(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None]:
-    """Handle signals so inside."""
+    """Use these handlers inside the block."""
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield
@@ -55,9 +55,9 @@ class _Hold:
 
 @contextmanager
 def interrupts_held_back() -> Iterator[None]:
-    """Have an interrupt that comes inside be raised at the end of the block.
+    """Raise an interrupt that arrives inside the block at its end.
 
-    For calls of foreign code that calls us back in the main thread, and swallows what is raised there.
+    For calls of foreign code that calls us back in the main thread and swallows exceptions raised there.
     """
     _Hold.depth += 1
     try:
@@ -93,7 +93,7 @@ def stopping(stop: "threading.Event") -> AbstractContextManager[None]:
 
 
 def reloading(reload: "threading.Event") -> AbstractContextManager[None]:
-    """Return a context in which a hang-up sets `reload` and ends nothing, unless whoever started us has it ignored."""
+    """Return a context in which a hang-up sets `reload` and does not end the process, unless it is ignored."""
     number = getattr(signal, "SIGHUP", None)
     if number is None or signal.getsignal(number) == signal.SIG_IGN:
         return nullcontext()
@@ -109,7 +109,7 @@ def exiting() -> AbstractContextManager[None]:
 def draining(parent: int | None, leave: Callable[[], None]) -> AbstractContextManager[None]:
     """Return a context in which the first SIGTERM or hang-up calls `leave`, and the second raises SystemExit(0).
 
-    A death of the process `parent`, of which the system tells by the same signal, ends this one at the first.
+    The system sends the same signal when the process `parent` dies; this process then ends at the first.
     """
     has_left = False
 
@@ -129,13 +129,13 @@ def _exit(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def end_at_interrupts() -> None:
-    """Have Ctrl-C end the process at once until `raise_interrupts` is called, unless a parent has it ignored."""
+    """Let Ctrl-C end the process at once until `raise_interrupts` is called, unless it is ignored."""
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, _end_at_once)
 
 
 def raise_interrupts() -> None:
-    """Have Ctrl-C raise KeyboardInterrupt from now on, if it has ended the process until now."""
+    """Let Ctrl-C raise KeyboardInterrupt from now on, if it ended the process until now."""
     if signal.getsignal(signal.SIGINT) is _end_at_once:
         signal.signal(signal.SIGINT, _interrupt)
 
@@ -145,13 +145,13 @@ def _end_at_once(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def reap_children() -> None:
-    """Learn how child processes end, also where a parent has that ignored: the system would not tell how they did."""
+    """Handle SIGCHLD by default even if a parent set it to be ignored, else exit codes of children are unknown."""
     if hasattr(signal, "SIGCHLD"):
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
 
 
 def forget_handlers() -> None:
-    """Meet signals as a fresh process does, in a fork."""
+    """Reset the handlers in a fork to those of a fresh process."""
     for number in ENDING:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)

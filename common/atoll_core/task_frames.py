@@ -11,12 +11,12 @@ from typing import Final, Literal
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 
 Failure = Literal["error", "memory", "crash", "time"]
-"""Why a task has no result: something of ours broke; memory ran out; its process died; it took too long."""
+"""Why a task has no result: an internal error; no memory; its process died; it took too long."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """To the process: run this task of `job`. It may use so many `threads`, and take so many `seconds`."""
+    """To the process: run this task of `job` with `threads` threads and a time limit of `seconds`."""
 
     task: str
     function: str
@@ -28,14 +28,14 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """To the process: load what tasks of this function need, as soon as there is nothing else to do."""
+    """To the process: load the modules for tasks of this function, as soon as the process is idle."""
 
     function: str
 
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """To the process of a task: a helper has room for a batch, and knows these contexts by digest."""
+    """To the process of a task: a helper asks for a batch, and has the contexts with these digests."""
 
     token: int
     contexts: frozenset[str] = frozenset()
@@ -43,14 +43,14 @@ class Ask:
 
 @dataclass(frozen=True, slots=True)
 class Give:
-    """From the process of a task: the batch for the helper that asked; None: there is none now, ask again."""
+    """From the process of a task: the batch for the asking helper; None: none now, ask again."""
 
     token: int
-    batch: "Batch | None"
+    batch: "TaskBatch | None"
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class TaskBatch:
     """One item of a call of `atoll_coordinator.model.batches.FUNCTIONS`.
 
     `digest` is the SHA-256 of the context, `context` its bytes (none: the helper has them).
@@ -65,15 +65,15 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """To the process of a task: what a helper made of a batch; None: it could not be made."""
+    """To the process of a task: a helper's result of a batch; None: it could not be computed."""
 
     number: int
     result: bytes | None
 
 
 @dataclass(frozen=True, slots=True)
-class Computed:
-    """From a helper's process: what it made of a batch; None: it could not be made."""
+class BatchComputed:
+    """From a helper's process: the result of a batch; None: it could not be computed."""
 
     number: int
     result: bytes | None
@@ -81,29 +81,29 @@ class Computed:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """From the process, first of all: its number."""
+    """From the process, as its first message: its process id."""
 
     pid: int
 
 
 @dataclass(frozen=True, slots=True)
 class Begun:
-    """From the process: all is loaded, and the task begins."""
+    """From the process: loading is done, and the task begins."""
 
     task: str
 
 
 @dataclass(frozen=True, slots=True)
 class Progressed:
-    """From the process: how many candidates its task has compared."""
+    """From the process: the number of candidates that its task has compared."""
 
     task: str
     compared: int
 
 
 @dataclass(frozen=True, slots=True)
-class Finished:
-    """From the process: the result of a task, and the memory that the process occupies."""
+class TaskFinished:
+    """From the process: the result of a task, and the memory that the process uses."""
 
     task: str
     result: bytes
@@ -112,7 +112,7 @@ class Finished:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """From the process: the task has no result; the sentence is for people."""
+    """From the process: the task has no result; the sentence is for users."""
 
     task: str
     failure: Failure
@@ -128,28 +128,28 @@ class Logged:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """Posted by who started the process: it has ended, and why in a few words."""
+    """Posted by the thread that watches the process: it has ended; `why` in a few words."""
 
     failure: Failure
     why: str
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """Posted to the worker's loop: what its process says. `life` counts the processes that it has started."""
+class ProcessMessage:
+    """Posted to the worker's loop: a message of its process. `life` counts the processes that it has started."""
 
     life: int
     message: "FromProcess"
 
 
-ToProcess = Run | Load | Ask | Take | Batch
-FromProcess = Started | Begun | Progressed | Finished | Failed | Give | Computed | Logged | Ended
+ToProcess = Run | Load | Ask | Take | TaskBatch
+FromProcess = Started | Begun | Progressed | TaskFinished | Failed | Give | BatchComputed | Logged | Ended
 
 
 OTHER_VERSION: Final = 71
-"""Exit code of a task process that was loaded from another version than its worker: the program was replaced."""
+"""Exit code of a task process that was loaded from another version than its worker's: the program was replaced."""
 
 
 def version() -> str:
-    """Return in one word what of an installation decides which bits come of a task."""
+    """Return the versions that decide the bits of a task's result, in one word."""
     return f"{VERSION}/{PROTOCOL_VERSION}/{ENGINE_REVISION}"

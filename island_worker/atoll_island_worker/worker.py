@@ -15,7 +15,7 @@ from atoll_core.compilation.cache import count_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.logs import fields
 from atoll_core.machine import available_bytes, memory_bytes
-from atoll_core.task_frames import Said
+from atoll_core.task_frames import ProcessMessage
 from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Query, Reply, Timer
@@ -158,7 +158,7 @@ class Worker:
                 self._connection.kernels_ready(item.fingerprint)
             case ComputeFailed():
                 self._connection.fail(AtollError(item.sentence))
-            case Said():
+            case ProcessMessage():
                 if self._tasks.process_said(item):
                     self._send_heartbeat()
             case io.JobReady() | io.LoadFailed():
@@ -331,7 +331,7 @@ class Worker:
             tasks=self._tasks.statuses(),
             is_loaded=self._tasks.is_loaded,
             computed=tuple(
-                messages.Computed(submitter=user or None, seconds=seconds)
+                messages.ComputedTime(submitter=user or None, seconds=seconds)
                 for user, seconds in self._compute.seconds.items()
             ),
             available_bytes=available_bytes(),

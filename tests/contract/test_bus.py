@@ -308,13 +308,6 @@ def ready_any(asker: Bus, servers: list[Bus], key: str) -> None:
     raise AssertionError(f"nobody answers for {key}")
 
 
-def test_tokens_of_questions_are_unique(world: World, prefix: str) -> None:
-    asker = world.client()
-    tokens = {asker.get(prefix, timeout_s=1.0) for _ in range(20)}
-    assert len(tokens) == 20
-    assert {first(asker, Reply).token for _ in range(20)} == tokens
-
-
 def test_watchers_see_who_comes_and_who_leaves(world: World, prefix: str) -> None:
     watcher, worker = world.router(), world.client()
     watcher.watch(prefix + "/*")

@@ -13,7 +13,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.addresses import destination
 from atoll_core.wire.bus.zenoh_bus import open_client
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import GetTable, Request
+from atoll_core.wire.messages.clients import ClientRequest, GetTable
 from atoll_core.wire.security.credentials import load
 
 LIMIT_S = 60.0
@@ -24,5 +24,5 @@ if __name__ == "__main__":
     with open_client(destination(address, credentials), wait_s=LIMIT_S) as bus:
         for number in range(int(count)):
             body = GetTable(job=job, index=number % int(chunks))
-            bus.get(topics.client(realm, f"{name}-{number % 3}"), encode(Request(body=body)), timeout_s=LIMIT_S)
+            bus.get(topics.client(realm, f"{name}-{number % 3}"), encode(ClientRequest(body=body)), timeout_s=LIMIT_S)
         os.kill(os.getpid(), signal.SIGSTOP)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from atoll.cli.main import main
-from atoll.client import local_workers as local
+from atoll.client import local_processes as local
 from tests.unit.coordinator.test_bad_input import GOOD, changed
 
 pytestmark = pytest.mark.timeout(200)

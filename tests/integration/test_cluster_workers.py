@@ -10,7 +10,7 @@ import pytest
 
 import atoll.workers
 from atoll.client.client import Client
-from atoll.client.local_workers import worker_command
+from atoll.client.local_processes import worker_command
 from atoll.workers import Handle
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError

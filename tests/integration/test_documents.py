@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from atoll.api import session
+from atoll.api import discover as session
 from atoll.cli.main import main
 from atoll.cli.options import parse
 from atoll.cli.request import config_of

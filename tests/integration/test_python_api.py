@@ -19,7 +19,7 @@ SCRIPT = """
 import json, os, signal, sys, threading
 from pathlib import Path
 import atoll
-from atoll.api import session
+from atoll.api import discover as session
 
 def workers(host):
     for process in Path("/proc").glob("[0-9]*"):

@@ -10,7 +10,7 @@ def test_the_regressor_passes_the_checks_of_scikit_learn() -> None:
     from sklearn.utils.estimator_checks import check_estimator
 
     import atoll
-    from atoll.api import session
+    from atoll.api import discover as session
 
     try:
         checks = check_estimator(

@@ -23,7 +23,7 @@ from atoll_core.wire.bus import zenoh_bus
 from atoll_core.wire.bus.interface import Message, Presence, Query, Reply
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Jobs, Request
+from atoll_core.wire.messages.clients import ClientRequest, ListJobs
 from atoll_core.wire.messages.handshake import Greeting, Hello
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import CloseJob, Control, Shutdown
@@ -235,11 +235,11 @@ def speak_for_others(hostile: ZenohBus, cluster: str) -> None:
     hostile.watch(topics.all_workers(cluster, "alive"))
     hello = Hello(role="worker", name="lab1-0", instance="x", protocol=0, version="", engine=0)
     for key, body in (
-        (topics.client(cluster, "ann-1"), Request(body=Jobs())),
-        (topics.client(cluster, "lab2-1"), Request(body=Jobs())),
+        (topics.client(cluster, "ann-1"), ClientRequest(body=ListJobs())),
+        (topics.client(cluster, "lab2-1"), ClientRequest(body=ListJobs())),
         (topics.hello("lab1-0"), Greeting(body=hello)),
         (topics.hello("ann-1"), Greeting(body=hello)),
-        (topics.worker(cluster, "lab9", "pull"), Request(body=Jobs())),
+        (topics.worker(cluster, "lab9", "pull"), ClientRequest(body=ListJobs())),
     ):
         hostile.get(key, encode(body), timeout_s=0.2)
 

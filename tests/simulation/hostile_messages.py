@@ -28,7 +28,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.seeding import Stream, stream_key
 from atoll_core.wire import topics
 from atoll_core.wire.codec import decode
-from atoll_core.wire.messages.clients import Answer, Request
+from atoll_core.wire.messages.clients import Answer, ClientRequest
 from atoll_core.wire.messages.epochs import EpochReport, Mail, Pull, PullAnswer
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer
 from atoll_core.wire.messages.limits import MAX_MESSAGE
@@ -130,7 +130,7 @@ def asked_kind(key: str) -> Any:
         case topics.HelloKey():
             return Greeting
         case topics.ClientKey():
-            return Request
+            return ClientRequest
         case topics.WorkerKey(part="pull"):
             return Pull
     return None
@@ -271,7 +271,7 @@ def key_for(message: Overheard, cluster: str, understood: bool, mutator: Mutator
         parts[1] = cluster
     if not understood:
         return "/".join(parts)
-    if message.kind in (Greeting, Request, Control, GreetingAnswer, Answer, PullAnswer):
+    if message.kind in (Greeting, ClientRequest, Control, GreetingAnswer, Answer, PullAnswer):
         return None
     if message.kind is Pull:
         return topics.worker(cluster, f"w{mutator.below(2)}", "pull")

@@ -7,7 +7,7 @@ import pytest
 from atoll_coordinator.service.tasks.analyses import WANTED_S
 from atoll_core.errors import AtollError, RefusedError
 from atoll_core.task_frames import Failure
-from atoll_core.wire.messages.clients import Analyse
+from atoll_core.wire.messages.clients import AskAnalysis
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World
 
@@ -48,7 +48,7 @@ def test_measurements_are_uploaded_and_handed_to_the_worker() -> None:
 def test_a_question_of_somebody_who_has_gone_is_ended_and_its_worker_is_free() -> None:
     world = ended(workers=1)
     world.background_s = 1000.0
-    asked = Analyse(job="job", function="report", question=QUESTION)
+    asked = AskAnalysis(job="job", function="report", question=QUESTION)
     world.service.controller.analyse(asked, None, world.network.now)
     world.client.pause(5.0)
     assert [task.state for task in world.service.controller.tasks.table] == ["leased"]

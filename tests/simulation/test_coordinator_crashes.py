@@ -13,7 +13,7 @@ from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, Migratio
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Request, Submit, Upload
+from atoll_core.wire.messages.clients import ClientRequest, Submit, Upload
 from atoll_core.wire.security.roles import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.harness.fault_schedule import JobPlan
@@ -23,12 +23,12 @@ from tests.simulation.harness.simulated_disk import CoordinatorDied, Disk
 
 TABLE = b"x,y"
 DIGEST = hashlib.sha256(TABLE).hexdigest()
-UPLOAD = encode(Request(body=Upload(blob=DIGEST, size=len(TABLE), index=0, sha256=DIGEST, data=TABLE)))
+UPLOAD = encode(ClientRequest(body=Upload(blob=DIGEST, size=len(TABLE), index=0, sha256=DIGEST, data=TABLE)))
 
 
 @pytest.mark.parametrize("before", [True, False])
 def test_a_job_that_is_kept_has_its_submitter(before: bool) -> None:
-    request = encode(Request(body=Submit(job="j", name="n", config=JobConfig(), table=DIGEST)))
+    request = encode(ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=DIGEST)))
     for commits in count(1):
         disk = Disk()
         store = disk.open(lambda seconds: None)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from atoll.client.client import Client
-from atoll.client.subscription import Subscription
+from atoll.client.follower import Subscription
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.result import Account, build_result
 from atoll_coordinator.service.jobs.job import Job

@@ -11,7 +11,7 @@ from atoll_core.errors import DataError, RefusedError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Reply
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.epochs import Block, EpochReport, Finished, IslandReport, Mail, Migrants
+from atoll_core.wire.messages.epochs import Block, EpochReport, IslandFinished, IslandReport, Mail, Migrants
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import (
@@ -241,7 +241,7 @@ def nonsense(cluster: str) -> list[tuple[str, bytes]]:
     migrants = Migrants(
         job="job", variable="x", term=1, epoch=0, blocks=(Block(source=0, destination=1, data=b"junk"),)
     )
-    hit = Finished(job="job", variable="x", term=1, epoch=0, generation=1, island=1)
+    hit = IslandFinished(job="job", variable="x", term=1, epoch=0, generation=1, island=1)
     keys = [
         topics.control(cluster),
         topics.control(cluster, "w0"),

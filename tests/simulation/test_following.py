@@ -5,12 +5,12 @@ from functools import partial
 import pytest
 
 from atoll.client.client import Client
-from atoll.client.subscription import Subscription
+from atoll.client.follower import Subscription
 from atoll_coordinator.service.monitoring.followers import INTERVAL_S, LEASE_S
 from atoll_core.errors import RefusedError, UnreachableError
 from atoll_core.wire import topics
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Change, Following
+from atoll_core.wire.messages.clients import Following, JobChange
 from atoll_core.wire.messages.views import FINAL_STATES, EventView, JobView
 from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.short_jobs import short_job
@@ -39,7 +39,7 @@ class Heard:
                 continue
         return self.views[-1]
 
-    def take(self, change: Change | None) -> None:
+    def take(self, change: JobChange | None) -> None:
         if change is not None:
             self.events += change.events
             self.views += [change.view] if change.view is not None else []
@@ -115,7 +115,7 @@ def test_changes_of_a_former_lease_of_others_and_of_strangers_say_nothing() -> N
     heard.take(heard.subscription.wait(1.0))
     key = topics.client(world.store.cluster, world.client._name, "changes")
     stranger = bus_of(world, "stranger")
-    for change in (Change(job="other", sequence=2**60, previous=0), Change(job="job", sequence=1, previous=0)):
+    for change in (JobChange(job="other", sequence=2**60, previous=0), JobChange(job="job", sequence=1, previous=0)):
         stranger.put(key, encode(change))
     assert heard.follow().state == "done"
     assert [event.number for event in heard.events] == whole(world)

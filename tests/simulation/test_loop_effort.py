@@ -30,7 +30,7 @@ from atoll_core.expression.program import Program
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Event, Message, Posted, Query
 from atoll_core.wire.codec import decode
-from atoll_core.wire.messages.clients import Request
+from atoll_core.wire.messages.clients import ClientRequest
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE, MAX_PAGE_JOBS
 from tests.blobs import put_blob
 from tests.simulation.harness.short_jobs import short_job
@@ -117,7 +117,7 @@ def kind_of(event: Event) -> str:
         case Posted():
             return type(event.item).__name__
         case Query() if isinstance(topics.parse(event.key), topics.ClientKey):
-            return str(decode(event.payload, Request, MAX_MESSAGE).body.kind)
+            return str(decode(event.payload, ClientRequest, MAX_MESSAGE).body.kind)
         case Query() | Message():
             key = topics.parse(event.key)
             return f"{type(key).__name__} {getattr(key, 'part', '')}"

@@ -13,7 +13,7 @@ import pytest
 import atoll
 from atoll.cli.options import VERBS as ALL_VERBS
 from atoll.web.api import Api
-from atoll_core.wire.messages.clients import Request
+from atoll_core.wire.messages.clients import ClientRequest
 from tests.http import ask
 from tests.unit.documents import ROOT
 from tests.unit.library.cli.test_verbs_of_others import ASKED, ASKS_NOTHING
@@ -126,7 +126,7 @@ OPEN: Final = {"/version", "/session", "/health", "/openapi.json"}
 
 
 def test_every_entrance_has_its_row() -> None:
-    (bodies,) = (get_args(field.annotation) for field in [Request.model_fields["body"]])
+    (bodies,) = (get_args(field.annotation) for field in [ClientRequest.model_fields["body"]])
     assert {kind.model_fields["kind"].default for kind in bodies} == QUESTIONS
     assert set(ALL_VERBS) == set().union(*VERBS.values())
     assert VERBS["CLI"] == set(ASKED), "each is asked as another user"

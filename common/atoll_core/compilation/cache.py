@@ -16,7 +16,7 @@ import platform
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -37,15 +37,14 @@ _COMPILED_IN: Final = {
     "atoll_island_worker": ("evolution/structures.py",),
     "atoll_coordinator": ("model/cholesky.py",),
 }
-"""Files beside the kernels whose constants and types are compiled into them."""
-
+"""Other files whose constants and types are compiled into the kernels."""
 
 _CPU_INFO: Final = Path("/proc/cpuinfo")
 _SETTINGS: Final = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCHECK")
 
 
 def packages_compiled_into(package: str) -> tuple[str, ...]:
-    """Return the packages whose kernels may be compiled into those of `package`; of tests and the like, all."""
+    """Return the packages whose kernels may be compiled into the kernels of `package`; all for tests and the like."""
     return tuple(dict.fromkeys(("atoll_core", package))) if package in ALL else ALL
 
 
@@ -96,7 +95,7 @@ def marker(package: str) -> Path:
 def _machine() -> str:
     """Return a name for everything, apart from the text of the kernels, by which numba finds its machine code."""
     parts = [platform.python_version(), platform.machine(), _processor()]
-    parts += [_version(name) for name in ("numba", "llvmlite", "numpy")]
+    parts += [version(name) for name in ("numba", "llvmlite", "numpy")]
     parts += [f"{name}={os.environ.get(name, '')}" for name in _SETTINGS]
     if sys.flags.optimize >= 2:  # without docstrings bytecode is another, by which numba finds its machine code
         parts.append("without docstrings")
@@ -111,13 +110,6 @@ def _processor() -> str:
         lines = _CPU_INFO.read_text("utf-8", "replace").split("\n\n")[0].splitlines()
         return "\n".join(line for line in lines if line.startswith(("model name", "flags", "CPU part", "Features")))
     return platform.processor()
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "unknown"
 
 
 _COUNT: Final = re.compile(r"(\d+) of (\d+) compiled")
@@ -179,7 +171,10 @@ def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, re
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
-    _import_compiler()
+    try:
+        importlib.import_module("atoll_core.compilation.jit")
+    except (AttributeError, ImportError) as error:
+        raise AtollError(f"kernels cannot be compiled with numba {version('numba')} ({error}); {_ADVICE}") from error
     if not is_compiled(package):  # else a folder that can only be read does
         with _locked(_make(cache_directory(package)) / "lock", report):
             if not is_compiled(package):
@@ -188,13 +183,6 @@ def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, re
                 marker(package).touch()
                 return
     exercise()
-
-
-def _import_compiler() -> None:
-    try:
-        importlib.import_module("atoll_core.compilation.jit")
-    except (AttributeError, ImportError) as error:
-        raise AtollError(f"kernels cannot be compiled with numba {version('numba')} ({error}); {_ADVICE}") from error
 
 
 def _make(directory: Path) -> Path:

@@ -1,7 +1,7 @@
-"""What a search is given: rows of input variables and, per equation sought, the target column.
+"""The input of a search: rows of input variables and, for each equation, the target column.
 
-Not the measurements (those are `atoll_core.data.table.Table`): smoothing and differentiating have been done, once, by
-the coordinator. Letters: R rows, V input variables.
+Measurements are in `atoll_core.data.table.Table`; preparing a job smooths and differentiates them once and makes a
+`Dataset`. Letters: R rows, V input variables.
 """
 
 import hashlib
@@ -22,19 +22,19 @@ AnyArray = npt.NDArray[Any]
 IntArray = npt.NDArray[np.int64]
 
 CLEAN_UNCERTAINTY: Final = 1e-3
-"""Targets known better than this, relative to their spread, count as noise-free."""
+"""Targets with a smaller uncertainty than this, relative to their standard deviation, count as noise-free."""
 
 EXACT_ERROR: Final = 1e-9
-"""Normalized error at which an equation of noise-free data has converged: rounding."""
+"""Normalized error at which an equation of noise-free data has converged: rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
     """The left-hand side of one equation.
 
-    `variable` is the column name it belongs to and the name by which everything refers to this equation; `lhs` is how
-    it is printed, such as ``dx/dt``; `values` has shape (R,); `uncertainty` is the mean estimated uncertainty of
-    `values` divided by `standard_deviation`, that of `values`; `noise` is the estimated relative noise (0: none).
+    `variable` is the name of its column and of the equation; `lhs` is its printed form, such as ``dx/dt``; `values` has
+    shape (R,); `uncertainty` is the mean estimated uncertainty of `values` divided by their `standard_deviation`;
+    `noise` is the estimated relative noise (0: none).
     """
 
     variable: str
@@ -46,18 +46,18 @@ class Target:
 
     @property
     def is_noisy(self) -> bool:
-        """Whether the truth itself would miss these values by so much that errors alone cannot tell it."""
+        """Whether the true equation would have residuals so large that errors alone cannot identify it."""
         return self.noise > 0.0 or self.uncertainty >= CLEAN_UNCERTAINTY
 
     def convergence_threshold(self, target_error: float | None = None) -> float:
-        """Return the normalized error at most which an equation of this target has converged.
+        """Return the largest normalized error of a converged equation of this target.
 
-        That is `target_error` if the job has one, else twice the uncertainty, but not less than `EXACT_ERROR`.
+        It is `target_error` if the job has one, else twice the uncertainty, but at least `EXACT_ERROR`.
         """
         return target_error if target_error is not None else max(EXACT_ERROR, 2.0 * self.uncertainty)
 
     def convergence_error(self, target_error: float | None = None) -> float:
-        """Return the error at most which an equation of this target has converged, in the unit of `values`."""
+        """Return the largest error of a converged equation of this target, in the unit of `values`."""
         return self.convergence_threshold(target_error) * self.standard_deviation
 
 
@@ -65,7 +65,7 @@ class Target:
 class Problem:
     """One regression problem: the inputs, shape (V, R), C order, and one target over the same R rows.
 
-    `groups` (R,) number the groups of trajectories that have constants of their own; None: all share them.
+    `groups` (R,) are the numbers of the groups of trajectories with separate constants; None: all rows share them.
     """
 
     names: tuple[str, ...]
@@ -74,7 +74,7 @@ class Problem:
     groups: IntArray | None = None
 
     def of_group(self, group: int) -> "Problem":
-        """Return the problem on the rows of one group; itself where there are no groups."""
+        """Return the problem on the rows of one group; this problem where there are no groups."""
         if self.groups is None:
             return self
         rows = np.flatnonzero(self.groups == group)
@@ -87,8 +87,8 @@ class Dataset:
     """All regression problems of a job over the same rows.
 
     `names` are the V symbols used in expressions, in the order of the rows of `inputs`; `symbols` maps each column name
-    of the user's file to its symbol; `warnings` are sentences for the user about how the data were treated, `notes`
-    those among them that are no warnings; `groups` are as in `Problem`.
+    of the user's file to its symbol; `warnings` are sentences for the user about the treatment of the data, `notes`
+    those of them that are no warnings; `groups` are as in `Problem`.
     """
 
     names: tuple[str, ...]
@@ -100,12 +100,12 @@ class Dataset:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Keep which of the warnings are notes: what is read of bytes does not tell."""
+        """Keep which warnings are notes: the bytes of a dataset do not hold it."""
         object.__setattr__(self, "notes", tuple(dict.fromkeys((*self.notes, *notes_of(self.warnings)))))
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """Names of the equations, in their order; of those that are known as well."""
+        """Names of the equations in their order, known ones included."""
         return tuple(target.variable for target in self.targets)
 
     def problem(self, variable: str) -> Problem:

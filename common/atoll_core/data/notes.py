@@ -1,22 +1,22 @@
-"""Sentences for the user about a job: warnings, and notes, which report what was done by rule and ask for nothing."""
+"""Sentences for the user about a job: warnings, and notes, which only report what was done by rule."""
 
 from collections.abc import Container, Iterable
 
 
 class Note(str):
-    """A sentence that is a note; any other among warnings is a warning.
+    """A sentence that is a note; all other sentences in a list of warnings are warnings.
 
-    It is one where it is written. What travels or is stored are texts, with those that are notes beside them.
+    Messages and the store hold plain texts, and the list of those that are notes.
     """
 
     __slots__ = ()
 
 
 def notes_of(sentences: Iterable[str]) -> tuple[str, ...]:
-    """Return the texts of the notes among sentences, each once."""
+    """Return the texts of the notes in a list of sentences, each once."""
     return tuple(dict.fromkeys(str(sentence) for sentence in sentences if isinstance(sentence, Note)))
 
 
 def with_kind(sentence: str, notes: Container[str]) -> str:
-    """Return a sentence with what it is before it, as terminals show it."""
+    """Return a sentence after ``note:`` or ``warning:``, as terminals show it."""
     return f"{'note' if sentence in notes else 'warning'}: {sentence}"

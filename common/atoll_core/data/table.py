@@ -1,4 +1,4 @@
-"""Raw numeric columns as they were read from files: what a client uploads and only the coordinator interprets.
+"""Raw numeric columns as read from files: clients upload them, and preparing a job interprets them.
 
 Letters: C columns, N rows.
 """
@@ -21,7 +21,7 @@ from atoll_core.wire.codec import BROKEN, decode_arrays, encode_arrays
 
 S = TypeVar("S", bound=np.generic)
 MANY = 5
-"""So many rows are named in a message before it says how many there are in all."""
+"""Most rows that a message names before their total number."""
 MIDNIGHT: Final = "midnight"
 
 
@@ -56,13 +56,13 @@ class _Header(Frozen):
 class Table:
     """Columns as read, checked for shape only.
 
-    `names` are unique and without units, `units` are "" where the header gives none; `columns` (C, N) float64, C order,
-    may hold NaN and infinity; `starts` are the rows at which the files or blank rows begin a new trajectory, the first
-    one 0. For messages: `files` are the names of the files, `file_of_row` (N,) indices into them, `line_of_row` (N,)
-    line numbers from 1, or 0 where a file has no lines. `skipped` are columns that hold text. `read_as` says how
-    the files were read, "" where that is not known. `labels` are the texts that the numbers of a column of groups stand
-    for, from 1. `origins` belong to columns that hold dates or clock times in the files. `left_out` says what else of
-    the files is no part of the table, in phrases such as ``other sheets left out: notes``.
+    `names` are unique and without units, `units` are "" where the header has none; `columns` (C, N) float64, C order,
+    may hold NaN and infinity; `starts` are the rows at which files or blank rows begin a new trajectory, the first one
+    0. For messages: `files` are the names of the files, `file_of_row` (N,) indices into them, `line_of_row` (N,) line
+    numbers from 1, or 0 where a file has no lines. `skipped` are columns of text. `read_as` describes how the files
+    were read, "" where unknown. `labels` are the texts for the numbers 1, 2, … of a column of groups. `origins` belong
+    to columns of dates or clock times. `left_out` lists other parts of the files that are not in the table, in phrases
+    such as ``other sheets left out: notes``.
     """
 
     names: tuple[str, ...]
@@ -90,12 +90,12 @@ class Table:
             raise DataError(f"a table refers to files beyond its {len(self.files)}")
 
     def label(self, name: str, value: float) -> str | None:
-        """Return the text that a number of column `name` stands for, None where it stands for itself."""
+        """Return the text for a number of column `name`, None where the number has no text."""
         texts = self.labels.get(name)
         return texts[int(value) - 1] if texts is not None and 1 <= value <= len(texts) else None
 
     def moment(self, name: str, time: float) -> str:
-        """Return a time of column `name` as a date or clock time where the files hold these, else as a number."""
+        """Return a time of column `name` as a date or clock time if the files hold these, else as a number."""
         origin = self.origins.get(name)
         if origin is None:
             return repr(time)
@@ -122,7 +122,7 @@ class Table:
         return {name: place for place, name in enumerate(self.names)}
 
     def places(self, rows: Sequence[int]) -> str:
-        """Say where `rows` (indices from 0) stand: ``rows 12, 40 (lines 13, 41 of a.csv), 2 in all``."""
+        """Return the positions of `rows` (indices from 0): ``rows 12, 40 (lines 13, 41 of a.csv), 2 in all``."""
         shown = list(rows[:MANY])
         numbers = ", ".join(str(row + 1) for row in shown)
         text = f"{_plural('row', shown)} {numbers}{', …' if len(rows) > MANY else ''}"

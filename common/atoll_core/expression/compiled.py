@@ -1,7 +1,7 @@
-"""Programs as one Python function, of numbers or of arrays: what they have in common is computed once.
+"""Programs as one Python function of numbers or arrays that computes their common parts once.
 
-The text of the function is written by the table of operators; names in it are numbers of nodes, whatever the programs
-come from.
+The table of operators writes the text of the function; its names are numbers of nodes, so that no text of a user gets
+into it.
 """
 
 import math
@@ -13,28 +13,28 @@ from atoll_core.expression.operators import ARITY, CONSTANT, Functions, definiti
 from atoll_core.expression.program import Program, ProgramBuilder
 
 _LONGEST: Final = 200
-"""Of the text of a part that is used once and gets no name: Python reads no more than 200 brackets within others."""
+"""Longest text of a part without a name: Python reads at most 200 nested brackets."""
 
 
 def function_of(programs: Sequence[Program], variables: int, functions: Functions) -> Callable[..., tuple[Any, ...]]:
     """Return a function of so many variables, numbers or arrays, that returns the values of `programs`.
 
-    It raises what `functions` and divisions do where there is no value.
+    It raises the errors of `functions` and of divisions where there is no value.
     """
-    # What the values are depends on the arguments and on `functions`, and the text is compiled here: hence Any.
+    # Any, because the types depend on the arguments and on `functions`, and the text is compiled here.
     builder = ProgramBuilder()
     outputs = [builder.copy(program.nodes())[-1] for program in programs]
     uses = Counter(argument for code, *pair, _ in builder.nodes for argument in pair[: ARITY[code]]) + Counter(outputs)
     names, lines = [], [f"def function({', '.join(f'x{index}' for index in range(variables))}):"]
     for place, (code, left, right, value) in enumerate(builder.nodes):
         if not ARITY[code]:
-            names.append(_Text(f"({value!r})" if code == CONSTANT else f"x{left}"))
+            names.append(_Formula(f"({value!r})" if code == CONSTANT else f"x{left}"))
             continue
         text = _OPERATORS[code].value(names[left], names[right])
         if uses[place] == 1 and len(text) < _LONGEST:
-            names.append(_Text(f"({text})"))
+            names.append(_Formula(f"({text})"))
         else:
-            names.append(_Text(f"n{place}"))
+            names.append(_Formula(f"n{place}"))
             lines.append(f"    n{place} = {text}")
     lines.append(f"    return ({''.join(f'{names[place]}, ' for place in outputs)})")
     scope: dict[str, Any] = {**functions._asdict(), "inf": math.inf, "nan": math.nan}
@@ -43,8 +43,8 @@ def function_of(programs: Sequence[Program], variables: int, functions: Function
     return function
 
 
-class _Text(str):
-    """What stands for a number in a formula: arithmetic writes it."""
+class _Formula(str):
+    """A part of a formula; arithmetic on it writes text."""
 
     def __add__(self, other: str) -> str:
         return f"{self} + {other}"

@@ -1,8 +1,7 @@
-"""Derivatives of programs, as programs: by one sweep from the output back over the table of operators.
+"""Derivatives of programs, as programs: reverse-mode differentiation with the table of operators.
 
-Partial derivatives are called with parts of a program under construction, on which arithmetic adds nodes. What a part
-passes on is the same for all variables, so that derivatives of one program share what they have in common. Constants
-are differentiated as variables, see `with_variables`.
+The partial derivatives of the table are called with nodes of a program under construction, on which arithmetic adds
+further nodes. Derivatives by constants are derivatives by variables in their places, see `with_variables`.
 """
 
 from collections.abc import Callable
@@ -16,12 +15,12 @@ from atoll_core.expression.program import Program, ProgramBuilder, constant_plac
 
 
 def derivative(program: Program, variable: int) -> Program:
-    """Return the derivative by the input variable of this index, the constant 0 where the program does not have it.
+    """Return the derivative by the input variable of this index, the constant 0 where the program does not contain it.
 
-    It has `PARTIAL_OPERATORS` besides others, and more nodes than a message takes. Where a partial derivative of the
-    table has no finite value, neither has it.
+    It may contain `PARTIAL_OPERATORS`, and more nodes than a message allows. It has no finite value where a partial
+    derivative of the table has none.
     """
-    draft = _Draft()
+    draft = _DerivativeDraft()
     output = draft.copy(program.nodes())[-1]
     leaves = [place for place, node in enumerate(draft.nodes) if node[:2] == (op.VARIABLE, variable)]
     depends = dependent_nodes(draft.nodes[: output + 1], leaves)
@@ -41,15 +40,15 @@ def derivative(program: Program, variable: int) -> Program:
 
 
 def with_variables(program: Program, first: int) -> Program:
-    """Return `program` with variables in the place of its constants: their indices go on from `first` in node order."""
+    """Return `program` with variables instead of its constants, with indices from `first` on in node order."""
     operators, left, constants = program.operators.copy(), program.left.copy(), program.constants.copy()
     places = constant_places(program)
     operators[places], left[places], constants[places] = op.VARIABLE, range(first, first + len(places)), 0.0
     return Program(operators, left, program.right, constants)
 
 
-class _Draft(ProgramBuilder):
-    """A program under construction without what changes no bit: factors of one, signs of signs, parts of constants."""
+class _DerivativeDraft(ProgramBuilder):
+    """A program under construction without factors of one and double signs, constants folded: equal to the bit."""
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
         (kind, inner, _, value), (other_kind, other_inner, _, other_value) = self.nodes[left], self.nodes[right]
@@ -77,7 +76,7 @@ class _Draft(ProgramBuilder):
 class _Part:
     """A node of a draft, on which arithmetic adds nodes."""
 
-    draft: _Draft
+    draft: _DerivativeDraft
     place: int
 
     def under(self, code: int, *others: "_Part | float") -> "_Part":
@@ -109,7 +108,7 @@ _OPERATORS: Final = {**definitions(_FUNCTIONS), **partial_definitions(_FUNCTIONS
 
 
 def _share(part: _Part, partial: Partial, a: _Part, b: _Part, v: _Part) -> _Part:
-    """Return what the derivative by an operator's value, `part`, adds to that by an argument."""
+    """Return the contribution of the derivative by an operator's value, `part`, to the one by an argument."""
     for factor in partial.factors:
         part = part * factor(a, b, v)
     if partial.divisor is not None:

@@ -1,7 +1,7 @@
-"""A program's values and their derivatives with respect to its constants, on all rows at once, by numpy.
+"""Values of a program and their derivatives by its constants, on all rows at once, by numpy.
 
-For what is done after the search, where a last bit more or less decides nothing; the kernels of
-`atoll_core.expression.kernels.tape` are for the search. Letters: N nodes, R rows, K constants.
+For use after the search, where the last bit does not matter; the search uses `atoll_core.expression.kernels.tape`.
+Letters: N nodes, R rows, K constants.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,6 @@ from atoll_core.expression.operators import (
     TRIGONOMETRIC_LIMIT,
     VARIABLE,
     Functions,
-    Partial,
     definitions,
     partial_definitions,
 )
@@ -24,8 +23,7 @@ from atoll_core.expression.program import Program, dependent_nodes
 
 
 def _periodic(function: Callable[[FloatArray], FloatArray]) -> Callable[[FloatArray], FloatArray]:
-    """Return sine or cosine as programs have it: not a number where the argument is too large to be reduced well."""
-
+    """Return sine or cosine as in programs: NaN beyond `TRIGONOMETRIC_LIMIT`."""
     return lambda a: np.where(np.abs(a) > TRIGONOMETRIC_LIMIT, np.nan, function(a))
 
 
@@ -44,13 +42,13 @@ DEFINITIONS: Final = {**definitions(NUMPY), **partial_definitions(NUMPY)}
 
 
 def value_of(code: int, left: float, right: float) -> float:
-    """Return the value of one operator; not finite where it has none."""
+    """Return the value of one operator; NaN or infinity where it has none."""
     with np.errstate(all="ignore"):
         return float(DEFINITIONS[code].value(np.array([left]), np.array([right]))[0])
 
 
 def values_of(program: Program, inputs: FloatArray) -> FloatArray:
-    """Return the values of `program` at all rows of `inputs` (V, R), shape (R,); not finite where there is none."""
+    """Return the values of `program` at all rows of `inputs` (V, R), shape (R,); NaN or infinity where undefined."""
     return node_values(program, inputs)[-1]
 
 
@@ -70,9 +68,9 @@ def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
 
 
 def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-    """Return what `values_of` does, and d(output)/d(constant), (K, R), for the K constants at the indices `places`.
+    """Return the values (R,), and d(output)/d(constant) (K, R) for the K constants at the indices `places`.
 
-    The derivatives are found by one reverse sweep; not finite where there is none.
+    One reverse sweep gives all derivatives; NaN or infinity where there is none.
     """
     values = node_values(program, inputs)
     nodes = program.nodes()
@@ -87,15 +85,10 @@ def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[i
             partials = (left, DEFINITIONS[code].left), (right, DEFINITIONS[code].right)
             for argument, partial in partials[: ARITY[code]]:
                 if depends[argument]:
-                    amount = adjoint[place] * _partial(partial, *at)
+                    slope: FloatArray | float = float(partial.sign)
+                    for factor in partial.factors:
+                        slope = slope * factor(*at)
+                    amount = adjoint[place] * (slope if partial.divisor is None else slope / partial.divisor(*at))
                     adjoint[argument] = adjoint[argument] + amount if argument in adjoint else amount
     zero = np.zeros_like(values[-1])
     return values[-1], np.array([adjoint.get(place, zero) for place in places]).reshape(len(places), len(zero))
-
-
-def _partial(partial: Partial, a: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray | float:
-    """Return the derivative by an argument, from both arguments and the value."""
-    amount: FloatArray | float = float(partial.sign)
-    for factor in partial.factors:
-        amount = amount * factor(a, b, v)
-    return amount if partial.divisor is None else amount / partial.divisor(a, b, v)

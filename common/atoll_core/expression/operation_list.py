@@ -1,7 +1,7 @@
-"""A program as an operation list of a given shape, made of given operators: how a guess comes into a population.
+"""A program as an operation list of a given shape and given operators, to put a user's guess into a population.
 
-An operation list begins with its terminals and ends with its output. What people write uses squares, minus signs and
-quotients that the operators of a job may lack; where others can take their place, they do. Pure.
+An operation list begins with its terminals and ends with its output. Guesses contain squares, minus signs and quotients
+that may not be among the operators of a job; they are replaced by other operators where possible. Pure.
 """
 
 from collections.abc import Collection, Sequence
@@ -28,9 +28,9 @@ class PlacedNode:
 def placed_text(
     text: str, names: Sequence[str], operators: Collection[int], terminals: int, operator_nodes: int
 ) -> tuple[PlacedNode, ...]:
-    """Return the nodes of a list that computes what `text` says over the symbols `names`, see `placed`.
+    """Return the nodes of a list that computes `text` over the symbols `names`, see `placed`.
 
-    Every number in it is a constant of its own; where there is no room for that, equal ones are one constant.
+    Every number becomes a separate constant; if there is no room, equal numbers share one constant.
 
     Raises:
         UsageError: the text cannot be read or placed.
@@ -42,14 +42,13 @@ def placed_text(
 
 
 def placed(program: Program, operators: Collection[int], terminals: int, operator_nodes: int) -> tuple[PlacedNode, ...]:
-    """Return the nodes of a list that computes what `program` does with these operators, up to rounding.
+    """Return the nodes of a list that has the values of `program` with these operators, up to rounding.
 
-    A list has so many `terminals`, which hold variables and constants, and then `operator_nodes`, whose last one is the
-    output. Terminals are placed at its beginning, operators at its end; what lies between is the caller's.
+    A list has `terminals` nodes for variables and constants and then `operator_nodes`, the last of which is the output.
+    Terminals are placed at its beginning, operators at its end; the caller fills the nodes between.
 
     Raises:
-        UsageError: other operators would be needed, or more nodes; a sentence without its subject, such as
-            ``has 30 operators, …``.
+        UsageError: other operators or more nodes are needed; the sentence has no subject: ``has 30 operators, …``.
     """
     nodes = _Rewriting(frozenset(operators)).rewritten(simplify_program(program, merges_constants=False))
     leaves = [index for index, node in enumerate(nodes) if not op.ARITY[node[0]]]
@@ -67,7 +66,7 @@ def placed(program: Program, operators: Collection[int], terminals: int, operato
 
 
 class _Rewriting(ProgramBuilder):
-    """Builds a program with the operators at hand; each constant of the given one stays a node of its own."""
+    """Builds a program with the allowed operators; each constant of the original stays a separate node."""
 
     def __init__(self, operators: frozenset[int]) -> None:
         super().__init__()
@@ -76,12 +75,17 @@ class _Rewriting(ProgramBuilder):
     def rewritten(self, program: Program) -> list[Node]:
         """Return the nodes, the output last; raises UsageError."""
         output = self.copy(program.nodes(), merges_constants=False)[-1]
-        if not op.ARITY[self.nodes[output][0]]:
-            output = self._unchanged(output)
+        if not op.ARITY[self.nodes[output][0]]:  # the output of a list is an operator
+            neutral = ((op.MULTIPLY, 1.0), (op.ADD, 0.0), (op.SUBTRACT, 0.0), (op.DIVIDE, 1.0))
+            allowed = next((pair for pair in neutral if pair[0] in self._operators), None)
+            if allowed is None:
+                names = _names(self._operators)
+                raise UsageError(f"is a single variable or number, which {names} cannot leave as it is")
+            output = self.add(allowed[0], output, self.constant(allowed[1]))
         return live_nodes(self.nodes, output)
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
-        """Return the index of a node with the value of an operator, which may be written with others."""
+        """Return the index of a node with the value of an operator, by other operators if necessary."""
         if code in self._operators:
             return self.add(code, left, right)
         node = self._substitute(code, left, right)
@@ -93,7 +97,7 @@ class _Rewriting(ProgramBuilder):
         return node
 
     def _substitute(self, code: int, left: int, right: int) -> int | None:
-        """Return a node with the value of an operator that is not at hand; None where none of the others can be it."""
+        """Return a node with the value of an operator that is not allowed; None where the others cannot replace it."""
         match op.OPERATORS[code].name:
             case "square":
                 return self._product(left, left)
@@ -142,13 +146,6 @@ class _Rewriting(ProgramBuilder):
             return None
         inverse = self.add(op.INVERSE, right)
         return inverse if self._value(left) == 1.0 else self._product(left, inverse)
-
-    def _unchanged(self, leaf: int) -> int:
-        """Return an operation with the value of a variable or constant: the output of a list is no terminal."""
-        for code, value in ((op.MULTIPLY, 1.0), (op.ADD, 0.0), (op.SUBTRACT, 0.0), (op.DIVIDE, 1.0)):
-            if code in self._operators:
-                return self.add(code, leaf, self.constant(value))
-        raise UsageError(f"is a single variable or number, which {_names(self._operators)} cannot leave as it is")
 
 
 def _names(operators: Collection[int]) -> str:

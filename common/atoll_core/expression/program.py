@@ -39,7 +39,7 @@ class Program:
 
     @classmethod
     def of(cls, nodes: Iterable[Node]) -> "Program":
-        """Return the program of these nodes as they stand; at least one."""
+        """Return the program of these nodes; at least one."""
         codes, lefts, rights, values = zip(*nodes, strict=True)
         return cls(np.array(codes, np.int8), np.array(lefts, np.int16), np.array(rights, np.int16), np.array(values))
 
@@ -87,7 +87,7 @@ def variables_of(program: Program) -> set[int]:
 
 
 def with_constants(program: Program, values: Mapping[int, float]) -> Program:
-    """Return `program` with other values at the constants of these indices, otherwise as it is."""
+    """Return `program` with other values of the constants at these indices."""
     constants = program.constants.copy()
     for place, value in values.items():
         constants[place] = value
@@ -104,7 +104,7 @@ def dependent_nodes(nodes: Sequence[Node], leaves: Collection[int]) -> list[bool
 
 
 def moved(node: Node, place: Mapping[int, int]) -> Node:
-    """Return a node whose arguments are elsewhere."""
+    """Return a node with its arguments renumbered."""
     code, left, right, value = node
     if not ARITY[code]:
         return node
@@ -112,15 +112,15 @@ def moved(node: Node, place: Mapping[int, int]) -> Node:
 
 
 def structure(program: Program) -> bytes:
-    """Return what tells programs apart that differ in more than the values of their constants."""
+    """Return a program without the values of its constants: equal for programs that differ in these alone."""
     return program.operators.tobytes() + program.left.tobytes() + program.right.tobytes()
 
 
 def check_program_bytes(data: bytes, variables: int) -> None:
-    """Check canonical bytes as `Program.from_bytes` does, without making a program of them: a tenth of the time.
+    """Check canonical bytes as `Program.from_bytes` does without making a program, in a tenth of the time.
 
     Raises:
-        RemoteProtocolError: they are not those of a program over `variables` inputs.
+        RemoteProtocolError: they are no program over `variables` inputs.
     """
     count = data[0] if data else 0
     if not 1 <= count <= MAX_NODES or len(data) < 1 + 5 * count:
@@ -140,8 +140,8 @@ def check_program_bytes(data: bytes, variables: int) -> None:
 
 
 Expression: TypeAlias = "int | float | tuple[Expression, ...]"
-"""What is to be built: a node by its index (int), a constant (float), ``(VARIABLE, index)``, or an operator's code with
-its arguments, each an expression itself."""
+"""An expression to be built: a node by its index (int), a constant (float), ``(VARIABLE, index)``, or an operator's
+code with its arguments, each an expression itself."""
 
 
 class ProgramBuilder:
@@ -152,18 +152,18 @@ class ProgramBuilder:
         self._places: dict[Hashable, int] = {}
 
     def add(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
-        """Return the index of a node, which is the earlier one if an equal node (see `key`) was added before."""
+        """Return the index of a node, of an earlier one if it is equal (see `key`)."""
         key = self.key(code, left, right, value)
         if key not in self._places:
             self._places[key] = self.append(code, left, right, value)
         return self._places[key]
 
     def key(self, code: int, left: int, right: int, value: float) -> Hashable:
-        """Return what makes two nodes equal; constants are when all their bits are."""
+        """Return the key by which nodes are equal; constants are equal in all bits."""
         return code, left, right, value.hex()
 
     def append(self, code: int, left: int = 0, right: int = 0, value: float = 0.0) -> int:
-        """Return the index of a new node, which no later one is merged with: constants may then be fitted apart."""
+        """Return the index of a new node that is not merged with equal ones: constants can be fitted separately."""
         self.nodes.append((code, left, right, value))
         return len(self.nodes) - 1
 
@@ -172,11 +172,11 @@ class ProgramBuilder:
         return self.add(CONSTANT, value=value)
 
     def operate(self, code: int, left: int, right: int = 0) -> int:
-        """Return the index of an operator on earlier nodes; `right` is 0 for one of a single argument."""
+        """Return the index of an operator on earlier nodes; `right` is 0 for a unary one."""
         return self.add(code, left, right)
 
     def copy(self, nodes: Iterable[Node], places: Sequence[int] = (), *, merges_constants: bool = True) -> list[int]:
-        """Add nodes of another list behind those that are at `places`; return where all of its nodes are now."""
+        """Append nodes of another list, whose first nodes are at `places`; return the new places of all its nodes."""
         new = list(places)
         for code, left, right, value in nodes:
             if ARITY[code]:
@@ -188,7 +188,7 @@ class ProgramBuilder:
         return new
 
     def build(self, expression: Expression, places: Sequence[int] | None = None) -> int:
-        """Add an expression and return its index; with `places`, the nodes in it are those of another list."""
+        """Add an expression and return its index; with `places`, its node indices refer to another list."""
         if isinstance(expression, int):
             return expression if places is None else places[expression]
         if isinstance(expression, float):
@@ -217,7 +217,7 @@ def live_nodes(nodes: Sequence[Node], output: int) -> list[Node]:
 
 
 def operators_in(expression: Expression) -> Iterator[int]:
-    """Yield the codes of the operators of an expression, leaves left out."""
+    """Yield the codes of the operators of an expression."""
     if isinstance(expression, tuple):
         code, *arguments = expression
         assert isinstance(code, int)

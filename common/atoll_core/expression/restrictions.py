@@ -25,19 +25,19 @@ from atoll_core.expression.writing.expansion import Role, Shape, expand_program,
 from atoll_core.expression.writing.sums_of_products import ONE, UndefinedError
 
 EVERY: Final = "c"
-"""Stands for every constant, unless a variable is called so."""
+"""Means every constant, unless a variable has this name."""
 ALSO_EVERY: Final = "constants"
 INNER: Final = "inner"
-"""Stands for the numbers inside terms."""
+"""Means the numbers inside terms."""
 ALL_EQUATIONS: Final = "*"
-"""Instead of the name of an equation: all of them."""
+"""Means all equations, instead of the name of one."""
 EXAMPLES: Final = "c > 0, 0 < c < 10, |c| < 5, x: x*y < 0 or inner > 0"
 ROUNDING: Final = 1e-9
-"""Share of itself by which a bound may be missed: what writing an equation in another way leaves."""
+"""Relative tolerance of a bound: the rounding errors of rewriting an equation."""
 
 _FIRST: Final = 0.0101
 _STEP: Final = 0.0007
-"""Numbers that are nothing else: no whole ones, halves or phases of an eighth of a turn."""
+"""Numbers without special meaning: no integers, halves or multiples of an eighth of a turn."""
 
 Scope = Literal["every", "inner", "term"]
 _COMPARISON: Final = re.compile(r"<=|>=|<|>")
@@ -45,8 +45,8 @@ _SIZE: Final = re.compile(r"\|(.+)\|")
 
 
 @dataclass(frozen=True)
-class Bound:
-    """One bound: numbers of this `scope` lie between `lower` and `upper`; `shape` is that of the term it is about."""
+class ConstantBound:
+    """One bound: numbers of this `scope` lie between `lower` and `upper`; `shape` is the shape of its term."""
 
     text: str
     scope: Scope
@@ -55,17 +55,17 @@ class Bound:
     shape: Shape = None
 
     def covers(self, shape: Shape, *, is_inner: bool) -> bool:
-        """Tell whether it is about the coefficient of a term of this shape, or about the numbers inside it."""
+        """Tell whether it applies to the coefficient of a term of this shape, or to the numbers inside it."""
         if self.scope == "term":
             return not is_inner and shape == self.shape
         return self.scope == "every" or is_inner
 
 
-def parse_bound(text: str, names: Sequence[str]) -> Bound:
-    """Return the bound that a text such as ``0 < c < 10`` says; `names` are those of the variables.
+def parse_bound(text: str, names: Sequence[str]) -> ConstantBound:
+    """Return the bound of a text such as ``0 < c < 10``; `names` are the names of the variables.
 
     Raises:
-        UsageError: the text is none, its range is empty, or it names a sum or an unknown variable.
+        UsageError: the text is no bound, its range is empty, or it names a sum or an unknown variable.
     """
     parts = [part.strip() for part in _COMPARISON.split(text)]
     signs = _COMPARISON.findall(text)
@@ -91,9 +91,9 @@ def parse_bound(text: str, names: Sequence[str]) -> Bound:
     return _bound(text, subject, lower, upper, names)
 
 
-def _bound(text: str, subject: str, lower: float, upper: float, names: Sequence[str]) -> Bound:
+def _bound(text: str, subject: str, lower: float, upper: float, names: Sequence[str]) -> ConstantBound:
     if subject in (EVERY, ALSO_EVERY, INNER) and subject not in names:
-        return Bound(text, "inner" if subject == INNER else "every", lower, upper)
+        return ConstantBound(text, "inner" if subject == INNER else "every", lower, upper)
     try:
         terms = terms_of(from_infix(subject, names))
     except (UsageError, UndefinedError) as error:
@@ -102,7 +102,7 @@ def _bound(text: str, subject: str, lower: float, upper: float, names: Sequence[
         raise UsageError(f"the bound {text!r} is about {subject!r}, which is no single term; give one such as x*y")
     if terms[0][1] != 1.0:
         raise UsageError(f"the bound {text!r} has a number in its term; write the range instead, as x*y < 2")
-    return Bound(text, "term", lower, upper, shape_of(terms[0][0]))
+    return ConstantBound(text, "term", lower, upper, shape_of(terms[0][0]))
 
 
 def _is_number(text: str) -> bool:
@@ -120,29 +120,29 @@ def _number(text: str, whole: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Governed:
-    """A bound and the numbers of an equation that it is about; it `is_active` where one of them lies on its end."""
+    """A bound and the numbers of an equation to which it applies; `is_active` if one of them lies on an end of it."""
 
-    bound: Bound
+    bound: ConstantBound
     values: tuple[float, ...]
     is_active: bool
 
 
 @dataclass(frozen=True, eq=False)
 class EquationBounds:
-    """All bounds on the constants of one equation. Programs are laid out so that each bound is about one constant."""
+    """All bounds on the constants of one equation. Programs are laid out so that each bound applies to one constant."""
 
-    bounds: tuple[Bound, ...]
+    bounds: tuple[ConstantBound, ...]
 
     def range_of(self, shape: Shape, *, is_inner: bool) -> tuple[float, float]:
-        """Return the least and the largest number that may stand there; the first is the larger one if none may."""
+        """Return the smallest and the largest allowed number; the first is the larger one if none is allowed."""
         covering = [bound for bound in self.bounds if bound.covers(shape, is_inner=is_inner)]
         lower = max((bound.lower for bound in covering), default=-math.inf)
         return lower, min((bound.upper for bound in covering), default=math.inf)
 
     def laid_out(self, program: Program) -> Program | None:
-        """Return `program` with brackets expanded and bounded factors of one as constants; None when it cannot be.
+        """Return `program` with brackets expanded and bounded factors of one as constants; None if impossible.
 
-        One that is laid out already stays as it is, whatever the values of its constants.
+        A program that is laid out already is returned unchanged, for any values of its constants.
         """
         made = program if self._roles_of(program) is not None else self.written(program)
         roles = None if made is None else self._roles_of(made)
@@ -151,7 +151,7 @@ class EquationBounds:
         return made
 
     def written(self, program: Program) -> Program | None:
-        """Return `program` laid out anew, so that signs stand where a reader expects them; None when it cannot be."""
+        """Return `program` laid out again, with signs where a reader expects them; None when that is impossible."""
         expansion = expand_program(program, self.is_written)
         return None if expansion is None else expansion.program
 
@@ -162,7 +162,7 @@ class EquationBounds:
     def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
         """Return the roles of the constants of a program that is laid out, None of any other.
 
-        That is told by its structure alone: one that is expanded to itself when its constants are any small numbers.
+        Only its structure decides: it is expanded to itself when its constants are small numbers without meaning.
         """
         numbers = {place: _FIRST + _STEP * number for number, place in enumerate(constant_places(program))}
         return _roles(self.bounds, with_constants(program, numbers))
@@ -171,7 +171,7 @@ class EquationBounds:
         return self.range_of(role.shape, is_inner=role.is_inner)
 
     def ranges(self, program: Program) -> tuple[FloatArray, FloatArray] | None:
-        """Return the least and largest value (K,) of each constant of a program that was laid out, None for others."""
+        """Return the smallest and largest values (K,) of the constants of a laid-out program, None for others."""
         roles = self._roles_of(program)
         if roles is None:
             return None
@@ -181,7 +181,7 @@ class EquationBounds:
         return lowest, largest
 
     def clipped(self, program: Program) -> Program:
-        """Return a program that was laid out with its constants within their bounds."""
+        """Return a laid-out program with its constants clipped to their bounds."""
         ranges = self.ranges(program)
         if ranges is None:
             return program
@@ -190,7 +190,7 @@ class EquationBounds:
         return replace(program, constants=constants)
 
     def are_kept(self, program: Program) -> bool:
-        """Tell whether all constants of any program, as they stand, are within the bounds."""
+        """Tell whether all constants of a program, in any layout, are within the bounds."""
         try:
             return all(self._holds(shape, value, is_inner=is_inner) for shape, value, is_inner in _numbers_of(program))
         except UndefinedError:
@@ -201,7 +201,7 @@ class EquationBounds:
         return lower - ROUNDING * abs(lower) <= value <= upper + ROUNDING * abs(upper)
 
     def governed(self, program: Program) -> tuple[Governed, ...]:
-        """Return the bounds with the numbers of `program` that each is about."""
+        """Return the bounds with the numbers of `program` to which each applies."""
         try:
             numbers = _numbers_of(program)
         except UndefinedError:
@@ -218,7 +218,7 @@ class EquationBounds:
 
 
 def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
-    """Return the numbers of all terms with the terms' shapes, and whether they are inside; raises UndefinedError."""
+    """Return all numbers with the shape of their term and whether they are inside it; raises UndefinedError."""
     numbers: list[tuple[Shape, float, bool]] = []
     for monomial, coefficient in terms_of(program):
         shape = shape_of(monomial)
@@ -228,8 +228,8 @@ def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
 
 
 @lru_cache(maxsize=8192)
-def _roles(bounds: tuple[Bound, ...], program: Program) -> tuple[Role, ...] | None:
-    """Return the roles of the constants of a program that is expanded to itself, None of any other."""
+def _roles(bounds: tuple[ConstantBound, ...], program: Program) -> tuple[Role, ...] | None:
+    """Return the roles of the constants of a program whose expansion is itself, None of any other."""
     expansion = expand_program(program, EquationBounds(bounds).is_written)
     return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None
 
@@ -237,8 +237,8 @@ def _roles(bounds: tuple[Bound, ...], program: Program) -> tuple[Role, ...] | No
 def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:
     """Return the bounds on the equation of `variable`, None where there are none.
 
-    `texts` are checked, by equation, those on all equations among them. A bound on a term of variables that are not
-    among `names`, which the equation may use, says nothing.
+    `texts` are valid bounds by equation, with bounds on all equations repeated for each. A bound on a term of variables
+    that are not in `names`, which the equation may use, has no effect.
     """
     bounds = []
     for text in texts.get(variable, ()):
@@ -249,30 +249,30 @@ def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Se
 
 @dataclass(frozen=True, eq=False)
 class Restrictions:
-    """`bounds` on the constants of an equation, None without; `required` are indices of variables that it must have."""
+    """`bounds` on the constants of an equation, if any; `required` are indices of variables that it must contain."""
 
     bounds: EquationBounds | None = None
     required: frozenset[int] = frozenset()
 
     @property
     def are_none(self) -> bool:
-        """Whether any program will do."""
+        """Whether every program satisfies them."""
         return self.bounds is None and not self.required
 
     def admitted(self, program: Program) -> Program | None:
-        """Return `program` as it may be fitted, laid out for the bounds; None when it may not."""
+        """Return `program` laid out for fitting within the bounds; None when it is not allowed."""
         if not self.has_required(program):
             return None
         return program if self.bounds is None else self.bounds.laid_out(program)
 
     def are_kept(self, program: Program) -> bool:
-        """Tell whether a program, with its constants as they stand, keeps to everything."""
+        """Tell whether a program with its present constants satisfies all restrictions."""
         return self.has_required(program) and (self.bounds is None or self.bounds.are_kept(program))
 
     def ranges(self, program: Program, fixed: Collection[int] = ()) -> FloatArray:
-        """Return the least and largest values (2, K) of the constants of a program that was admitted.
+        """Return smallest and largest values (2, K) of the constants of an admitted program, infinite without bounds.
 
-        Of those at the nodes `fixed` there are none; without bounds the others are infinite.
+        Constants at the nodes `fixed` are left out.
         """
         places = constant_places(program)
         found = None if self.bounds is None else self.bounds.ranges(program)
@@ -280,7 +280,7 @@ class Restrictions:
         return ranges[:, np.array([place not in fixed for place in places], np.bool_)]
 
     def has_required(self, program: Program) -> bool:
-        """Tell whether all variables that an equation must have are in `program`."""
+        """Tell whether `program` contains all required variables."""
         return self.required <= variables_of(program)
 
 

@@ -1,7 +1,7 @@
-"""Simplify programs without changing a bit of what they compute: dead nodes, constant parts, equal parts.
+"""Simplify programs without changing a bit of their values: unused nodes, constant parts, equal parts.
 
-No algebra in the sense of the real numbers: ``x - x`` stays, for it is no number where x is infinite. What remains is
-the canonical program: nodes in the order in which a reader meets them, left operand first.
+No algebra of real numbers is used: ``x - x`` stays, because it is NaN where x is infinite. The result is the canonical
+program: nodes in reading order, left operand first.
 """
 
 import math
@@ -18,7 +18,7 @@ def _strict(name: str) -> Callable[..., float]:
     """Return the kernels' elementary function of that name."""
 
     def function(*arguments: float) -> float:
-        # Imported here: it loads the compiler, which programs that only print expressions do not need.
+        # Imported here: it loads the compiler, which is not needed to print expressions.
         from atoll_core.expression.kernels import elementary
 
         value: float = getattr(elementary, f"strict_{name}")(*arguments)
@@ -31,15 +31,15 @@ _SIN, _COS, _EXP, _LOG, _TANH, _POW = map(_strict, ("sin", "cos", "exp", "log", 
 _OPERATORS: Final = definitions(
     Functions(_SIN, _COS, _EXP, _LOG, np.sqrt, np.abs, _TANH, _POW, np.sign, lambda x, _: _LOG(x))
 )
-"""The operators as the kernels compute them, for single numbers; derivatives are not needed."""
+"""The operators as the kernels compute them, for single numbers."""
 
 
 def simplify_program(program: Program, *, merges_constants: bool = True) -> Program:
     """Return the canonical program of the same function: equal on every row, bit for bit.
 
-    Nodes on which the output does not depend go; an operator on constants alone becomes its value, if that is finite;
-    equal nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``; equal constants, too, unless
-    they are to be fitted apart. Pure and deterministic.
+    Nodes on which the output does not depend are removed; an operator on constants becomes its value, if finite; equal
+    nodes become one, where ``a + b`` equals ``b + a`` and ``a*a`` equals ``a**2``. With `merges_constants` equal
+    constants become one, too; without it they can be fitted separately. Pure and deterministic.
     """
     builder = _Simplifier(merges_constants)
     output = builder.copy(program.nodes(), merges_constants=merges_constants)[-1]
@@ -78,7 +78,7 @@ class _Simplifier(ProgramBuilder):
 
 
 def _reading_order(nodes: list[Node], output: int) -> list[int]:
-    """Return the live nodes, operands before operators and left before right."""
+    """Return the used nodes, operands before operators and left before right."""
     order: dict[int, None] = {}
     stack = [output]
     while stack:

@@ -1,8 +1,8 @@
-"""Constants of one that nobody writes, made explicit: without them, errors of the others would be too small.
+"""Coefficients of one that are not written, made explicit: without them, standard errors would be too small.
 
-``3*x - x**2`` says that the factor of x**2 is 1 as surely as that of x is 3. Standard errors come from the fit of all
-such factors together, before any of them was made simple: each term of a sum has a factor, and so has a product that is
-not part of a sum. Factors inside functions are not made explicit, nor is one of those that would only scale each other.
+In ``3*x - x**2`` the coefficient 1 of x**2 was estimated from the data just like the 3 of x. Standard errors are
+therefore computed for all coefficients together: each term of a sum has one, and so has a product outside of a sum.
+Factors inside functions stay implicit, and of several factors that only scale each other one stays implicit.
 """
 
 from collections.abc import Collection, Iterator
@@ -20,8 +20,8 @@ ONE: Final = 1.0
 class ExplicitCoefficients:
     """A program with its factors of one as constants.
 
-    `origins` has for each constant of `program`, in node order, its number among those of the program as it was;
-    None for a factor of one. `terms` has for each of these, in the same order, what it is a factor of.
+    `origins` has for each constant of `program`, in node order, its number among the constants of the original program;
+    None for a new factor of one. `terms` has the terms of these new factors, in the same order.
     """
 
     program: Program
@@ -30,14 +30,14 @@ class ExplicitCoefficients:
 
 
 def make_coefficients_explicit(program: Program) -> ExplicitCoefficients:
-    """Return `program` with its factors of one as constants; the same function."""
-    draft = _Draft(program.nodes())
+    """Return `program` with its factors of one as constants; it has the same values."""
+    draft = _CoefficientDraft(program.nodes())
     output = draft.rewrite(len(program) - 1, has_factor=False)
     return draft.finished(output)
 
 
 def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Collection[int]) -> Program:
-    """Return the program as it was, with the factors of the `chosen` terms written out; the other factors are one.
+    """Return the original program with the factors of the `chosen` terms written out; the other factors are one.
 
     `fitted` is the program of `explicit` with other values of constants.
     """
@@ -48,12 +48,12 @@ def write_factors(explicit: ExplicitCoefficients, fitted: Program, chosen: Colle
 
 
 def as_written(program: Program) -> ExplicitCoefficients:
-    """Return `program` without any made explicit."""
+    """Return `program` without new factors."""
     return ExplicitCoefficients(program, tuple(range(len(constant_places(program)))), ())
 
 
-class _Draft:
-    """A program under construction: nodes of the old one copied where they are needed, each constant once."""
+class _CoefficientDraft:
+    """A program under construction: nodes of the original are copied where they are needed, each constant once."""
 
     def __init__(self, old: list[Node]) -> None:
         self._old = old
@@ -88,7 +88,7 @@ class _Draft:
         return ExplicitCoefficients(program, tuple(self._origins[place] for place in places), tuple(terms))
 
     def _sum(self, index: int, spared: int | None) -> int:
-        """Open a sum; a term that is `spared` keeps its factor of one, since another constant scales the whole."""
+        """Add factors in a sum; the term `spared` stays implicit, since another constant scales the whole sum."""
         code, left, right, _ = self._old[index]
         if code in (op.ADD, op.SUBTRACT):
             return self._new.append(code, self._sum(left, spared), self._sum(right, spared))
@@ -104,7 +104,7 @@ class _Draft:
             yield index
 
     def _product(self, index: int, *, has_factor: bool) -> int:
-        """Open a product: its constant takes the factor if it has one, else a sum in it, else the whole gets one."""
+        """Add a factor to a product: its constant if it has one, else factors of a sum in it, else one of the whole."""
         _, left, right, _ = self._old[index]
         if has_factor or self._holds_factor(index):
             return self._new.append(op.MULTIPLY, self._scaled(left), self._scaled(right))
@@ -114,7 +114,7 @@ class _Draft:
         return self._new.append(op.MULTIPLY, self.rewrite(first, has_factor=False), self._scaled(second))
 
     def _scaled(self, index: int) -> int:
-        """Return the new place of a node that is scaled already."""
+        """Return the new place of a node that has a factor already."""
         return self.rewrite(index, has_factor=True)
 
     def _holds_factor(self, index: int) -> bool:
@@ -127,7 +127,7 @@ class _Draft:
         return self._holds_factor(left) if code == op.NEGATE else code == op.CONSTANT
 
     def _scales(self, index: int) -> bool:
-        """Tell whether constants scale a divisor: all its terms, which together stand for a factor above the line."""
+        """Tell whether constants scale a divisor: all of its terms, which together act as a factor of the numerator."""
         code, left, right, _ = self._old[index]
         if code in (op.ADD, op.SUBTRACT):
             return self._scales(left) and self._scales(right)
@@ -136,7 +136,7 @@ class _Draft:
         return self._scales(left) if code in (op.NEGATE, op.SQUARE) else code == op.CONSTANT
 
     def _holds_sum(self, index: int) -> bool:
-        """Tell whether a product or quotient has a sum above its line."""
+        """Tell whether a product or the numerator of a quotient contains a sum."""
         code, left, right, _ = self._old[index]
         if code == op.MULTIPLY:
             return self._holds_sum(left) or self._holds_sum(right)

@@ -1,12 +1,12 @@
-"""The slices of an epoch, the order in which they count, and where a hit cuts them off. Pure.
+"""The slices of an epoch, the order in which they count, and the end of a search after a hit. Pure.
 
-A *slice* is what an island computes from one look at its front to the next: `stride` generations, fewer at an epoch's
-end. Only at the end of a slice can the target be met. Slices count in an order of their own, in whatever order they are
-computed: the search of an archipelago ends with the first slice that met the target, and what comes after that slice is
-uncounted. So the end depends on the islands alone, never on who computed them when.
+A *slice* is `stride` generations of an island between two updates of its front, fewer at an epoch's end. An island can
+reach the target only at the end of a slice. The search of an archipelago ends with the first slice in the commit order
+that reached the target; later slices do not count. Since the commit order does not depend on the order of computing,
+the end depends on the islands alone, never on which worker computed them when.
 
-The order is (epoch, generation, island), but for epoch 0: there the islands begin in groups, and a group counts after
-all of the one before it. What the first islands find early, the others need not even begin to look for.
+The commit order is (epoch, generation, island), except in epoch 0: there the islands begin in groups, and a group
+counts after all of the group before it, so that an early hit of the first islands spares the others.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Position:
 
 
 class CommitOrder(Frozen):
-    """How the slices of an archipelago follow each other.
+    """The order of the slices of an archipelago.
 
     An epoch has `generations`, a slice `stride` of them; in epoch 0 islands begin in groups of `joining`.
     """
@@ -39,18 +39,18 @@ class CommitOrder(Frozen):
     joining: Positive
 
     def rank(self, at: Position) -> tuple[int, int, int, int]:
-        """Return by what slices are ordered: the smaller counts first."""
+        """Return the sort key of slices: the smaller one counts first."""
         return (at.epoch, self._group(at.epoch, at.island), at.generation, at.island)
 
     def needed(self, hit: Position, island: int) -> int:
-        """Return up to which generation of the epoch of `hit` an island counts when the search ends there; 0: not."""
+        """Return the last generation of an island that counts in the epoch of the final `hit`; 0: none."""
         group, hits = self._group(hit.epoch, island), self._group(hit.epoch, hit.island)
         if group != hits:
             return self.generations if group < hits else 0
         return hit.generation if island <= hit.island else (hit.generation - 1) // self.stride * self.stride
 
     def ends(self, generations: int) -> tuple[int, ...]:
-        """Return the ends of all slices of an epoch that are over after `generations` of it."""
+        """Return the ends of all slices of an epoch that end within its first `generations`."""
         ends = tuple(range(self.stride, generations + 1, self.stride))
         is_cut_short = generations == self.generations and generations % self.stride > 0
         return (*ends, generations) if is_cut_short else ends

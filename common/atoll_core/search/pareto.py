@@ -1,9 +1,9 @@
-"""Fronts of error against complexity and what comes next to them: total order, dominance, merging (docs/protocol.md).
+"""Fronts of error against complexity, and their runners-up: total order, dominance, merging (docs/protocol.md).
 
-With noise the truth is often not the best of its complexity but one of the next. Hence *runners-up* are kept beside a
-front: the next best of each complexity, distinct in function. Whether two equations are one function is told from what
-was measured: two errors on all rows, each to four digits, seldom agree by chance, and then one of two equally good ones
-is lost. Comparisons of numbers alone, so the same on every machine.
+With noise the true equation is often not the best one of its complexity but among the next ones. Therefore *runners-up*
+are kept in addition to a front: the next best entries of each complexity, distinct in function. Two entries count as
+one function when both of their errors on all rows agree to four digits. That seldom happens by chance, and then only
+one of two equally good equations is lost. Only numbers are compared, so that results are equal on every machine.
 """
 
 import math
@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 AGREEMENT: Final = 1e-4
-"""Equations of which both errors differ by no more than this share of the smaller one count as the same function."""
-
+"""Equations count as the same function when both errors differ by at most this share of the smaller one."""
 
 Key = tuple[int, float, int, int, int, bytes]
 
@@ -51,11 +50,10 @@ def merge(front: Iterable[FrontEntry], additions: Iterable[FrontEntry]) -> tuple
 
 
 def runners_up(front: Iterable[FrontEntry], candidates: Iterable[FrontEntry], most: int) -> tuple[FrontEntry, ...]:
-    """Return the `most` next best of each complexity that are none of `front` in function, in the total order.
+    """Return the `most` next best entries of each complexity that differ in function from `front`, in the total order.
 
-    Equations of one structure count once however their constants were fitted, and so do those whose errors agree;
-    what is earlier in the total order stays: the simpler one, then the better one. Pure; independent of the order of
-    `candidates`, which may hold members of the front.
+    Of equations with one structure, or with equal errors, only the first in the total order stays: the simpler one,
+    then the better one. Pure; independent of the order of `candidates`, which may hold members of the front.
     """
     members = {entry.key for entry in front}
     entries = {entry.key: entry for entry in (*front, *candidates)} if most > 0 else {}
@@ -80,7 +78,7 @@ def _next_best(ordered: Iterable[FrontEntry], members: set[Key], most: int) -> I
 
 
 def _is_new(entry: FrontEntry, structures: set[bytes], errors: list[tuple[float, float]]) -> bool:
-    """Return whether an entry has finite errors and is no function that is there already."""
+    """Tell whether an entry has finite errors and is a new function."""
     if not math.isfinite(entry.error) or structure_of(entry.program) in structures:
         return False
     low, high = entry.error * (1.0 - AGREEMENT), entry.error * (1.0 + AGREEMENT)

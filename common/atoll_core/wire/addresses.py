@@ -14,7 +14,6 @@ import socket
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -26,20 +25,25 @@ from atoll_core.wire.security.credentials import Credentials, check_welcome, spe
 _PROTOCOLS: Final = ("tcp", "tls", "quic")
 _SOCKET: Final = "unixsock-stream"
 _LONGEST_PATH: Final = 103
-"""Bytes of a socket's path, which fit everywhere (macOS has 104 with the zero at their end, Linux 108)."""
+"""Bytes of a socket's path that fit on every system (macOS has 104 with the final zero, Linux 108)."""
 _NOT_IN_PATHS: Final = "?#\0\n"
-"""What ends the path of an address, for zenoh."""
+"""Characters that end the path of an address for zenoh."""
 _ENCRYPTED: Final = ("tls", "quic")
 _PROBE_LIMIT_S: Final = 2.0
 _BETWEEN: Final = re.compile(rf",(?=\s*(?:{'|'.join((*_PROTOCOLS, _SOCKET))})/)")
-"""What stands between two addresses; the path of a socket may have commas."""
+"""The comma between two addresses; the path of a socket may contain commas."""
+
+MOST_BYTES: Final = 64 * 1024
+"""Bytes of a connect file that are read."""
+_PAUSE_S: Final = 0.2
+_PROBE_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
     """Where a router listens. Port 0 stands for any free port.
 
-    Of a socket of this machine, whose users are those who may use its folder, `host` is the path and `port` 0.
+    For a Unix socket, which is open to the users of its folder, `host` is the path and `port` is 0.
     """
 
     protocol: str
@@ -48,7 +52,7 @@ class Address:
 
     @property
     def is_socket(self) -> bool:
-        """Whether it is a socket of this machine, not one of a network."""
+        """Whether it is a Unix socket of this machine, not a network address."""
         return self.protocol == _SOCKET
 
     def __str__(self) -> str:
@@ -62,12 +66,18 @@ class Address:
         """Whether the bus can dial it: it checks certificates by name or IPv4 address, never by IPv6 address."""
         return self.protocol not in _ENCRYPTED or ":" not in self.host
 
+    @property
+    def encrypted(self) -> str:
+        """How to write this address with TLS."""
+        written = Address("tls", self.host, self.port)
+        return str(written) if written.is_dialable else f"tls/NAME:{self.port} with a NAME of its certificate"
+
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """An address, and what we show there. Its text is the address alone.
+    """An address, and the credentials to use there. Its text is the address alone.
 
-    `others` are further addresses of the same service, tried in turn: of a coordinator on standby, of a second router.
+    `others` are further addresses of the same service, tried in turn: of a standby coordinator, of a second router.
     """
 
     address: Address
@@ -84,19 +94,26 @@ class Destination:
 
 
 def destination(text: str, credentials: Credentials | None = None, *, listens: bool = False) -> Destination:
-    """Return the addresses that `text` names, separated by commas, with the credentials to be shown there.
+    """Return the addresses that `text` names, separated by commas, with the credentials to use there.
 
     Raises:
-        UsageError: one is no address, or it is an encrypted one without credentials, or the other way round; or it
-            cannot be dialled, unless somebody `listens` there.
+        UsageError: a part is no address, an encrypted address comes without credentials or an unencrypted one with
+            them, or an address cannot be dialled although this program does not listen there (`listens`).
     """
     addresses = addresses_in(text)
     for address in addresses:
-        _check_protection(address, credentials)
+        if credentials is None and address.protocol in _ENCRYPTED:
+            names = ", ".join(f"{option} ({variable})" for option, (variable, _) in TLS_OPTIONS.items())
+            raise UsageError(f"{address} needs certificates; give {names}")
+        if credentials is not None and address.protocol not in _ENCRYPTED:
+            raise UsageError(
+                f"{address} is not encrypted, but TLS files were given; write {address.encrypted}, or leave out "
+                "--tls-... and ATOLL_TLS_..."
+            )
         if not listens and not address.is_dialable:
             raise UsageError(
                 f"{address} cannot be dialled: with certificates, a name or an IPv4 address was expected; write "
-                f"{_encrypted(address)}"
+                f"{address.encrypted}"
             )
     return Destination(addresses[0], credentials, addresses[1:])
 
@@ -104,24 +121,6 @@ def destination(text: str, credentials: Credentials | None = None, *, listens: b
 def addresses_in(text: str) -> tuple[Address, ...]:
     """Return the addresses that `text` names, separated by commas; raises UsageError."""
     return tuple(dict.fromkeys(parse_address(part) for part in _BETWEEN.split(text)))
-
-
-def _check_protection(address: Address, credentials: Credentials | None) -> None:
-    """Raise UsageError unless there are credentials for an encrypted address, and for no other."""
-    if credentials is None and address.protocol in _ENCRYPTED:
-        names = ", ".join(f"{option} ({variable})" for option, (variable, _) in TLS_OPTIONS.items())
-        raise UsageError(f"{address} needs certificates; give {names}")
-    if credentials is not None and address.protocol not in _ENCRYPTED:
-        raise UsageError(
-            f"{address} is not encrypted, but TLS files were given; write {_encrypted(address)}, or leave out "
-            "--tls-... and ATOLL_TLS_..."
-        )
-
-
-def _encrypted(address: Address) -> str:
-    """Return how to write an address that is to be encrypted."""
-    written = Address("tls", address.host, address.port)
-    return str(written) if written.is_dialable else f"tls/NAME:{address.port} with a NAME of its certificate"
 
 
 def parse_address(text: str) -> Address:
@@ -157,7 +156,7 @@ def own_address() -> Iterator[Address]:
                 folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="atoll-", dir="/tmp"))
         except OSError as error:
             raise UsageError(
-                f"no folder for what is temporary can be made ({error.strerror}); name another with TMPDIR"
+                f"no temporary folder can be made ({error.strerror}); name another place with TMPDIR"
             ) from error
         yield Address(_SOCKET, f"{folder}/bus", 0)
 
@@ -166,8 +165,7 @@ def bindable(address: Address) -> Address:
     """Return `address` with port 0 replaced by a free one, after checking that a router could listen there.
 
     Raises:
-        UsageError: the port may not be used; NotNowError where it is in use, or the host is not one of this machine's,
-            or not yet.
+        UsageError: the port may not be used; NotNowError where it is in use, or the host is not (yet) this machine.
     """
     if address.is_socket:
         return _bindable_socket(address)
@@ -184,8 +182,20 @@ def bindable(address: Address) -> Address:
         raise (NotNowError if passes else UsageError)(_cannot_listen(address, error)) from error
 
 
+def _cannot_listen(address: Address, error: OSError) -> str:
+    if isinstance(error, socket.gaierror):
+        reason = f"the host {address.host!r} is not known; try tcp/0.0.0.0:{address.port}"
+    elif error.errno == errno.EADDRINUSE:
+        reason = "the port is in use (is another coordinator running?); choose another with --listen"
+    elif error.errno == errno.EADDRNOTAVAIL:
+        reason = f"the host is not this machine; try tcp/0.0.0.0:{address.port}"
+    else:
+        reason = f"{(error.strerror or str(error)).lower()}; choose another with --listen"
+    return f"cannot listen on {address}: {reason}"
+
+
 def _bindable_socket(address: Address) -> Address:
-    address = parse_address(f"{_SOCKET}/{Path(address.host).absolute()}")  # as others may dial it, wherever they are
+    address = parse_address(f"{_SOCKET}/{Path(address.host).absolute()}")  # others dial it from other folders
     folder = Path(address.host).parent
     if not os.access(folder, os.W_OK | os.X_OK):
         raise UsageError(f"cannot listen on {address}: the folder {folder} is not there or cannot be written")
@@ -203,7 +213,7 @@ def resolved(host: str) -> str | None:
 
 
 def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | None:
-    """Return why nothing can be reached at `address` right now, or None when something accepts connections there."""
+    """Return why `address` cannot be reached right now, or None when something accepts connections there."""
     if address.protocol == "quic":
         return None
     try:
@@ -223,12 +233,12 @@ def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | 
 
 
 def check_certificates(address: Address, credentials: Credentials | None, listen_s: float) -> str | None:
-    """Return what is wrong with TLS at `address`, beyond certificates; None when nothing is, or that cannot be told.
+    """Return a problem with TLS at `address` other than certificates; None without one, or where it cannot be known.
 
-    For `listen_s` seconds it is listened for what the other side thinks of our certificate.
+    Waits up to `listen_s` seconds for the other side to refuse our certificate.
 
     Raises:
-        RefusedError: certificates do not fit, or are asked for and not given.
+        RefusedError: certificates do not fit, or are required and not given.
     """
     if address.protocol == "quic" or address.is_socket:
         return None
@@ -236,33 +246,18 @@ def check_certificates(address: Address, credentials: Credentials | None, listen
         if credentials is not None:
             return check_welcome(address.host, address.port, credentials, listen_s)
         if speaks_tls(address.host, address.port):
-            raise RefusedError(f"it asks for TLS; write {_encrypted(address)} and give {', '.join(TLS_OPTIONS)}")
+            raise RefusedError(f"it asks for TLS; write {address.encrypted} and give {', '.join(TLS_OPTIONS)}")
     except RefusedError as error:
         raise RefusedError(f"no connection to the coordinator at {address}: {error}") from error
     return None
 
 
-def _cannot_listen(address: Address, error: OSError) -> str:
-    if isinstance(error, socket.gaierror):
-        return f"cannot listen on {address}: the host {address.host!r} is not known; try tcp/0.0.0.0:{address.port}"
-    if error.errno == errno.EADDRINUSE:
-        return (
-            f"cannot listen on {address}: the port is in use (is another coordinator running?); "
-            "choose another with --listen"
-        )
-    if error.errno == errno.EADDRNOTAVAIL:
-        return f"cannot listen on {address}: the host is not this machine; try tcp/0.0.0.0:{address.port}"
-    return f"cannot listen on {address}: {(error.strerror or str(error)).lower()}; choose another with --listen"
+# -------------------------------------------------------------------------------------------------- connect files
 
 
-MOST_BYTES: Final = 64 * 1024
-_PAUSE_S: Final = 0.2
-_PROBE_S: Final = 1.0
-
-
-@contextmanager
+@contextlib.contextmanager
 def announced(path: Path | None, addresses: Sequence[str]) -> Iterator[None]:
-    """Keep `addresses` in the file at `path` while the block lasts; without effect when it is None.
+    """Keep `addresses` in the connect file at `path` while the block lasts; without effect when `path` is None.
 
     Raises:
         UsageError: the file cannot be written; NotNowError where that may pass.
@@ -274,7 +269,7 @@ def announced(path: Path | None, addresses: Sequence[str]) -> Iterator[None]:
     draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         draft.write_text(text, "utf-8")
-        draft.replace(path)  # whole or not at all: who reads it meanwhile finds the old one, or none
+        draft.replace(path)  # atomically: readers find the old file, none, or all of the new one
     except OSError as error:
         raise (NotNowError if may_pass(error) else UsageError)(
             f"the addresses cannot be written to {path} ({error.strerror}); name another file with --connect-file"
@@ -282,18 +277,18 @@ def announced(path: Path | None, addresses: Sequence[str]) -> Iterator[None]:
     try:
         yield
     finally:
-        with contextlib.suppress(OSError):  # another coordinator may have left its own there meanwhile
+        with contextlib.suppress(OSError):  # another coordinator may have written its own file meanwhile
             if path.read_text("utf-8") == text:
                 path.unlink()
 
 
 def address_in(path: Path, wait_s: float) -> str:
-    """Return the first address in the file at `path` where connections are accepted, waiting up to `wait_s` seconds.
+    """Return the first address in the connect file at `path` that accepts connections, waiting up to `wait_s` seconds.
 
-    The file may come, or be replaced, while it is waited for.
+    The file may appear or be replaced during the wait.
 
     Raises:
-        UnreachableError: there was none in time.
+        UnreachableError: no address accepted connections in time.
         UsageError: the file holds something else than addresses.
     """
     end = time.monotonic() + wait_s
@@ -310,7 +305,7 @@ def address_in(path: Path, wait_s: float) -> str:
 
 
 def _reachable(path: Path) -> tuple[str | None, str]:
-    """Return the first address that can be reached now, or None and why not."""
+    """Return the first address that can be reached now, or None and the reason."""
     try:
         with path.open("rb") as file:
             text = file.read(MOST_BYTES).decode("utf-8")

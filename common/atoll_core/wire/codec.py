@@ -1,9 +1,9 @@
 """Bytes on the wire and in the store: msgpack for messages, a small header and raw columns for arrays.
 
-The only module that knows msgpack. What comes from a peer is not trusted: its structure is walked once before anything
-is allocated for it (size, lengths that fit the bytes there are), what is built is counted while it is built, then the
-model decides, which looks no further than the first wrong item of a sequence. Whatever is wrong, the caller meets a
-RemoteProtocolError with one sentence. Nothing that travels is code, and nothing is compressed.
+The only module that imports msgpack. Bytes from a peer are not trusted. Their structure is walked once before anything
+is allocated (size, lengths that fit the available bytes), items are counted while they are built, and then the model
+checks them; it stops at the first wrong item of a sequence. All failures raise a RemoteProtocolError with one sentence.
+No executable code (pickle) is ever sent, and nothing is compressed.
 """
 
 import math
@@ -25,10 +25,10 @@ _Size = Annotated[float, Field(ge=0.0)]
 
 MAX_NESTING: Final = 32
 MAX_ITEMS: Final = 2_000_000
-"""Most items in a message, keys and values each counted: eight bytes an item in the largest message there is."""
+"""Most items in a message, keys and values each counted: eight bytes an item in the largest message."""
 
 MAX_MAP: Final = 4096
-"""Most entries of a map: no model has so many fields, no job so many variables."""
+"""Most entries of a map: no model has so many fields, and no job so many variables."""
 
 MAX_ARRAYS_BYTES: Final = 2**31
 MAX_DIMENSIONS: Final = 4
@@ -46,14 +46,14 @@ BROKEN: Final = (
     MemoryError,
     msgpack.exceptions.UnpackException,
 )
-"""What taking apart foreign bytes, or what was built of them, may raise."""
+"""Errors that reading foreign bytes, or using the values in them, may raise."""
 
 
 def encode(model: Frozen) -> bytes:
     """Return the msgpack bytes of a message. Keys of maps must be text.
 
     Raises:
-        LocalProtocolError: the message holds something that cannot travel.
+        LocalProtocolError: the message holds a value that cannot be encoded.
     """
     return pack(model.model_dump(warnings="none"))
 
@@ -77,7 +77,7 @@ def encode_arrays(header: Mapping[str, object], arrays: Mapping[str, AnyArray]) 
     The same header and arrays give the same bytes on every machine (little endian, C order).
 
     Raises:
-        LocalProtocolError: an array is not of a type in `DTYPES`, or the header cannot travel.
+        LocalProtocolError: an array is not of a type in `DTYPES`, or the header cannot be encoded.
     """
     plain: dict[str, AnyArray] = {}
     for name, array in arrays.items():
@@ -178,7 +178,7 @@ def dataset_from_bytes(data: bytes) -> Dataset:
 
 
 def pack(tree: object) -> bytes:
-    """Return the msgpack bytes of plain values; raises LocalProtocolError where something cannot travel."""
+    """Return the msgpack bytes of plain values; raises LocalProtocolError where one cannot be encoded."""
     try:
         _check_tree(tree)
         return cast(bytes, msgpack.packb(tree, default=_plain))
@@ -193,7 +193,7 @@ def _plain(value: object) -> object:
 
 
 def unpack(data: bytes, max_bytes: int) -> object:
-    """Return the plain values in msgpack bytes; raises RemoteProtocolError where these are none, or too much."""
+    """Return the plain values in msgpack bytes; raises RemoteProtocolError for other bytes, or too many."""
     if len(data) > max_bytes:
         raise RemoteProtocolError(f"a message has {len(data)} bytes, more than the {max_bytes} allowed")
     try:
@@ -206,9 +206,9 @@ def unpack(data: bytes, max_bytes: int) -> object:
 
 
 def _built(data: bytes) -> object:
-    """Return what well-formed msgpack bytes hold; raises ValueError as soon as it is too much.
+    """Return the contents of well-formed msgpack bytes; raises ValueError as soon as they are too many.
 
-    A container costs up to ninety times the one byte that it takes in a message.
+    A container takes up to ninety times the memory of its one byte in a message.
     """
     left = MAX_ITEMS
 
@@ -228,8 +228,8 @@ def _built(data: bytes) -> object:
 def _walk(data: bytes) -> None:
     """Check the structure of msgpack bytes without building it: one item, which ends where the bytes end.
 
-    Every item takes at least one byte, so an announced length beyond the bytes that are left is a lie; this bounds the
-    memory that unpacking takes by a small multiple of `len(data)`.
+    Every item takes at least one byte, so that an announced length beyond the remaining bytes is false; this bounds the
+    memory of unpacking by a small multiple of `len(data)`.
     """
     unpacker = msgpack.Unpacker(max_buffer_size=max(1, len(data)))
     unpacker.feed(data)
@@ -246,9 +246,9 @@ def _walk(data: bytes) -> None:
 
 
 def _check_tree(tree: object) -> None:
-    """Check that what is in a message is plain, has text as keys, and is nested no deeper than `MAX_NESTING` levels.
+    """Check that a message has plain values, text as keys, and at most `MAX_NESTING` levels.
 
-    Level by level, since one look at all of a level is much faster than one at each of its containers.
+    It goes level by level, which is much faster than container by container.
     """
     level: list[Any] = [[tree]]
     for _ in range(MAX_NESTING + 1):

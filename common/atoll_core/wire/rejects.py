@@ -1,4 +1,4 @@
-"""What peers sent that was malformed, oversized or foreign: counted, logged once per kind and sender, dropped."""
+"""Malformed, oversized or foreign messages of peers: counted, logged once per kind and sender, dropped."""
 
 import logging
 from typing import Final
@@ -7,13 +7,13 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.logs import fields
 
 MAX_SOURCES: Final = 1000
-"""Sources told apart at most; further ones are counted together and not logged, so that a flood cannot fill memory."""
+"""Most sources that are counted apart; further ones are counted together and not logged, which bounds memory."""
 
 OTHERS: Final = "elsewhere"
 
 
 class Rejects:
-    """A counter per source: the key a message came on, which names both its kind and its sender."""
+    """A counter per source: the key of a message, which names its kind and its sender."""
 
     def __init__(self, logger: logging.Logger) -> None:
         self.counts: dict[str, int] = {}
@@ -21,7 +21,7 @@ class Rejects:
 
     @property
     def total(self) -> int:
-        """How many messages were dropped."""
+        """Number of dropped messages."""
         return sum(self.counts.values())
 
     def count(self, source: str, error: RemoteProtocolError) -> None:

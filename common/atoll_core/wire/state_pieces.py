@@ -1,6 +1,6 @@
-"""States of islands on their way, in pieces that fit into messages: cut by whoever answers, put together by who asked.
+"""States of islands in pieces that fit into messages: split by the answering side, assembled by the asking side.
 
-Pure. A state counts only when all its bytes are there and have the digest they were announced with.
+Pure. A state counts only when all its bytes have arrived and have the announced digest.
 """
 
 import hashlib
@@ -12,31 +12,31 @@ from atoll_core.wire.messages.epochs import Piece
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 
 
-class State(NamedTuple):
+class IslandState(NamedTuple):
     """The bytes of an island's state, and their SHA-256 in hex."""
 
     data: bytes
     digest: str
 
     @classmethod
-    def of(cls, data: bytes) -> "State":
-        """Return the state that these bytes are."""
+    def of(cls, data: bytes) -> "IslandState":
+        """Return the state with these bytes."""
         return cls(data, hashlib.sha256(data).hexdigest())
 
     @property
     def is_whole(self) -> bool:
-        """Whether these are bytes, and have that digest."""
+        """Whether the bytes have the digest."""
         return isinstance(self.data, bytes) and hashlib.sha256(self.data).hexdigest() == self.digest
 
 
 def split_states(
-    islands: Sequence[int], offset: int, load: Callable[[int], State], room: int = CHUNK_SIZE
+    islands: Sequence[int], offset: int, load: Callable[[int], IslandState], room: int = CHUNK_SIZE
 ) -> tuple[Piece, ...]:
     """Return pieces of states in the order of `islands`, the first one from `offset` on, `room` bytes at most.
 
     Raises:
         RemoteProtocolError: `offset` lies beyond the first state.
-        Whatever `load` raises for an island.
+        Errors of `load`.
     """
     pieces: list[Piece] = []
     for island in islands:
@@ -52,39 +52,39 @@ def split_states(
 
 
 class Assembly:
-    """The states of some islands, as far as their pieces have come."""
+    """The states of some islands, as far as their pieces have arrived."""
 
     def __init__(self, islands: Iterable[int]) -> None:
-        self.states: Final[dict[int, State]] = {}
+        self.states: Final[dict[int, IslandState]] = {}
         self._missing = list(islands)
         self._begun = b""
         self._whole_bytes = 0
 
     @property
     def is_complete(self) -> bool:
-        """Whether all states are here."""
+        """Whether all states have arrived."""
         return not self._missing
 
     @property
     def size(self) -> int:
-        """Bytes that are here."""
+        """Bytes that have arrived."""
         return self._whole_bytes + len(self._begun)
 
     @property
     def wanted(self) -> tuple[int, ...]:
-        """The islands whose states are not here yet, in order."""
+        """The islands whose states are still missing, in order."""
         return tuple(self._missing)
 
     @property
     def offset(self) -> int:
-        """How much is here of the first of those."""
+        """Bytes that have arrived of the first missing state."""
         return len(self._begun)
 
     def take(self, pieces: Iterable[Piece]) -> list[int]:
-        """Take in what follows on that which is here, and leave the rest; return the islands that are whole by it.
+        """Append the pieces that come next and ignore others; return the islands whose states are complete now.
 
         Raises:
-            RemoteProtocolError: A state has not the size or the digest it was announced with; it begins anew.
+            RemoteProtocolError: A state does not have its announced size or digest; it is received again.
         """
         whole = []
         for piece in pieces:
@@ -94,7 +94,7 @@ class Assembly:
             if len(self._begun) < piece.size and piece.data:
                 continue
             data, self._begun = self._begun, b""
-            state = State.of(data)
+            state = IslandState.of(data)
             if len(data) != piece.size or state.digest != piece.digest:
                 raise RemoteProtocolError(f"the state of island {piece.island} was damaged on its way")
             self.states[piece.island] = state

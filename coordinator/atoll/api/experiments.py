@@ -1,7 +1,6 @@
 """What `atoll.Model` asks of fits: identifiability of constants, and the next experiment."""
 
-from atoll.api.tables import table_of
-from atoll.api.wording import python_words
+from atoll.api.tables import python_words, table_of
 from atoll.experiments.comparison import Comparison, compare
 from atoll.experiments.designs import DesignRequest
 from atoll.experiments.fits import config_of

@@ -14,7 +14,7 @@ import threading
 from pathlib import Path
 from typing import Final
 
-from atoll.client.local_coordinator import LocalCoordinator, local_processes
+from atoll.client.local_processes import LocalCoordinator, local_processes
 from atoll_core.errors import AtollError
 from atoll_core.logs import configure
 from atoll_core.signals import INTERRUPTED, reap_children

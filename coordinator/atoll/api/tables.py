@@ -4,9 +4,10 @@ All but files become the cells of a `RawTable`, which are read as those of files
 commas, dates, names of trajectories, long tables, and for what is left out.
 """
 
+import contextlib
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Protocol, TypeGuard
@@ -25,7 +26,39 @@ from atoll_core.config import DataConfig
 from atoll_core.data.dataset import AnyArray, FloatArray
 from atoll_core.data.frames import plain_array
 from atoll_core.data.table import Table
-from atoll_core.errors import DataError
+from atoll_core.errors import AtollError, DataError, Field
+
+_TLS: Final = re.compile(r"--tls-(ca|cert|key)(?: \(ATOLL_TLS_\w+\))?")
+_WITH_NUMBER: Final = re.compile(r"--([a-z][a-z-]*)[ =](\d+)\b")
+_COLUMN_OPTIONS: Final = "angle|group|hold|inputs|missing|states|target|time|trajectory|weights"
+_WITH_COLUMN: Final = re.compile(rf"--({_COLUMN_OPTIONS}) (COLUMN\b|\w+(?:,\w+)*(?=[;,.)]|$| keeps))")
+_QUOTED: Final = re.compile(rf"--({_COLUMN_OPTIONS}) '([^']+)'")
+_OPTION: Final = re.compile(r"--([a-z][a-z-]*)")
+
+
+def in_python(sentence: str) -> str:
+    """Return a sentence with keyword arguments in the place of options: ``--max-size`` is max_size."""
+    sentence = sentence.replace("--tls-...", "tls").replace("--missing drop", "missing='drop'")
+    sentence = _TLS.sub(r"tls['\1']", sentence)
+    sentence = _WITH_NUMBER.sub(lambda match: Field(match[1].replace("-", "_"), int(match[2])).in_python, sentence)
+    for pattern in (_QUOTED, _WITH_COLUMN):
+        sentence = pattern.sub(lambda match: Field(match[1], match[2]).in_python, sentence)
+    return _OPTION.sub(lambda match: match[1].replace("-", "_"), sentence)
+
+
+@contextlib.contextmanager
+def python_words() -> Iterator[None]:
+    """Raise the errors of a block in the words of Python."""
+    try:
+        yield
+    except AtollError as error:
+        sentence = in_python(str(error))
+        if sentence == str(error):
+            raise
+        reworded = type(error)(sentence)
+        reworded.on_command_line = error.on_command_line
+        raise reworded from error
+
 
 _UNNAMED: Final = re.compile(r"Unnamed: \d+")
 """What pandas calls a column without a name."""

@@ -34,20 +34,20 @@ from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import WorkerView
 
 DRAIN_S: Final = 60
-"""How long before its time limit a job is told to end, and up to a minute sooner, as Slurm says: handing over takes
-half a minute at most (`island-worker --grace`)."""
+"""How long before its time limit a job is told to end (Slurm may do so a minute sooner): handing over islands
+takes half a minute at most (`island-worker --grace`)."""
 
 Pairs = list[tuple[str, str]]
-"""Ids of jobs, with what the system says of their state."""
+"""Ids of jobs, with their states in the words of the system."""
 
 
 class BatchError(AtollError):
-    """Raised when a program of a batch system fails or does not end; it may be different the next time."""
+    """Raised when a program of a batch system fails or does not end; the next call may succeed."""
 
 
 @dataclass(frozen=True)
 class Listing:
-    """A command that lists jobs, and how its output is read; `state` is that of all of them, None: as it says."""
+    """A command that lists jobs, and how its output is read; `state` of all of them, None: in the output."""
 
     words: tuple[str, ...]
     state: BatchState | None = None
@@ -95,7 +95,7 @@ _NUMBER: Final = re.compile(r"(\d+)")
 
 
 def _grid_engine(text: str, name: str) -> Pairs:
-    """Read ``qstat -xml`` of Grid Engine, whose tables cut names off; its states are letters: qw, r, dr, Eqw."""
+    """Read ``qstat -xml`` of Grid Engine, whose tables truncate names; its states are letters: qw, r, dr, Eqw."""
     try:
         jobs = ElementTree.fromstring(text).iter("job_list")
     except ElementTree.ParseError as error:
@@ -182,11 +182,11 @@ SYSTEMS: Final[Mapping[str, BatchSystem]] = {"slurm": _SLURM, "pbs": _PBS, "lsf"
 
 
 ANSWER_LIMIT_S: Final = 60.0
-"""How long a program of a batch system may take; one that is busy keeps them waiting for ten seconds and more."""
+"""How long a program of a batch system may take; a busy system may need ten seconds and more."""
 
 
 class BatchJobs:
-    """Those jobs of this user that carry one name."""
+    """The jobs of this user with one name."""
 
     def __init__(
         self, system: BatchSystem, name: str, worker: Sequence[str], cores: int, options: Sequence[str]
@@ -213,7 +213,7 @@ class BatchJobs:
 
     @property
     def title(self) -> str:
-        """What sentences call the system."""
+        """The name of the system in messages."""
         return self._system.title
 
     def submit(self) -> str:
@@ -225,7 +225,7 @@ class BatchJobs:
         return found[1]
 
     def jobs(self) -> list[BatchJob]:
-        """Return our jobs that have not ended; of one that changes between listings, the later state."""
+        """Return our jobs that have not ended; if a state changes between listings, the later one."""
         jobs: dict[str, BatchJob] = {}
         for listing in self._system.listings:
             for text, word in listing.read(self._run(self._words(listing.words)), self._places["name"]):
@@ -235,11 +235,11 @@ class BatchJobs:
         return [*jobs.values()]
 
     def take_back(self, job: str) -> None:
-        """Cancel a job that waits; under Slurm one that has begun meanwhile goes on."""
+        """Cancel a pending job; under Slurm, a job that has started meanwhile continues."""
         self._run(self._words(self._system.take_back, job))
 
     def drain(self, job: str) -> None:
-        """Tell a job's workers to hand over and end."""
+        """Tell a job's workers to hand over their islands and end."""
         self._run(self._words(self._system.drain, job))
 
     @property
@@ -263,7 +263,7 @@ class BatchJobs:
         if done.returncode != 0:
             if self._system.nothing.search(done.stderr):
                 return ""
-            lines = (done.stderr.strip() or done.stdout.strip() or "it said nothing").splitlines()
+            lines = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()
             said = lines[-2] if lines[-1] == "Exiting." and len(lines) > 1 else lines[-1]  # so ends Grid Engine
             raise BatchError(f"{words[0]} failed ({said}); the command was: {shlex.join(words)}")
         return done.stdout
@@ -273,7 +273,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def adapt(options: argparse.Namespace) -> int:
-    """Keep jobs of a batch system until SIGTERM or Ctrl-C; return 0. The jobs stay."""
+    """Keep as many batch jobs as there is work for, until SIGTERM or Ctrl-C; return 0. The jobs stay."""
     if options.minimum > options.maximum:
         raise UsageError(f"--minimum {options.minimum} is more than --maximum {options.maximum}")
     configure(options.log_format, options.log_level)
@@ -295,7 +295,7 @@ def adapt(options: argparse.Namespace) -> int:
 
 
 def worker_command(options: argparse.Namespace, address: Destination) -> list[str]:
-    """Return the command of a job's workers; the program is the one beside ours unless another was given."""
+    """Return the command of a job's workers; the default program is in the same folder as this one."""
     program = _words(options.worker, "--worker") or [str(Path(sys.executable).with_name("island-worker"))]
     return [*program, "--connect", str(address), "--processes", str(options.cores), "--wait", f"{options.wait:g}"]
 
@@ -308,7 +308,7 @@ def _words(text: str | None, option: str) -> list[str]:
 
 
 class Adapting:
-    """Looks at the coordinator and at the batch system, and does what the policy says.
+    """Polls the coordinator and the batch system, and carries out the decisions of the policy.
 
     Either may be away for `patience_s` seconds; meanwhile nothing is changed.
     """
@@ -322,11 +322,11 @@ class Adapting:
         self._failed_since: float | None = None
 
     def run(self, stop: threading.Event, interval_s: float) -> None:
-        """Look every so many seconds until `stop` is set.
+        """Poll every `interval_s` seconds until `stop` is set.
 
         Raises:
             UnreachableError, BatchError: the coordinator or the batch system has been away for too long.
-            AtollError: job after job ends without that a worker has joined.
+            AtollError: several jobs in a row ended before a worker of theirs had joined.
         """
         while not stop.is_set():
             try:
@@ -351,7 +351,7 @@ class Adapting:
         self._end(decision.drain, self._batch.drain, "told to drain", need)
 
     def _end(self, jobs: Sequence[str], end: Callable[[str], None], done: str, need: Need) -> None:
-        """End each of these jobs. One that fails has usually just ended by itself; if not, it is decided on again."""
+        """End each of these jobs. A job that fails has usually just ended; otherwise the next poll tries again."""
         for job in jobs:
             try:
                 end(job)
@@ -361,7 +361,7 @@ class Adapting:
                 _LOG.warning("not ended", extra=fields(batch_job=job, reason=str(error)))
 
     def _tolerate(self, error: UnreachableError | BatchError, now: float) -> None:
-        """Take in a failure; raise it when it lasts, or when the system has never accepted a job with these options."""
+        """Log a failure; raise it if it lasts, or if the system has never accepted a job with these options."""
         if isinstance(error, BatchError) and not self._has_submitted:
             raise error
         if self._failed_since is None:
@@ -372,7 +372,7 @@ class Adapting:
 
 
 def need_of(client: Client, jobs: set[str]) -> Need:
-    """Return what the coordinator says, where `jobs` are the ids of ours."""
+    """Return the coordinator's need for workers; `jobs` are the ids of our jobs."""
     depth, workers = client.queue_depth(), [view for view in client.workers() if view.state not in ("lost", "leaving")]
     ours = {job: _islands(workers, job) for job in {job_of(view.worker) for view in workers} & jobs if job is not None}
     others = sum(job_of(view.worker) not in jobs for view in workers)

@@ -1,7 +1,8 @@
-"""How many jobs of a batch system there are to be, and which of them end. Pure; time and what is there come in.
+"""How many jobs of a batch system should run, and which of them end. Pure; time and state are arguments.
 
-It grows at once, since the batch system's own queue takes its time, and shrinks to the most that was needed within a
-while, since the next job may come and what ends has to hand over: the rule of Kubernetes' autoscaler.
+The number grows at once, because the batch system's own queue takes time. It shrinks to the largest number that was
+needed in a recent interval, because the next job may come soon and workers that end have to hand over: the rule of
+Kubernetes' autoscaler.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -11,7 +12,7 @@ from typing import Final, Literal
 from atoll_core.errors import AtollError
 
 MOST_FAILURES: Final = 3
-"""Jobs that may end one after the other without that a worker of theirs has joined: one or two may meet a bad node."""
+"""Jobs in a row that may end before a worker of theirs has joined: one or two may get a bad node."""
 
 BatchState = Literal["pending", "running", "ending", "failed"]
 """`failed`: the system could not start the job and keeps it until it is deleted, as Grid Engine does."""
@@ -19,7 +20,7 @@ BatchState = Literal["pending", "running", "ending", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class AdaptLimits:
-    """Bounds: jobs at least and at most, worker processes in each, seconds for which fewer must do before one ends."""
+    """Fewest and most jobs, worker processes in each, and seconds for which fewer must suffice before one ends."""
 
     minimum: int
     maximum: int
@@ -38,9 +39,9 @@ class BatchJob:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What the coordinator says: workers that would have work, and workers that are there without our doing.
+    """The coordinator's need: workers that would have work, and workers of other origin.
 
-    `islands` are those of each of our jobs, by its id, of which a worker has joined.
+    `islands`: number of islands by id, of those of our jobs of which a worker has joined.
     """
 
     workers: int
@@ -50,7 +51,7 @@ class Need:
 
 @dataclass(frozen=True, slots=True)
 class AdaptDecision:
-    """What is to be done: so many jobs submitted; these, which do not run, taken back; these, which run, drained."""
+    """Number of jobs to submit; pending jobs to take back; running jobs to drain."""
 
     submit: int = 0
     take_back: tuple[str, ...] = ()
@@ -90,7 +91,7 @@ class AdaptPolicy:
         )
 
     def forget(self, job: str) -> None:
-        """Take in that a job could not be told to end; it is decided on again."""
+        """Take in that a job could not be ended; it is decided on again."""
         self._told.pop(job, None)
 
     def _needed(self, need: Need) -> int:
@@ -99,7 +100,7 @@ class AdaptPolicy:
         return min(max(jobs, self._limits.minimum), self._limits.maximum)
 
     def _target(self, now: float, needed: int) -> "_Target":
-        """Return how many jobs there are to be: not fewer than now needed, nor more than were needed lately."""
+        """Return the range of the number of jobs: at least what is needed now, at most what was needed recently."""
         if self._began_at is None:
             self._began_at = now
         self._needs = [(at, count) for at, count in self._needs if now - at < self._limits.idle_s]
@@ -109,16 +110,16 @@ class AdaptPolicy:
         return _Target(needed, most)
 
     def _order(self, job: BatchJob, need: Need) -> tuple[bool, int, int]:
-        """Sort those first whose end costs least: the last that wait, then those with the fewest islands.
+        """Sort by the cost of ending: first pending jobs, the last one first, then those with the fewest islands.
 
-        Of equal ones the oldest ends: its time limit would be the next to end one.
+        Of equal jobs the oldest ends: its time limit is the next anyway.
         """
         if job.state == "pending":
             return False, 0, -job.number
         return True, need.islands.get(job.id, 0), job.number
 
     def _watch(self, joined: Collection[str], jobs: Sequence[BatchJob]) -> None:
-        """Count jobs that ended by themselves before a worker of theirs had joined."""
+        """Count jobs that ended before a worker of theirs had joined."""
         here = {job.id: job.state for job in jobs}
         if self._waited_for & set(joined):
             self._failures = 0
@@ -128,7 +129,7 @@ class AdaptPolicy:
         self._waited_for = (self._waited_for - gone) | {
             job.id for job in jobs if job.state != "ending" and job.id not in self._told and job.id not in joined
         }
-        # A job that was to be taken back may have begun meanwhile.
+        # A job that should be taken back may have started meanwhile.
         self._told = {
             job: state
             for job, state in self._told.items()

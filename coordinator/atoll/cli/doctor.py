@@ -40,23 +40,23 @@ class Diagnosis:
 
 
 def fine(subject: str, fact: str) -> Diagnosis:
-    """Return a finding about which nothing needs to be done."""
+    """Return a finding that needs no action."""
     return Diagnosis(subject, "fine", fact)
 
 
 def problem(subject: str, error: AtollError) -> Diagnosis:
-    """Return a finding in the words of an error: what was found, and after a semicolon what to do."""
+    """Return a finding from an error, whose text tells what was found and, after a semicolon, what to do."""
     fact, _, advice = error.on_command_line.partition("; ")
     return Diagnosis(subject, "problem", fact, advice)
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a count of things, such as ``1 problem`` and ``2 processes``."""
+    """Return a number with a noun, such as ``1 problem`` and ``2 processes``."""
     return f"{count} {noun}" + ("" if count == 1 else "es" if noun.endswith("s") else "s")
 
 
 def as_text(findings: Sequence[Diagnosis]) -> str:
-    """Return one line for each finding, the advice on a line of its own, and a summary."""
+    """Return one line for each finding, one for its advice, and a summary."""
     width = max(len(finding.subject) for finding in findings)
     lines = []
     for finding in findings:
@@ -81,7 +81,7 @@ MB: Final = 1024 * 1024
 GB: Final = 1024 * MB
 
 WORKER_BYTES: Final = 300 * MB
-"""What one worker process takes with a data set of some thousand rows; measured: some 200 MB."""
+"""Memory of one worker process with some thousand rows; measured: about 200 MB."""
 
 FEW_FILES: Final = 1024
 LITTLE_ROOM: Final = 100 * MB
@@ -92,7 +92,7 @@ _CGROUP: Final = Path("/sys/fs/cgroup")
 
 
 def check_versions(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Say what is installed here."""
+    """Report the installed versions."""
     from importlib.metadata import version
 
     libraries = ", ".join(f"{name} {version(name)}" for name in ("eclipse-zenoh", "numpy", "numba"))
@@ -101,13 +101,13 @@ def check_versions(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_cores(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """How many workers this machine has room for."""
+    """Report how many workers start here by default."""
     cores, reason = usable_cores(os.environ)
     yield fine("cores", f"{counted(cores, 'worker process')} by default: {reason}")
 
 
 def check_memory(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Whether memory suffices for a worker per core."""
+    """Check that memory suffices for a worker per core."""
     free = available_memory()
     if free is None:
         yield fine("memory", "not known on this system")
@@ -122,7 +122,7 @@ def check_memory(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | None:
-    """Return the bytes that processes started now could take, by the system and its control group; None: unknown."""
+    """Return the available bytes, by the system and its control group; None: unknown."""
     amounts = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         lines = [line.split() for line in meminfo.read_text("ascii").splitlines()]
@@ -134,13 +134,13 @@ def available_memory(meminfo: Path = _MEMINFO, cgroup: Path = _CGROUP) -> int | 
 
 
 def check_open_files(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Whether a coordinator here could have many connections."""
+    """Check that a coordinator here could have many connections."""
     try:
         import resource
     except ImportError:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    fact = f"{soft} at once, each worker and client takes one of the coordinator's"
+    fact = f"{soft} at once; the coordinator needs one for each worker and client"
     if soft == resource.RLIM_INFINITY or soft >= FEW_FILES:
         yield fine("open files", fact)
     else:
@@ -149,7 +149,7 @@ def check_open_files(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_kernels(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Whether a worker here would compile first, and whether it could."""
+    """Check whether kernels are compiled, or can be."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         fact = "NUMBA_DISABLE_JIT is set: everything is interpreted, a thousand times slower"
         yield Diagnosis("kernels", "warning", fact, "unset it for real work")
@@ -169,7 +169,7 @@ def check_kernels(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_state(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Whether a job store can be kept in the state folder (the current one unless it is named)."""
+    """Check that the state folder (by default the current folder) can hold a job store."""
     wanted = Path(options.state or ".").absolute()
     place = _existing(wanted)
     if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
@@ -193,7 +193,7 @@ def check_state(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def _existing(path: Path) -> Path:
-    """Return `path`, or the first folder above it that exists."""
+    """Return `path`, or the nearest parent that exists."""
     return next(folder for folder in (path, *path.parents) if folder.exists())
 
 
@@ -201,16 +201,16 @@ LIMIT_S: Final = 3.0
 """How long a coordinator may take to answer."""
 
 CLOCK_S: Final = 5.0
-"""Clocks that differ by more make logs of several machines hard to read, and certificates invalid too early."""
+"""With a larger difference of clocks, logs are hard to compare, and certificates may be invalid."""
 
 SILENT_S: Final = 5.0
 
 EXPIRY_S: Final = 30 * 86400.0
-"""A certificate that expires sooner is pointed out."""
+"""A certificate that expires sooner gets a warning."""
 
 
 def check_address(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Whether the coordinator's address accepts connections, and nothing more."""
+    """Check only that the coordinator's address accepts connections."""
     text = options.connect or os.environ.get("ATOLL_CONNECT")
     if not text:
         yield Diagnosis("address", "problem", "none was named", "give --connect tcp/HOST:PORT or set ATOLL_CONNECT")
@@ -221,7 +221,7 @@ def check_address(options: argparse.Namespace) -> Iterator[Diagnosis]:
         yield Diagnosis("address", "problem", str(error), "write it as `coordinator serve` printed it")
         return
     reasons = {address: why_unreachable(address, LIMIT_S) for address in addresses}
-    is_enough = None in reasons.values()  # of the others each may be that of a coordinator on standby
+    is_enough = None in reasons.values()  # the others may belong to a coordinator on standby
     for address, reason in reasons.items():
         if reason is None:
             yield fine("address", f"{address} accepts connections")
@@ -233,14 +233,14 @@ def check_address(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 def _advice(reason: str) -> str:
     if "not known" in reason:
-        return "check the name, or use the machine's number"
+        return "check the name, or use the machine's IP address"
     if "refused" in reason:
         return "start `coordinator serve` there, on an address that others reach (not 127.0.0.1), or check the port"
     return "check that the machine is on and that no firewall keeps this port closed"
 
 
 def check_listen(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Whether a coordinator could listen at ``--listen``."""
+    """Check that a coordinator could listen at ``--listen``."""
     if options.listen is None:
         return
     try:
@@ -252,14 +252,14 @@ def check_listen(options: argparse.Namespace) -> Iterator[Diagnosis]:
 
 
 def check_certificates(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Whether our certificate can be shown: key, authority, purpose, dates; for ``--listen`` also the names in it."""
+    """Check our certificate: key, authority, purpose, dates; for ``--listen`` also the names in it."""
     files = _shown(options)
     if files is not None:
         yield files if isinstance(files, Diagnosis) else certificate_finding(files, time.time())
 
 
 def certificate_finding(files: Credentials, now: float) -> Diagnosis:
-    """Say whose certificate this is and how long it will do; `now` is in seconds of Unix time."""
+    """Report whose certificate this is and how long it is valid; `now` is Unix time in seconds."""
     hosts = f", for {', '.join(files.hosts)}" if files.hosts else ""
     if files.expires is None:
         return fine("certificate", f"of {files.name}{hosts}")
@@ -272,7 +272,7 @@ def certificate_finding(files: Credentials, now: float) -> Diagnosis:
 
 
 def _shown(options: argparse.Namespace) -> Credentials | Diagnosis | None:
-    """Return what is to be shown to the other side, or what is wrong with it."""
+    """Return our credentials, or what is wrong with them."""
     try:
         return credentials_of(vars(options), os.environ, "serve" if options.listen else "connect")
     except AtollError as error:
@@ -280,10 +280,10 @@ def _shown(options: argparse.Namespace) -> Credentials | Diagnosis | None:
 
 
 def check_coordinator(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Whether the coordinator answers, fits us, and has workers."""
+    """Check that the coordinator answers, has a compatible version, and has workers."""
     text = options.connect or os.environ.get("ATOLL_CONNECT")
     if not text:
-        yield fine("coordinator", "none was named (--connect or ATOLL_CONNECT), so none was examined")
+        yield fine("coordinator", "none was named (--connect or ATOLL_CONNECT), so none was checked")
         return
     findings = list(check_address(options))
     yield from findings
@@ -310,7 +310,7 @@ def _greeted(address: Destination) -> Iterator[Diagnosis]:
 
 
 def version_findings(welcome: "Welcome") -> Iterator[Diagnosis]:
-    """Say whether a worker of this installation would be taken; a client, which greeted, was."""
+    """Report if a worker of this installation would be refused because of its version."""
     versions = (welcome.version, welcome.protocol, welcome.engine)
     if versions != (VERSION, PROTOCOL_VERSION, ENGINE_REVISION):
         here = f"here is Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
@@ -319,7 +319,7 @@ def version_findings(welcome: "Welcome") -> Iterator[Diagnosis]:
 
 
 def clock_findings(clock: str, now: datetime) -> Iterator[Diagnosis]:
-    """Compare the coordinator's time of day with ours; it was on its way for less than `LIMIT_S`."""
+    """Compare the coordinator's clock with ours; the answer took less than `LIMIT_S`."""
     try:
         moment = datetime.fromisoformat(clock)
     except ValueError:
@@ -330,11 +330,13 @@ def clock_findings(clock: str, now: datetime) -> Iterator[Diagnosis]:
         yield fine("clock", "agrees with the coordinator's")
         return
     fact = f"the coordinator's clock is {abs(offset):.0f} s {'ahead of' if offset > 0 else 'behind'} this machine's"
-    yield Diagnosis("clock", "warning", fact, "let both follow a time server: logs and certificates go by the clock")
+    yield Diagnosis(
+        "clock", "warning", fact, "synchronise both with a time server: logs and certificates need correct clocks"
+    )
 
 
 def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[Diagnosis]:
-    """Say which workers are there and which ones one should look after."""
+    """Report the workers, and those that are silent or not ready."""
     here = [worker for worker in workers if worker.state != "lost"]
     if not here:
         yield Diagnosis("workers", "warning", "none is there", f"start one: island-worker --connect {address}")
@@ -343,7 +345,7 @@ def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[D
     silent = [worker for worker in here if worker.silent > SILENT_S]
     if silent:
         fact = ", ".join(f"{one.worker} on {one.host} has been silent for {one.silent:.0f} s" for one in silent[:5])
-        yield Diagnosis("workers", "warning", fact, "look at these machines; their islands are placed anew soon")
+        yield Diagnosis("workers", "warning", fact, "check these machines; their islands will soon be placed on others")
     late = [worker for worker in here if worker.state == "compiling"]
     if late:
         fact = ", ".join(f"{worker.worker}: {worker.detail or 'getting ready'}" for worker in late[:5])
@@ -354,27 +356,27 @@ Check = Callable[[argparse.Namespace], Iterable[Diagnosis]]
 
 
 def doctor(options: argparse.Namespace) -> int:
-    """Examine and print; return 1 when there is a problem, else 0."""
+    """Run all checks and print the findings; return 1 if there is a problem, else 0."""
     findings = examine(options, [check_address] if options.quick else CHECKS)
     say(as_json(as_tree(findings)) if options.json else as_text(findings))
     return FAILED if any(finding.grade == "problem" for finding in findings) else DONE
 
 
 def examine(options: argparse.Namespace, checks: Sequence[Check]) -> list[Diagnosis]:
-    """Return what these checks find."""
+    """Return the findings of these checks."""
     findings: list[Diagnosis] = []
     for check in checks:
         try:
             findings += list(check(options))
-        except Exception as error:  # whatever is wrong with one check, the others are made
+        except Exception as error:  # the other checks run all the same
             name = check.__name__.removeprefix("check_")
-            fact = f"could not be examined ({type(error).__name__}: {error})"
-            findings.append(Diagnosis(name, "problem", fact, "report this; the other findings hold"))
+            fact = f"the check failed ({type(error).__name__}: {error})"
+            findings.append(Diagnosis(name, "problem", fact, "report this; the other findings are valid"))
     return findings
 
 
 def check_data(options: argparse.Namespace) -> Iterator[Diagnosis]:
-    """Read DATA with the data options that were given, as ``submit`` does; nothing is smoothed."""
+    """Read DATA with the given options, like ``submit``; nothing is smoothed."""
     if not options.data:
         return
     from atoll.cli.options import parse
@@ -396,7 +398,7 @@ def check_data(options: argparse.Namespace) -> Iterator[Diagnosis]:
     for found in examined.findings:
         yield Diagnosis("data", "warning", found.found, found.advice)
     for remark in examined.measurements.warnings[len(examined.findings) :]:
-        yield Diagnosis("data", "warning", remark, "check that this is what you mean")
+        yield Diagnosis("data", "warning", remark, "check that this is intended")
 
 
 CHECKS: Sequence[Check] = (
@@ -411,4 +413,4 @@ CHECKS: Sequence[Check] = (
     check_coordinator,
     check_data,
 )
-"""Everything that is looked at, in this order."""
+"""All checks, in order."""

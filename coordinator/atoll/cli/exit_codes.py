@@ -1,4 +1,4 @@
-"""The exit codes of the program, and what the end of a job means; those of errors are in `atoll_core.errors`."""
+"""The exit codes of the program and of ended jobs; the exit codes of errors are in `atoll_core.errors`."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -15,7 +15,7 @@ TARGET_MISSED: Final = 4
 
 
 def finish(view: "JobView") -> int:
-    """Say on stderr what an unwanted end of a job means; return its exit code."""
+    """Return the exit code of a job that has ended; explain one other than 0 on stderr."""
     code, sentence = ending(view)
     if sentence is not None:
         note(f"coordinator: {sentence}")
@@ -35,6 +35,6 @@ def ending(view: "JobView") -> tuple[int, str | None]:
 
 
 def end_of_cancelled(view: "JobView", kept: str) -> str:
-    """Return how a sentence on a cancelled job ends: as `kept` says, where it has found an equation."""
+    """Return the end of a sentence about a cancelled job: `kept` if it has found an equation."""
     has_found = any(variable.expression is not None and variable.why != "known" for variable in view.variables)
     return kept if has_found else ", before it found any equation"

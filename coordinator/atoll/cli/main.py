@@ -1,4 +1,4 @@
-"""The command line of the ``coordinator`` program: parse, dispatch, turn every error into a sentence and an exit code.
+"""The ``coordinator`` program: parse, call the verb, turn every error into a sentence and an exit code.
 
 Nothing heavy is imported here; each verb's module is imported when it is called.
 """
@@ -14,7 +14,7 @@ from atoll_core.main_program import exit_code_of, flush_streams
 from atoll_core.signals import raise_interrupts
 
 _READERS: Final = frozenset({"result", "simulate", "analyse", "report", "suggest", "compare", "export"})
-_MAY_BE_EDITED: Final = "; if the result was edited, give it as it was written"
+_MAY_BE_EDITED: Final = "; if the result file was edited, use the original file"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return exit_code_of(lambda: _dispatch(words), _complain)
     except BrokenPipeError:  # the reader of our output has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # quiet, also when Python flushes at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # no message when Python flushes at exit, either
         return 0
     except Exception as error:
         if os.environ.get("ATOLL_DEBUG") == "1":
@@ -49,7 +49,7 @@ def _complain(sentence: str) -> None:
     from atoll_core.quoting import visible
 
     flush_streams()
-    with contextlib.suppress(OSError):  # a full disk: the exit code says that something was wrong
+    with contextlib.suppress(OSError):  # a full disk: the exit code still shows the error
         sys.stderr.write(f"coordinator: {visible(sentence)}\n")
         sys.stderr.flush()
 
@@ -73,4 +73,4 @@ def _record(error: Exception) -> str:
     with os.fdopen(handle, "w") as file:
         file.write(text)
     what = f"an unexpected error ({type(error).__name__}) stopped this command"
-    return f"{what}; please report it with {name}, which has the details"
+    return f"{what}; please report it, with the details in {name}"

@@ -1,4 +1,4 @@
-"""What ``run`` and ``submit`` have in common: the job that the options describe, its data, how its result appears."""
+"""A job as the options of ``run`` and ``submit`` describe it; its data and its result; and saved results."""
 
 import argparse
 import os
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from atoll_core.data.table import Table
 
 _LEAST_SHARE: Final = 0.5
-"""Share of `--max-time` that is left for the job however long this program took to start."""
+"""At least this share of `--max-time` is left for the job, however long this program took to start."""
 
 CONNECT_LIMIT_S: Final = 3.0
-"""How long a coordinator is looked for."""
+"""How long a coordinator may take to answer."""
 
 
 @dataclass(frozen=True)
 class JobRequest:
-    """A job as the user asked for it, before its data are read."""
+    """A job as the user described it, before its data are read."""
 
     job: str
     name: str
@@ -47,7 +47,7 @@ class JobRequest:
     shared: bool = False
 
     def read(self) -> "Table":
-        """Read the files and say on stderr what they hold; raises DataError."""
+        """Read the files and print on stderr how they were read; raises DataError."""
         from atoll_coordinator.data.reading.files import read_table
         from atoll_coordinator.data.table_summary import describe
 
@@ -56,7 +56,7 @@ class JobRequest:
         return table
 
     def rehearse(self) -> int:
-        """Say how the data are read and what would be searched, and start nothing; return the exit code."""
+        """Print how the data are read and what would be searched; return the exit code."""
         from atoll_coordinator.data.outline import outline
 
         plan = outline(self.read(), self.config)
@@ -68,7 +68,7 @@ class JobRequest:
         return client.hand_in(self.job, self.name, self.config, table.to_bytes(), self.priority, shared=self.shared)
 
     def after(self, seconds: float) -> "JobRequest":
-        """Return the request with so many seconds of `--max-time` gone, but no more than half of them."""
+        """Return the request with these seconds subtracted from `--max-time`, but at most half of it."""
         budget = self.config.budget
         if budget.max_time is None:
             return self
@@ -77,7 +77,7 @@ class JobRequest:
         return replace(self, config=self.config.model_copy(update={"budget": budget}))
 
     def result(self, client: Client, view: JobView) -> "Result | None":
-        """Return the result of the ended job, with the command of this process; None when there is none yet."""
+        """Return the result of the ended job, with the command line of this process; None if there is none."""
         from atoll_coordinator.result.result import Result
 
         try:
@@ -86,7 +86,7 @@ class JobRequest:
             if view.state == "done":
                 raise
             return None
-        words = [without_secrets(word) for word in sys.argv[1:]]  # the file is given to others
+        words = [without_secrets(word) for word in sys.argv[1:]]  # users pass the file on to others
         return result.model_copy(update={"command": shlex.join(["coordinator", *words])})
 
     def show(self, result: "Result") -> None:
@@ -97,7 +97,7 @@ class JobRequest:
 
 
 def request_of(options: argparse.Namespace) -> JobRequest:
-    """Return the job that the options describe; raises UsageError, or DataError where a file is not there."""
+    """Return the job that the options describe; raises UsageError, or DataError if a file is missing."""
     files = tuple(Path(name) for name in options.data)
     name = options.name if options.name is not None else files[0].name
     config = config_of(options)
@@ -126,7 +126,7 @@ def config_of(options: argparse.Namespace) -> JobConfig:
 
 
 def is_saved(name: str, options: argparse.Namespace) -> bool:
-    """Tell whether `name` is that of a saved result; else it is that of a job, of the coordinator that is named."""
+    """Tell whether `name` means a saved result; otherwise it is a job of the coordinator that is named."""
     from atoll_coordinator.result.reading import RESULT
 
     is_connected = bool(options.connect or os.environ.get("ATOLL_CONNECT"))
@@ -134,7 +134,7 @@ def is_saved(name: str, options: argparse.Namespace) -> bool:
 
 
 def load_result(name: str) -> "Result":
-    """Return a saved result; raises UsageError where there is none, which may be meant to be that of a job."""
+    """Return a saved result; raises UsageError if there is none (the name of a job may be meant)."""
     from atoll_coordinator.result.result import Result
 
     if is_id(name) and not Path(name).exists():
@@ -144,7 +144,7 @@ def load_result(name: str) -> "Result":
 
 
 def result_of(name: str, options: argparse.Namespace) -> "Result":
-    """Return a saved result, or that of a job of a coordinator; of a running job, the best so far.
+    """Return a saved result, or the result of a coordinator's job; of a running job, the best so far.
 
     Raises:
         UsageError: there is no such file, or it holds no result.
@@ -160,7 +160,7 @@ def result_of(name: str, options: argparse.Namespace) -> "Result":
 
 
 def address_of(options: argparse.Namespace) -> Whereabouts:
-    """Return where the coordinator is, by ``--connect`` and ``--tls-*`` or the environment; raises UsageError."""
+    """Return the address of the coordinator, from ``--connect``, ``--tls-*`` or the environment; raises UsageError."""
     address = options.connect or os.environ.get("ATOLL_CONNECT")
     if options.connect and "token=" in options.connect:
         note(f"coordinator: other users of this machine can read a token on a command line; give it in {TOKEN}")
@@ -170,8 +170,10 @@ def address_of(options: argparse.Namespace) -> Whereabouts:
 
 
 def bus_address_of(options: argparse.Namespace) -> Destination:
-    """Return where the coordinator is on the bus; raises UsageError where HTTP is named."""
+    """Return the address of the coordinator on the bus; raises UsageError for an HTTP address."""
     address = address_of(options)
     if not isinstance(address, Destination):
-        raise UsageError(f"{address} is no address on the bus, which is needed here; give one such as tcp/HOST:PORT")
+        raise UsageError(
+            f"{address} is an HTTP address, but this command needs an address on the bus, such as tcp/HOST:PORT"
+        )
     return address

@@ -10,11 +10,11 @@ if TYPE_CHECKING:
     from atoll_coordinator.result.result import Result
 
 REPORT: Final = "report.html"
-"""The page of a result, beside it."""
+"""The page of a result, in the same folder."""
 
 
 def refuse_existing_result(folder: Path) -> None:
-    """Raise UsageError when `folder` holds a result already, or cannot hold one."""
+    """Raise UsageError if `folder` holds a result already, or is a file."""
     if (folder / "result.json").exists():
         raise UsageError(f"{folder / 'result.json'} exists already; name another folder with --out, or remove it")
     if folder.exists() and not folder.is_dir():
@@ -24,7 +24,7 @@ def refuse_existing_result(folder: Path) -> None:
 def write_result(folder: Path, result: "Result") -> Path:
     """Write ``result.json`` into `folder`, whole or not at all, and return its path.
 
-    Raises UsageError when there is a result already, or the folder cannot be written.
+    Raises UsageError if there is a result already, or the folder cannot be written.
     """
     refuse_existing_result(folder)
     path, draft = folder / "result.json", folder / ".result.json.part"
@@ -40,14 +40,14 @@ def write_result(folder: Path, result: "Result") -> Path:
 
 
 def write_report(path: Path, result: "Result") -> None:
-    """Write a result as a page, and say where; raises UsageError when it cannot be written."""
+    """Write a result as a page, and print where; raises UsageError if it cannot be written."""
     from atoll.tasks.analyses import Report, answer
 
     write_page(path, answer(result, Report()).text)
 
 
 def write_page(path: Path, page: str) -> None:
-    """Write a page, and say where; raises UsageError when it cannot be written."""
+    """Write a page, and print where; raises UsageError if it cannot be written."""
     from atoll.model.files import write_text
 
     write_text(path, page)
@@ -55,7 +55,7 @@ def write_page(path: Path, page: str) -> None:
 
 
 def _publish(draft: Path, path: Path) -> None:
-    """Give `draft` its name in one step; raises FileExistsError rather than replace another file."""
+    """Rename `draft` in one step; raises FileExistsError if the file exists."""
     try:
         path.hardlink_to(draft)
     except FileExistsError:

@@ -70,10 +70,10 @@ _ERRORS: Final[dict[messages.FailureKind, type[AtollError]]] = {
 
 A = TypeVar("A")
 _Question = (
-    messages.Upload | messages.Submit | messages.Jobs | messages.FindJob | messages.Status | messages.Workers
+    messages.Upload | messages.Submit | messages.ListJobs | messages.FindJob | messages.Status | messages.ListWorkers
     | messages.GetQueueDepth | messages.GetResult | messages.Cancel | messages.Delete | messages.GetEvents
     | messages.Follow | messages.Pause | messages.SetPriority | messages.Share | messages.Retry | messages.SetWorker
-    | messages.SetQueue | messages.Analyse | messages.GetIslands | messages.GetTable
+    | messages.SetQueue | messages.AskAnalysis | messages.GetIslands | messages.GetTable
 )  # fmt: skip
 
 
@@ -199,7 +199,7 @@ class Client:
 
         With a `state` it has those in that state alone, which the coordinator finds without reading others.
         """
-        question = messages.Jobs(prefix=prefix, is_open=is_open, state=state, before=before, limit=limit)
+        question = messages.ListJobs(prefix=prefix, is_open=is_open, state=state, before=before, limit=limit)
         return self._ask(question, messages.JobList, "the list of jobs")
 
     def status(self, job: str, limit_s: float = ANSWER_LIMIT_S) -> JobView:
@@ -213,7 +213,7 @@ class Client:
         workers: list[WorkerView] = []
         after: str | None = ""
         while after is not None:
-            question = messages.Workers(prefix=prefix, after=after)
+            question = messages.ListWorkers(prefix=prefix, after=after)
             page = self._ask(question, messages.WorkerList, "the list of workers")
             workers += page.workers
             after = page.after
@@ -221,7 +221,7 @@ class Client:
 
     def coordinator(self) -> CoordinatorView | None:
         """Return the coordinator's view of itself."""
-        question = messages.Workers(limit=1)
+        question = messages.ListWorkers(limit=1)
         return self._ask(question, messages.WorkerList, "the coordinator's counters").coordinator
 
     def queue_depth(self) -> messages.QueueDepth:
@@ -239,14 +239,14 @@ class Client:
         return self._ask(body, messages.EventList, "the log of events").events
 
     def follow(self, job: str | None, after: int | None, sequence: int) -> messages.Following:
-        """Have changes come to us for a while, see `atoll.client.subscription`; return what we do not have yet."""
+        """Have changes come to us for a while, see `atoll.client.follower`; return what we do not have yet."""
         if self._changes is None:
             self._changes = deque(maxlen=MAX_CHANGES)
             self._bus.subscribe(topics.client(self._cluster or self.greet(), self._name, "changes"))
         body = messages.Follow(job=job, after=after, sequence=sequence)
         return self._ask(body, messages.Following, f"changes of job {job}" if job is not None else "what happens")
 
-    def next_change(self, limit_s: float) -> messages.Change | None:
+    def next_change(self, limit_s: float) -> messages.JobChange | None:
         """Return the next change of something that we follow; None when there is none within `limit_s` seconds."""
         end = self._bus.now() + limit_s
         while not self._changes:
@@ -255,11 +255,11 @@ class Client:
                 return None
             self._notice(self._bus.receive(left))
         with _understanding():
-            return decode(self._changes.popleft(), messages.Change)
+            return decode(self._changes.popleft(), messages.JobChange)
 
     def result(self, job: str) -> dict[str, object]:
         """Return the contents of result.json; while the job runs, the best so far."""
-        text = self._ask(messages.GetResult(job=job), messages.Result, f"the result of job {job}").json_text
+        text = self._ask(messages.GetResult(job=job), messages.ResultText, f"the result of job {job}").json_text
         with _understanding():
             contents: dict[str, object] = json.loads(text)
         return contents
@@ -317,7 +317,7 @@ class Client:
         """
         parts: list[bytes] = []
         while True:
-            body = messages.Analyse(job=job, function=function, question=question, table=table, index=len(parts))
+            body = messages.AskAnalysis(job=job, function=function, question=question, table=table, index=len(parts))
             answer = self._ask(body, messages.AnalysisAnswer, f"the analysis of job {job}")
             if answer.data is None:
                 return answer.waits_for, None
@@ -399,7 +399,7 @@ class Client:
         """Return the bus's monotonic seconds."""
         return self._bus.now()
 
-    def exchange(self, request: messages.Request) -> bytes | None:
+    def exchange(self, request: messages.ClientRequest) -> bytes | None:
         """Return the coordinator's answer to a question of somebody else, as it came; None: none in time."""
         key = topics.client(self._cluster or self.greet(), self._name)
         limit_s = CHUNK_LIMIT_S if isinstance(request.body, messages.Upload) else ANSWER_LIMIT_S
@@ -408,7 +408,7 @@ class Client:
     def _ask(self, body: _Question, kind: type[A], what: str, limit_s: float = ANSWER_LIMIT_S) -> A:
         """Return the answer to a question; raises UnreachableError when there is none within `limit_s` seconds."""
         key = topics.client(self._cluster or self.greet(), self._name)
-        _, payload = next(self._answers(encode(messages.Request(body=body)), limit_s, key), (key, None))
+        _, payload = next(self._answers(encode(messages.ClientRequest(body=body)), limit_s, key), (key, None))
         if payload is None:
             raise UnreachableError(
                 f"the coordinator at {self._address} did not answer within {limit_s:.0f} s (waited for {what}); "

@@ -1,7 +1,7 @@
 """A line to a coordinator through ``coordinator web``, for those whom a firewall keeps from the bus.
 
 Questions travel as on the bus, one HTTP request each; changes are asked for instead of being told, which is noticed
-within two seconds (`atoll.client.subscription.QUIET_S`).
+within two seconds (`atoll.client.follower.QUIET_S`).
 """
 
 import contextlib

@@ -38,7 +38,7 @@ from atoll.report.markup import (
     table,
 )
 from atoll.text.conclusion import conclusion
-from atoll.text.tables import checks_text, constants_line
+from atoll.text.render import checks_text, constants_line
 from atoll_coordinator.result.equations import Check, Equation, Estimate, SimpleNumber
 from atoll_coordinator.result.findings import Correlation
 from atoll_core.redaction import without_secrets

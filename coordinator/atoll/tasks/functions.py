@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from atoll_core.wire.messages.tasks import AnalysisFunction, TaskFunction
 
 if TYPE_CHECKING:
-    from atoll.tasks.team import Team
+    from atoll.tasks.process import Team
 
 _LOG = logging.getLogger(__name__)
 

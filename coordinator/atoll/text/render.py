@@ -1,5 +1,6 @@
 """A result for people and for other programs: text, CSV, sympy, LaTeX."""
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -8,15 +9,372 @@ from typing import Final
 import numpy as np
 
 from atoll.export.formats import as_csv, as_latex, as_sympy
-from atoll.model.equations import DIGITS, constant_names, number_text, rounded
-from atoll.text import tables
-from atoll.text.process import process_lines
-from atoll_coordinator.result.equations import Equation, Member
+from atoll.model.equations import (
+    DIGITS,
+    ConstantWords,
+    constant_names,
+    constant_words,
+    fitted_text,
+    interval_text,
+    number_text,
+    plus_minus,
+    r2_text,
+    rounded,
+    unit_text,
+    with_errors,
+    words_of,
+)
+from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, Member, SimpleTogether, Units
+from atoll_coordinator.result.findings import Density, Errors, ExcludedRows, Noise, PathEnsemble, Place
+from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.data.notes import with_kind
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
+
+MOST_LINES: Final = 12
+"""Trajectories and pairs of constants listed one by one; of more, the worst are."""
+NEAREST: Final = 2
+"""Contenders shown beside the chosen equation where there is room for a few lines only."""
+_PLACES: Final = {
+    "end": "near ends",
+    "gap": "near gaps",
+    "jump": "at jumps",
+    "outlier": "outliers",
+    "missing": "missing",
+}
+_ROUNDINGS: Final = {
+    "decimals": "values rounded to multiples of {:.3g}",
+    "digits": "values rounded to significant digits, to {:.3g} where they are largest",
+    "single precision": "values in single precision, in steps of {:.3g} where they are largest",
+    "steps": "values in steps of {:.3g}, as of an encoder",
+}
+
+
+def columns(heads: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
+    """Return rows under their heads, right-aligned but for the last column, which is not padded."""
+    lines = [tuple(heads), *map(tuple, rows)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(heads) - 1)]
+    padded = (
+        "  ".join([*(cell.rjust(width) for cell, width in zip(line, widths, strict=False)), line[-1]]) for line in lines
+    )
+    return [f"{indent}{line}".rstrip() for line in padded]
+
+
+def percent(share: float | None) -> str:
+    """Return a share such as 0.0512 as ``5.1 %``; ``?`` for None."""
+    return "?" if share is None else f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
+
+
+# ---------------------------------------------------------------------------------------------------- checks
+
+
+def checks_text(checks: Sequence[Check]) -> str:
+    """Return how many of the checks that are applicable have passed, and which have not."""
+    passed = sum(check.outcome == "passed" for check in checks)
+    parts = [f"{passed} of {sum(check.outcome != 'not applicable' for check in checks)} passed"]
+    for outcome in ("failed", "not made"):
+        names = [check.name for check in checks if check.outcome == outcome]
+        parts += [f"{outcome}: {', '.join(names)}"] if names else []
+    return f"checks: {'; '.join(parts)}"
+
+
+def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
+    """Return a line for all checks of an equation, and where they are to be listed one for each."""
+    if not checks:
+        return []
+    listed = [f"        {check.name}: {check.outcome}: {check.reason}" for check in checks] if is_listed else []
+    return [f"    {checks_text(checks)}", *listed]
+
+
+# ------------------------------------------------------------------------------------------------- constants
+
+
+def constants_line(constants: Sequence[Constant]) -> str | None:
+    """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
+    known = constant_words(constants)
+    return "constants: " + ", ".join(map(_words_text, known)) if known else None
+
+
+def _words_text(words: ConstantWords) -> str:
+    return words.number + (f" ({', '.join(words.notes)})" if words.notes else "") + unit_text(words.unit)
+
+
+def constants_table(constants: Sequence[Constant]) -> list[str]:
+    """Return a line for each constant whose standard error is known, or infinite, with a head; nothing for none."""
+    known = with_errors(constants)
+    has_intervals = any(constant.interval is not None for constant in known)
+    heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
+    rows = [
+        (
+            number_text(constant.value, 6) + unit_text(constant.unit),
+            fitted_text(constant),
+            *((interval_text(constant.interval),) if has_intervals else ()),
+            _remark(constant),
+        )
+        for constant in known
+    ]
+    return columns(heads, rows, "    ") if rows else []
+
+
+def _remark(constant: Constant) -> str:
+    """Return the odds of the simple number that is shown, or how far the nearest one is; or why there is none."""
+    simple = constant.simple
+    if constant.at_bound:
+        return "on its bound"
+    if not constant.identifiable:
+        return "not determined by the data"
+    if simple is None or simple.odds is None:
+        return ""
+    if simple.value is None or simple.value == constant.value:
+        return f"odds {simple.odds:.2g} against other numbers"
+    return f"{simple.value:.6g} is {simple.standard_errors or 0.0:.1f} standard errors off, odds {simple.odds:.2g}"
+
+
+def together_line(together: SimpleTogether | None) -> list[str]:
+    """Return a line on simple numbers of several constants, judged together; nothing where others are likelier."""
+    if not together or together.odds is None:
+        return []
+    chi = "" if together.chi_square is None else f" (chi-square {together.chi_square:.2g})"
+    numbers = " and ".join(f"{value:.6g}" for value in together.values if value is not None)
+    return [f"    {numbers} together{chi}: odds {together.odds:.2g} against other numbers"]
+
+
+def units_line(units: Units | None) -> list[str]:
+    """Return a line on factors of one that are not written but have a unit; nothing without any."""
+    if not units or not units.implied:
+        return []
+    factors = ", ".join(f"1 {factor.unit} before {factor.of}" for factor in units.implied)
+    return [f"    units: not written is {factors}"]
+
+
+def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return a line for each group of trajectories with the constants of its own; nothing where all share them.
+
+    `texts` are the expressions of the groups as they are shown, `names` those of the constants.
+    """
+    own = [place for place, constant in enumerate(equation.constants) if constant.shared is False]
+    if not equation.groups or not own:
+        return []
+    heads = ("group", *(f"{names[place]} = {number_text(equation.constants[place].value, 6)}" for place in own), "")
+    rows = [
+        (group.group, *(_words_text(words_of(group.constants[place])) for place in own), text)
+        for group, text in zip(equation.groups, texts, strict=True)
+    ]
+    return columns(heads, rows, "    ")
+
+
+# ------------------------------------------------------------------------------------------------ candidates
+
+
+def candidates_table(
+    candidates: Sequence[Candidate], display: Callable[[str], str], most: int | None = None
+) -> list[str]:
+    """Return the candidates, the one shown first, with their Δ description length; nothing for one alone.
+
+    At most `most` others are listed, and all guesses; of the rest their number.
+    """
+    if len(candidates) < 2:
+        return []
+    shown = [one for place, one in enumerate(candidates) if most is None or place <= most or one.origin == "guess"]
+    is_held_out = any(candidate.held_out_r2 is not None for candidate in shown)
+    unseen = "cross-validated" if any(candidate.cross_validated for candidate in shown) else "held out"
+    heads = (
+        "candidate",
+        "Δ description length",
+        "R2",
+        *((unseen,) if is_held_out else ()),
+        "size",
+        "origin",
+        "expression",
+    )
+    rows = [
+        (
+            "*" if candidate.selected else "",
+            "?" if candidate.nats is None else f"{candidate.nats:.1f}",
+            r2_text(candidate.r2),
+            *((r2_text(candidate.held_out_r2),) if is_held_out else ()),
+            str(candidate.complexity),
+            candidate.origin or "-",
+            display(candidate.expression),
+        )
+        for candidate in shown
+    ]
+    rest = len(candidates) - len(shown)
+    return [*columns(heads, rows, "    "), *([f"    {rest} more: coordinator result"] if rest else [])]
+
+
+# ---------------------------------------------------------------------------------------- the model as a whole
+
+
+def summary(result: Result) -> list[str]:
+    """Return the noise in a line and the simulations in another; nothing for what is exact or not known."""
+    noisy = [
+        f"{state} {percent(noise.relative)}" for state, noise in result.noise.items() if noise.method != "interpolation"
+    ]
+    lines = [f"noise: {', '.join(noisy)} of the deviation"] if noisy else []
+    errors = {state: "; ".join(_error_texts(noise.errors)) for state, noise in result.noise.items()}
+    lines += [f"errors of {state}: {text}" for state, text in errors.items() if text]
+    if any(equation.verdict != "exact" for equation in result.equations):
+        lines += _simulation_line(result.simulated)
+    return lines
+
+
+def _simulation_line(trajectories: Sequence[Simulated]) -> list[str]:
+    whole = [part for part in trajectories if part.values or None not in part.r2.values()]
+    parts: list[str] = []
+    for held_out in (False, True):
+        chosen = [part for part in whole if part.held_out is held_out]
+        least = min((r2 for part in chosen for r2 in part.r2.values() if r2 is not None), default=None)
+        if least is not None:
+            what = "held out" if held_out else "trajectory" if len(chosen) == 1 else "trajectories"
+            parts.append(f"{'' if parts else 'R2 at least '}{r2_text(least)} on {len(chosen)} {what}")
+    if len(whole) < len(trajectories):
+        parts.append(f"{len(trajectories) - len(whole)} not to the end")
+    return [f"simulation: {', '.join(parts)}"] if parts else []
+
+
+def noise_lines(result: Result) -> list[str]:
+    """Return a line for each state: how noisy it is, and how it was smoothed."""
+    return [f"noise of {state}: {_noise_text(noise)}" for state, noise in result.noise.items()]
+
+
+def _error_texts(errors: Errors | None) -> list[str]:
+    """Return in words how errors differ from independent ones of one size."""
+    if errors is None:
+        return []
+    texts = []
+    if errors.proportional:
+        texts.append(f"{percent(errors.proportional)} of their variance grows with the value squared")
+    if errors.add_up:
+        size = f"{errors.sd or 0.0:.2g} within {errors.piece} rows"
+        texts.append(f"errors add up along trajectories, as those of a solver do: {size}")
+    elif errors.correlated:
+        rows = max(2, round(errors.correlation_rows or 0.0))
+        share = f"{percent(errors.correlated)} of the errors' variance of neighbouring rows goes"
+        what = "errors of neighbouring rows go" if errors.correlated == 1.0 else share
+        texts.append(f"{what} together over about {rows} rows")
+    return texts
+
+
+def _noise_text(noise: Noise) -> str:
+    relative, rounding = f"{percent(noise.relative)} of its deviation", noise.quantisation
+    if noise.method == "interpolation":
+        texts = ["none to speak of" if rounding is None else f"{relative} at most", "interpolated"]
+    else:
+        smoothed = f"{noise.method} of degree {noise.degree} over {noise.span} rows"
+        texts = [f"{number_text(noise.sd)}, {relative}", smoothed, *_residual_texts(noise)]
+    texts += _error_texts(noise.errors)
+    if rounding is not None:
+        words = _ROUNDINGS.get(rounding.kind or "", "values rounded in steps of {:.3g}")
+        texts.append(words.format(rounding.step or 0.0))
+    if noise.doubtful_rows:
+        texts.append(f"derivatives doubtful on {noise.doubtful_rows} rows")
+    if noise.outliers:
+        texts.append("1 outlier" if noise.outliers == 1 else f"{noise.outliers} outliers")
+    reasons = _reasons(noise.doubtful)
+    return "; ".join([*texts, f"not used: {reasons}"] if reasons else texts)
+
+
+def _residual_texts(noise: Noise) -> list[str]:
+    """Return how far measurements lie from the smoothed curve at most, where that is known."""
+    largest = noise.largest_residual
+    if largest is None or largest.value is None:
+        return []
+    where = f"t = {largest.time or 0.0:.6g} of trajectory {largest.trajectory}"
+    return [f"residuals {noise.residual_rms or 0.0:.3g}, the largest {largest.value:.3g} at {where}"]
+
+
+def _reasons(doubtful: Sequence[ExcludedRows]) -> str:
+    """Return how many rows are not used for each reason, such as ``8 near ends, 3 outliers``."""
+    counts = {reason: sum(len(rows.times) for rows in doubtful if rows.reason == reason) for reason in _PLACES}
+    return ", ".join(f"{count} {_PLACES[reason]}" for reason, count in counts.items() if count)
+
+
+def simulation_table(result: Result) -> list[str]:
+    """Return R2 of every simulated trajectory and state; of many trajectories the worst."""
+    trajectories = result.simulated
+    if not trajectories:
+        return []
+    shown = sorted(trajectories, key=_worst)[:MOST_LINES] if len(trajectories) > MOST_LINES else trajectories
+    states = [*trajectories[0].r2]
+    rows = [
+        (part.name, *(r2_text(part.r2[state]) for state in states), "held out" if part.held_out else "")
+        for part in shown
+    ]
+    rest = [f"    the {MOST_LINES} worst of {len(trajectories)}"] if len(shown) < len(trajectories) else []
+    head = "R2 of simulations from fitted initial values"
+    return [head, *columns(("trajectory", *states, ""), rows, "    "), *rest]
+
+
+def _worst(trajectory: Simulated) -> float:
+    return min((-math.inf if value is None else value for value in trajectory.r2.values()), default=math.inf)
+
+
+def correlation_lines(result: Result) -> list[str]:
+    """Return a line for each pair of constants that the data hardly tell apart, the closest first."""
+    constants = {equation.variable: equation.constants for equation in result.equations}
+    names = constant_names(result) if result.correlations else {}
+
+    def named(place: Place) -> str:
+        variable, number = place.variable, place.constant or 0
+        name, value = names[variable][number], number_text(constants[variable][number].value, 6)
+        return f"{value} of {variable}" + (f" ({name})" if name != value else "")
+
+    pairs = sorted(result.correlations, key=lambda pair: -abs(pair.value or 0.0))
+    return [
+        f"hardly told apart: {named(pair.first)} and {named(pair.second)}, correlation {pair.value:.3f}"
+        for pair in pairs[:MOST_LINES]
+        if pair.value is not None
+    ]
+
+
+_EULER_MARUYAMA: Final = "rows are the steps of Euler and Maruyama's method rather than samples of a process in time"
+_BLOCKS: Final = " ▁▂▃▄▅▆▇█"
+
+
+def process_lines(result: Result) -> list[str]:
+    """Return lines about the process of a result; none when it has none."""
+    process = result.process
+    if process is None:
+        return []
+    lines = []
+    if process.discretisation == "Euler-Maruyama":
+        lines.append(f"{_EULER_MARUYAMA} ({number_text(process.discretisation_nats)} nats shorter so)")
+    for state, noise in process.measurement_noise.items():
+        lines.append(f"errors of measurement of {state}: {plus_minus(noise.sd or 0.0, noise.std_error or 0.0)}")
+    if process.ensemble is not None:
+        lines.append(_ensemble_line(process.ensemble))
+    if process.stationary is None:
+        reason = "not sought: there are inputs" if result.columns.inputs else "none that simulations settle into"
+        lines.append(f"stationary density: {reason}")
+    for state, density in (process.stationary or {}).items():
+        lines += _density_lines(state, density)
+    return lines
+
+
+def _ensemble_line(ensemble: PathEnsemble) -> str:
+    ranges = [
+        f"{state} from {number_text(ensemble.lower[state][-1])} to {number_text(ensemble.upper[state][-1])}"
+        for state in ensemble.mean
+    ]
+    start = f"{ensemble.finite_paths} paths from the initial state of trajectory {ensemble.trajectory}"
+    return f"ensemble: {start}; at t = {number_text(ensemble.times[-1], 6)} 90 % have {', '.join(ranges)}"
+
+
+def _density_lines(state: str, density: Density) -> list[str]:
+    sizes = f"{number_text(density.mean)} ± {number_text(density.sd)}"
+    overlap = f"overlaps the measured one by {percent(density.overlap)}"
+    bars = f"    {number_text(density.edges[0])} {_bars(density.density)} {number_text(density.edges[-1])}"
+    return [f"stationary density of {state}: {sizes}, {overlap}", bars]
+
+
+def _bars(values: Sequence[float | None]) -> str:
+    heights = [value or 0.0 for value in values]
+    most = max(heights, default=0.0) or 1.0
+    return "".join(_BLOCKS[round((len(_BLOCKS) - 1) * height / most)] for height in heights)
+
 
 FORMATS: Final = ("text", "json", "csv", "sympy", "latex")
 
@@ -92,9 +450,9 @@ def render_text(result: Result, *, fronts: bool = False) -> str:
     called = constant_names(result)
     blocks = [_equation_text(equation, names, called[equation.variable], fronts) for equation in result.equations]
     if fronts:
-        blocks += [*tables.noise_lines(result), *tables.simulation_table(result), *tables.correlation_lines(result)]
+        blocks += [*noise_lines(result), *simulation_table(result), *correlation_lines(result)]
     else:
-        blocks += tables.summary(result)
+        blocks += summary(result)
     blocks += _shared_lines(result)
     blocks += process_lines(result)
     blocks += [with_kind(warning, result.notes) for warning in result.warnings]
@@ -147,24 +505,24 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
     if equation.expression is None:
         return f"{equation.lhs} = ?\n    nothing found yet"
     lines = [f"{equation.lhs} = {rounded(equation.expression, names)}"]
-    constants = None if with_tables else tables.constants_line(equation.constants)
+    constants = None if with_tables else constants_line(equation.constants)
     if with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
     lines += ["    its constants are of all groups together"] if equation.is_of_all_groups else []
-    lines += tables.units_line(equation.units)
+    lines += units_line(equation.units)
     texts = [rounded(group.expression or "", names) for group in equation.groups]
-    lines += tables.groups_table(equation, texts, called)
+    lines += groups_table(equation, texts, called)
     if equation.verdict is not None:
         lines.append(f"    {equation.verdict}: {equation.reason}")
-        lines += tables.checks_lines(equation.checks, is_listed=with_tables)
+        lines += checks_lines(equation.checks, is_listed=with_tables)
     lines.append(f"    {_standing(equation)}")
-    most = None if with_tables else tables.NEAREST
+    most = None if with_tables else NEAREST
     if with_tables:
-        lines += tables.constants_table(equation.constants)
-        lines += tables.together_line(equation.simple_together)
+        lines += constants_table(equation.constants)
+        lines += together_line(equation.simple_together)
     if with_tables or equation.verdict != "exact":
-        listed = tables.candidates_table(equation.candidates, lambda text: rounded(text, names), most)
+        listed = candidates_table(equation.candidates, lambda text: rounded(text, names), most)
         lines += listed
         lines += ["    constants of candidates are of all groups together"] if listed and texts else []
     if with_tables:

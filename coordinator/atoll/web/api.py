@@ -42,8 +42,8 @@ from atoll_coordinator.result.result import Result
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import AtollError, RemoteProtocolError, UnknownJobError, UnreachableError
 from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.messages.clients import ClientRequest as Question
 from atoll_core.wire.messages.clients import QueueDepth
-from atoll_core.wire.messages.clients import Request as Question
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello
 from atoll_core.wire.messages.limits import MAX_MESSAGE, MAX_PAGE_JOBS, Id, Priority
 from atoll_core.wire.messages.views import (

@@ -17,7 +17,7 @@ from typing import Any, Final
 from pydantic_core import to_jsonable_python
 
 from atoll.client.client import Client
-from atoll.client.subscription import Subscription
+from atoll.client.follower import Subscription
 from atoll.web.gateway import BusyError, Connection, Gateway
 from atoll_core.errors import AtollError, UnknownJobError
 from atoll_core.wire.messages.limits import MAX_PAGE_JOBS

@@ -14,7 +14,7 @@ from atoll.model.equations import r2_text, rounded
 from atoll.model.model import Model
 from atoll.model.simulation import Simulation
 from atoll.text.conclusion import conclusion
-from atoll.text.tables import constants_line
+from atoll.text.render import constants_line
 from atoll_coordinator.result.base import Number
 from atoll_coordinator.result.equations import Convergence, Equation
 from atoll_coordinator.result.listed_trajectories import Simulated

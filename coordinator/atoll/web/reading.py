@@ -21,7 +21,7 @@ from typing import Final, Literal
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
-from atoll.client.local_workers import start_apart
+from atoll.client.local_processes import start_apart
 from atoll.client.over_http import TOKEN
 from atoll.web.problems import UnreadableError
 from atoll_core.machine import total_memory_bytes

@@ -5,7 +5,6 @@ the caller gets; ``dask_cluster`` and ``ray_cluster`` have a cluster's machines 
 needed to import this, and nothing is sent to a cluster but names of what is installed there, strings and numbers.
 """
 
-from atoll.workers.handle import Handle
-from atoll.workers.start import start_on
+from atoll.workers.start import Handle, start_on
 
 __all__ = ["Handle", "start_on"]

@@ -13,9 +13,7 @@ from typing import Any, Final
 from distributed import Client, Worker
 from distributed.diagnostics.plugin import WorkerPlugin
 
-from atoll.workers.handle import Handle, MachineWorkers
-from atoll.workers.limited import limited
-from atoll.workers.program import ProgramOptions, WorkerProgram, drain_limit_s
+from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerProgram, drain_limit_s, limited
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 
 ANSWER_LIMIT_S: Final = 30.0

@@ -14,8 +14,7 @@ import ray
 from ray.exceptions import ActorDiedError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from atoll.workers.handle import Handle, MachineWorkers
-from atoll.workers.program import ProgramOptions, WorkerProgram, drain_limit_s
+from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerProgram, drain_limit_s
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 
 LOOK_S: Final = 2.0

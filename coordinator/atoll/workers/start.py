@@ -1,17 +1,153 @@
 """`start_on`: what it is given is checked here, before anything is sent to a cluster."""
 
 import importlib
+import subprocess
+import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Final
+from types import ModuleType, TracebackType
+from typing import Any, Final, Self, TypeVar
 
-from atoll.workers.handle import Handle
-from atoll.workers.program import ProgramOptions
-from atoll_core.errors import UsageError
+from atoll.client.local_processes import worker_command
+from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_core.quoting import shown
 from atoll_core.wire.addresses import parse_address
+
+STOP_LIMIT_S: Final = 10.0
+"""How long the program may take to end beyond the time for handing over; itself it kills workers after five."""
+
+ENDS: Final = {
+    0: "the coordinator ended, or they were told to end",
+    2: "bad options, or refused by the coordinator",
+    3: "the coordinator could not be reached",
+}
+"""What exit codes of the program mean; any other is a failure."""
+
+
+@dataclass(frozen=True)
+class ProgramOptions:
+    """What the program is told, in plain values.
+
+    `connect` is the coordinator's address, `tls` has the certificates' files by ``ca``, ``cert``, ``key``, as they are
+    called on the machines of the cluster. For `wait_s` seconds the coordinator may be away; within `grace_s` seconds
+    islands are handed over when the program is told to end.
+    """
+
+    connect: str
+    wait_s: float
+    grace_s: float
+    tls: Mapping[str, str] = field(default_factory=dict)
+
+
+def drain_limit_s(options: ProgramOptions) -> float:
+    """Return after how many seconds a program that is told to end has ended, by force if need be."""
+    return options.grace_s + STOP_LIMIT_S
+
+
+class WorkerProgram:
+    """So many worker processes: one program, which starts them again when they die, and ends with this process.
+
+    Should this process be killed, they hand over their islands before they end, see ADR 0062.
+    """
+
+    def __init__(self, options: ProgramOptions, processes: int) -> None:
+        """Start it."""
+        self.processes: Final = processes
+        self._limit_s = drain_limit_s(options)
+        command = worker_command(options.connect, None, processes, wait_s=options.wait_s, grace_s=options.grace_s)
+        files = [word for name, file in options.tls.items() for word in (f"--tls-{name}", file)]
+        # Its output is this process's, so that it stands in the cluster's logs; certificates may be in the environment.
+        self._process = subprocess.Popen(
+            [*command, *files, "--supervise"], stdin=subprocess.DEVNULL, start_new_session=True
+        )
+
+    def exit_code(self) -> int | None:
+        """Return the program's exit code, negative for a signal; None while it runs."""
+        return self._process.poll()
+
+    def drain(self) -> None:
+        """Have the workers hand over their islands and end; within a limit, then by force. Repeatable."""
+        self._process.terminate()
+        try:
+            self._process.wait(self._limit_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def ending(exit_code: int) -> str:
+    """Return how a program has ended, for people."""
+    if exit_code < 0:
+        return f"ended by signal {-exit_code}"
+    return f"ended with exit code {exit_code}" + (f" ({ENDS[exit_code]})" if exit_code in ENDS else "")
+
+
+@dataclass(frozen=True)
+class MachineWorkers:
+    """The program on one machine: how many worker processes it keeps, and its exit code, None while it runs."""
+
+    processes: int
+    exit_code: int | None
+
+
+class Handle(ABC):
+    """Island workers that were started on a cluster; a context manager that ends them."""
+
+    @abstractmethod
+    def machines(self) -> Mapping[str, MachineWorkers]:
+        """Return the programs by the machine's name in the cluster: a Dask worker's address, a Ray node's id."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End all of them: each hands over its islands first. Repeatable; machines that come later get none."""
+
+    def check(self) -> None:
+        """Raise AtollError when the program has ended on a machine, with the reason that its exit code gives."""
+        for name, workers in self.machines().items():
+            if workers.exit_code is not None:
+                raise AtollError(
+                    f"the island workers of {name} have {ending(workers.exit_code)}; the log of that machine's process "
+                    "in the cluster says more"
+                )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+A = TypeVar("A")
+
+
+def limited(call: Callable[[], A], limit_s: float, what: str) -> A:
+    """Return what `call` does, or raise what it raises; UnreachableError with `what` when it takes longer.
+
+    Then its thread goes on waiting, and ends with this process at the latest.
+    """
+    answers: list[A] = []
+    errors: list[BaseException] = []
+
+    def act() -> None:
+        try:
+            answers.append(call())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=act, name=f"waiting: {what}", daemon=True)
+    thread.start()
+    thread.join(limit_s)
+    if errors:
+        raise errors[0]
+    if not answers:
+        raise UnreachableError(f"{what} within {limit_s:g} s; a machine of it may hang: see its logs")
+    return answers[0]
+
 
 WAIT_S: Final = 60.0
 """How long the coordinator may be away; it is started again within that."""

@@ -80,7 +80,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
 from atoll_core.logs import about
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Analyse, QueueDepth, Submit
+from atoll_core.wire.messages.clients import AskAnalysis, QueueDepth, Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import TaskView, WorkerService
@@ -313,7 +313,7 @@ class JobController:
             raise RefusedError(f"job {job_id} has ended and cannot be {what}; coordinator retry submits it again")
         return job
 
-    def analyse(self, asked: Analyse, user: str | None, now: float) -> Analysis:
+    def analyse(self, asked: AskAnalysis, user: str | None, now: float) -> Analysis:
         """Return a question about the result of a job, with its answer if there is one; a new one becomes a task.
 
         Raises:

@@ -36,7 +36,7 @@ from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Pre
 from atoll_core.wire.bus.metered_bus import MeteredBus
 from atoll_core.wire.bus.queues import Turns
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, Failure, Result
+from atoll_core.wire.messages.clients import Answer, Failure, ResultText
 from atoll_core.wire.messages.epochs import (
     EpochReport,
     PullAnswer,
@@ -351,15 +351,15 @@ class Service:
 
     def _send_result(self, item: ResultComposed, now: float) -> None:
         """Answer the questions for the best result so far of a job."""
-        body: Result | Failure
+        body: ResultText | Failure
         try:
-            body = Result(json_text=self.controller.finish_composing(item, now))
+            body = ResultText(json_text=self.controller.finish_composing(item, now))
         except Exception as error:
             sentence = self.controller.breakages.add("composing a result", error)
             body = Failure(failure="internal", sentence=sentence)
         self._reply_deferred(item.draft.job, body, is_final=False)
 
-    def _reply_deferred(self, job: str, body: Result | Failure, *, is_final: bool) -> None:
+    def _reply_deferred(self, job: str, body: ResultText | Failure, *, is_final: bool) -> None:
         answer = encode(Answer(body=body))
         for question, party in self._deferred.take(job, is_final=is_final):
             self._bus.reply(question, answer, party)

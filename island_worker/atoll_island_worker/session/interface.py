@@ -75,7 +75,7 @@ class Mailed:
     """Another worker sent migrants, or a message that none will come."""
 
     sender: str
-    body: epochs.Migrants | epochs.Finished
+    body: epochs.Migrants | epochs.IslandFinished
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +239,7 @@ class Send:
     """Send mail to worker `peer`."""
 
     peer: str
-    body: epochs.Migrants | epochs.Finished
+    body: epochs.Migrants | epochs.IslandFinished
 
 
 @dataclass(frozen=True, slots=True)

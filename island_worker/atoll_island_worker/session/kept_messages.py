@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages.workers import Placement
-from atoll_core.wire.state_pieces import State, split_states
+from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import Mailed
 
 MAX_PENDING: Final = 256
@@ -97,7 +97,7 @@ class RetransmitBuffer:
         self._islands = islands
         self._sent: dict[tuple[int, int], dict[int, bytes]] = {}
         self._reports: dict[int, dict[int, epochs.IslandReport]] = {}
-        self._snapshots: dict[int, dict[int, State]] = {}
+        self._snapshots: dict[int, dict[int, IslandState]] = {}
 
     def keep_emigrants(self, epoch: int, island: int, emigrants: Mapping[int, bytes]) -> None:
         """Keep the emigrants of an island, by destination."""
@@ -109,7 +109,7 @@ class RetransmitBuffer:
 
     def keep_snapshot(self, epoch: int, island: int, data: bytes) -> None:
         """Keep the state of an island at a checkpoint."""
-        self._snapshots.setdefault(epoch, {})[island] = State.of(data)
+        self._snapshots.setdefault(epoch, {})[island] = IslandState.of(data)
 
     def reporters(self, epoch: int) -> Collection[int]:
         """Return the islands whose reports of an epoch are kept."""

@@ -73,7 +73,7 @@ class Shard:
         self.schedule = placement.schedule
         first, mine = placement.epoch, placement.islands_of(worker)
         self.islands = {island: LocalIsland(island, "restoring" if first else "ready", first) for island in mine}
-        self.hits: dict[int, epochs.Finished] = {}
+        self.hits: dict[int, epochs.IslandFinished] = {}
         self.commit = self.reported = first
         self.waited_s = 0.0
         self.duplicates = 0
@@ -161,7 +161,7 @@ class Shard:
         if done.report.hit is not None:
             local.step("end")
             generation = done.report.hit.generation
-            hit = epochs.Finished(**self._names, epoch=local.epoch, generation=generation, island=local.index)
+            hit = epochs.IslandFinished(**self._names, epoch=local.epoch, generation=generation, island=local.index)
             self.hits[local.index] = hit
             messages = [io.Send(peer, hit) for peer in self._others]
         elif local.epoch >= self.stop_epoch:
@@ -267,7 +267,7 @@ class Shard:
 
     # ------------------------------------------------------------------------------------------ peers
 
-    def deliver(self, sender: str, body: epochs.Migrants | epochs.Finished) -> None:
+    def deliver(self, sender: str, body: epochs.Migrants | epochs.IslandFinished) -> None:
         """File mail of this shard's term.
 
         Raises:
@@ -276,7 +276,7 @@ class Shard:
         """
         if body.epoch > self.schedule.last + MOST_AHEAD or body.epoch >= self.placement.epochs:
             raise RemoteProtocolError(f"mail of epoch {body.epoch} came, far beyond commit {self.commit}")
-        if isinstance(body, epochs.Finished):
+        if isinstance(body, epochs.IslandFinished):
             self._check_owner(sender, body.island)
             self.hits.setdefault(body.island, body)
             self._end_late_islands()

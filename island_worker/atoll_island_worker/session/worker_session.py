@@ -243,10 +243,9 @@ class Session:
             return [io.FetchPlacements(body.job)]
         if not isinstance(body, epochs.Sent):
             return []
-        mail: list[epochs.Migrants | epochs.Finished] = [*([body.migrants] if body.migrants else []), *body.finished]
+        mail: list[epochs.Migrants | epochs.IslandFinished] = [body.migrants] if body.migrants else []
+        mail += body.finished
         return [action for message in mail for action in self._mailed(io.Mailed(event.peer, message))]
-
-    # ---------------------------------------------------------------------------------------- compute
 
     def _task_done(self, event: io.Snapshot | io.Outcome) -> list[io.Action]:
         key = event.key

@@ -149,7 +149,7 @@ class TaskProcess:
         self._used_at = self._clock()
         if isinstance(message, frames.Run) and (self._done >= MAX_TASKS or self._memory >= MAX_MEMORY):
             self.stop()
-        if not self.is_started and isinstance(message, frames.Run | frames.Batch):
+        if not self.is_started and isinstance(message, frames.Run | frames.TaskBatch):
             self._start()
         if self._running is not None:
             self._running.send(message)
@@ -179,7 +179,7 @@ class TaskProcess:
             self._running = _Running(self._starter, lambda message: self._take(life, message))
         except AtollError as error:
             self._running = None
-            self._post(frames.Said(life, frames.Ended("crash", str(error))))
+            self._post(frames.ProcessMessage(life, frames.Ended("crash", str(error))))
 
     def _take(self, life: int, message: frames.FromProcess) -> None:
         """Handle a message; called by the reading thread."""
@@ -187,10 +187,10 @@ class TaskProcess:
             record = logging.makeLogRecord(dict(message.values))
             logging.getLogger(record.name).handle(record)
             return
-        if isinstance(message, frames.Finished) and life == self._life:
+        if isinstance(message, frames.TaskFinished) and life == self._life:
             self._done, self._memory = self._done + 1, message.memory_bytes
         self._used_at = self._clock()
-        self._post(frames.Said(life, message))
+        self._post(frames.ProcessMessage(life, message))
 
 
 class _Running:

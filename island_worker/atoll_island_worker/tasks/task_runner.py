@@ -219,11 +219,11 @@ class TaskRunner:
 
     # ------------------------------------------------------------------------------------------- process
 
-    def process_said(self, said: frames.Said) -> bool:
+    def process_said(self, said: frames.ProcessMessage) -> bool:
         """Handle a message of the process; return whether the coordinator should get a heartbeat at once."""
         message = said.message
         match message:
-            case frames.Begun() | frames.Progressed() | frames.Finished() | frames.Failed():
+            case frames.Begun() | frames.Progressed() | frames.TaskFinished() | frames.Failed():
                 leased = self._leased.get(message.task)
                 if leased is not None and leased.life == said.life:  # else a process that was stopped has sent it
                     self._advance(leased, message)
@@ -232,14 +232,14 @@ class TaskRunner:
                 return self._ended(said.life, message)
             case frames.Give():
                 self._give(message)
-            case frames.Computed():
+            case frames.BatchComputed():
                 if self._helped is not None and self._helped.batch == message.number:
                     self._helped.batch = None
                     self._pull_batch(messages.BatchResult(number=message.number, result=message.result))
         return False
 
     def _advance(
-        self, leased: _Leased, message: frames.Begun | frames.Progressed | frames.Finished | frames.Failed
+        self, leased: _Leased, message: frames.Begun | frames.Progressed | frames.TaskFinished | frames.Failed
     ) -> None:
         match message:
             case frames.Begun():
@@ -249,7 +249,7 @@ class TaskRunner:
             case frames.Failed():
                 self._fail(leased, message.failure, message.sentence)
                 self._run_next()
-            case frames.Finished():
+            case frames.TaskFinished():
                 leased.step("finished")
                 leased.result, leased.seconds = message.result, self._clock() - leased.began
                 self._push(leased)
@@ -313,7 +313,7 @@ class TaskRunner:
                 if context is None:
                     raise RemoteProtocolError(f"a batch came with the context {body.digest}, which is not here")
                 self._helped, helped.batch = helped, body.number
-                batch = frames.Batch(body.number, body.function, body.digest, context, body.item)
+                batch = frames.TaskBatch(body.number, body.function, body.digest, context, body.item)
                 helped.life = self._process.send(batch)
             case NotYet():
                 self._helped = helped

@@ -94,7 +94,7 @@ class Guest:
             if self._cluster is None:
                 yield from self.greet()
             was_over = self.participants.is_over
-            payload = yield topics.client(self._cluster or "", self.plan.name), encode(clients.Request(body=body))
+            payload = yield topics.client(self._cluster or "", self.plan.name), encode(clients.ClientRequest(body=body))
             if payload is not None:
                 answer = decode(payload, clients.Answer)
                 its_fault = isinstance(answer.body, clients.Failure) and answer.body.failure == "internal"
@@ -210,7 +210,7 @@ def _asks_everything(guest: Guest) -> Script:
     for _ in range(guest.plan.times):
         jobs = ["job-0", "job-1", "nobodys"]
         for body in (
-            clients.Jobs(), clients.Workers(), *(clients.Status(job=job) for job in jobs),
+            clients.ListJobs(), clients.ListWorkers(), *(clients.Status(job=job) for job in jobs),
             *(clients.GetResult(job=job) for job in jobs), clients.GetEvents(limit=1000),
             *(clients.GetEvents(job=job, limit=1000) for job in jobs),
         ):  # fmt: skip

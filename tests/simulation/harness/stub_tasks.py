@@ -14,18 +14,18 @@ from atoll_coordinator.tasks.preparing import Preparer, prepare
 from atoll_coordinator.tasks.refining import Refiner, refine
 from atoll_core.task_frames import (
     Ask,
-    Batch,
+    BatchComputed,
     Begun,
-    Computed,
     Ended,
     Failed,
     Failure,
-    Finished,
     FromProcess,
     Give,
+    ProcessMessage,
     Run,
-    Said,
     Take,
+    TaskBatch,
+    TaskFinished,
     ToProcess,
 )
 from tests.simulation.bus.network import SimulatedNetwork
@@ -91,7 +91,7 @@ class StubTasks:
         return self._is_started
 
     def send(self, message: ToProcess) -> int:
-        if isinstance(message, Run | Batch) and not self._is_started:
+        if isinstance(message, Run | TaskBatch) and not self._is_started:
             self._is_started, self._life = True, self._life + 1
         match message:
             case Run():
@@ -104,10 +104,10 @@ class StubTasks:
             case Take():
                 if message.result != computed(b"%d" % message.number):
                     self._fate.wrong.append("a batch came back as something else")
-            case Batch():
+            case TaskBatch():
                 assert (message.context, message.digest) == (CONTEXT, DIGEST)
                 self.helped += 1
-                self._later(BATCH_S, lambda: self._say(Computed(message.number, computed(message.item))))
+                self._later(BATCH_S, lambda: self._say(BatchComputed(message.number, computed(message.item))))
             case _:
                 raise AssertionError(f"{message} was sent")
         return self._life
@@ -129,7 +129,7 @@ class StubTasks:
         )
 
     def _say(self, message: FromProcess) -> None:
-        self._post(Said(self._life, message))
+        self._post(ProcessMessage(self._life, message))
 
     def _begin(self, run: Run) -> None:
         self._given = 0
@@ -151,7 +151,7 @@ class StubTasks:
     def _die(self, failure: Failure) -> None:
         life = self._life
         self.stop()
-        self._post(Said(life, Ended(failure, "planted")))
+        self._post(ProcessMessage(life, Ended(failure, "planted")))
 
     def _give(self, question: Ask) -> None:
         if not self._is_busy or self._given >= BATCHES:
@@ -159,14 +159,14 @@ class StubTasks:
             return
         self._given += 1
         context = b"" if DIGEST in question.contexts else CONTEXT
-        self._say(Give(question.token, Batch(self._given, "stub", DIGEST, context, b"%d" % self._given)))
+        self._say(Give(question.token, TaskBatch(self._given, "stub", DIGEST, context, b"%d" % self._given)))
 
     def _result(self, run: Run) -> FromProcess:
         try:
             if run.function == "prepare":
-                return Finished(run.task, prepare(*run.inputs, self._preparer))
+                return TaskFinished(run.task, prepare(*run.inputs, self._preparer))
             if run.function == "refine":
-                return Finished(run.task, refine(*run.inputs, run.seconds, self._refiner))
-            return Finished(run.task, computed(b"".join(run.inputs)))
+                return TaskFinished(run.task, refine(*run.inputs, run.seconds, self._refiner))
+            return TaskFinished(run.task, computed(b"".join(run.inputs)))
         except Exception as error:
             return Failed(run.task, "error", f"{type(error).__name__}: {error}")

@@ -1,8 +1,6 @@
 """Types of options that both programs have. What a shell is answered that asks how words go on."""
 
 import argparse
-import errno
-import io
 import os
 import subprocess
 import sys
@@ -11,8 +9,7 @@ import pytest
 
 from atoll.cli.main import main
 from atoll.cli.options import build_parser
-from atoll_core.command_line import SHELLS, Parser, complete, duration, seconds, whole_number
-from atoll_core.errors import AtollError
+from atoll_core.command_line import SHELLS, complete, duration, seconds, whole_number
 
 
 @pytest.mark.parametrize(
@@ -34,18 +31,6 @@ def test_numbers_outside_their_limits_are_refused() -> None:
     for parse, text in ((seconds, "-1"), (seconds, "1e9"), (whole_number(1, 5), "6"), (whole_number(1, 5), "1.0")):
         with pytest.raises(argparse.ArgumentTypeError, match="expected"):
             parse(text)
-
-
-class Full(io.StringIO):
-    """A stream on a disk without room."""
-
-    def flush(self) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-
-def test_help_that_cannot_be_written_is_said() -> None:
-    with pytest.raises(AtollError, match=r"the output cannot be written \(No space left on device\)"):
-        Parser(prog="a").print_help(Full())
 
 
 def completed(program: str, line: str) -> list[str]:

@@ -94,22 +94,6 @@ def loads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return calls
 
 
-def test_several_processes_are_forked_when_all_is_loaded_and_have_numbered_names(
-    monkeypatch: pytest.MonkeyPatch, loads: list[str], worked: list[tuple[str, str, float | None]]
-) -> None:
-    monkeypatch.setattr(processes, "can_fork", lambda: True)
-    monkeypatch.setattr(processes, "end_with_parent", lambda parent: None)
-
-    def supervise(starts: Mapping[str, Callable[[], int]], said: object, parent: int | None, grace_s: float) -> int:
-        assert (loads, parent, grace_s) == (["all"], None, 30.0)
-        return max([start() for start in starts.values()]) or 3
-
-    monkeypatch.setattr(processes, "Forked", lambda work: work())
-    monkeypatch.setattr(processes, "supervise", supervise)
-    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--name", "n" * 64, "--wait", "2"]) == 3
-    assert worked == [("tcp/a:1", "n" * 58 + f"-{index}", 2.0) for index in range(2)]
-
-
 def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_one(
     monkeypatch: pytest.MonkeyPatch, loads: list[str], lab: Lab
 ) -> None:
@@ -133,16 +117,6 @@ def test_where_a_fork_is_unsafe_several_processes_are_started_and_end_with_this_
         assert "--exit-reasons" in command
         assert 1700.0 < float(command[command.index("--lifetime") + 1]) <= 1800.0
         assert command[command.index("--grace") + 1] == "5"
-
-
-def test_no_worker_is_forked_for_a_parent_that_died_while_loading(
-    monkeypatch: pytest.MonkeyPatch, loads: list[str]
-) -> None:
-    monkeypatch.setattr(processes, "can_fork", lambda: True)
-    monkeypatch.setattr(processes, "request_parent_death_signal", lambda: None)
-    monkeypatch.setattr(processes, "Forked", lambda work: pytest.fail("a worker was forked"))
-    assert cli.main(["--connect", "tcp/a:1", "--processes", "2", "--parent", str(1 << 30)]) == 0
-    assert loads == ["all"]
 
 
 def test_the_automatic_number_of_processes_is_said_with_its_reason(

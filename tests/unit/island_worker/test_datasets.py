@@ -79,20 +79,6 @@ def test_an_announced_dataset_is_fetched_loaded_and_forgotten() -> None:
     assert asked.said[5:] == [("discard", "j")]
 
 
-def test_only_the_loading_of_the_dataset_that_is_here_counts() -> None:
-    """What was forgotten while it was being loaded is not there, also when it has been fetched again meanwhile."""
-    datasets = datasets_of(Recorder())
-    for _ in range(2):
-        datasets.announced(announcement(b"abc", 1))
-        datasets.chunk_came("j", 0, b"abc")
-        datasets.forget("j")
-    assert not datasets.finish_loading("j")
-    datasets.announced(announcement(b"abc", 1))
-    assert not datasets.finish_loading("j")
-    datasets.chunk_came("j", 0, b"abc")
-    assert datasets.finish_loading("j")
-
-
 def test_a_job_that_was_not_announced_is_asked_for_as_long_as_it_is_wanted() -> None:
     asked = Recorder()
     datasets = datasets_of(asked)

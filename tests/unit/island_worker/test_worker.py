@@ -109,10 +109,3 @@ def test_a_worker_ends_with_an_error_when_its_compute_thread_fails(pair: Pair) -
     pair.post(ComputeFailed("the compute thread failed: KeyError: 'job'"))
     assert pair.worker.exit_code == AtollError.exit_code == 1
     assert str(pair.worker.error) == "the compute thread failed: KeyError: 'job'"
-
-
-def test_of_a_closed_job_the_islands_are_discarded_before_the_dataset(pair: Pair) -> None:
-    pair.place()
-    assert [name for name, *_ in pair.compute.calls] == ["share", "load", "run"]
-    pair.control(CloseJob(job="job"))
-    assert [name for name, *_ in pair.compute.calls] == ["share", "load", "run", "discard", "discard_job"]

@@ -1,6 +1,6 @@
 """Expressions for other programs: sympy objects, LaTeX and MathML. sympy is imported only when asked for.
 
-LaTeX and MathML have the order of terms and factors, the signs, powers and brackets that the text has.
+LaTeX and MathML have the same order of terms and factors, signs, powers and brackets as the text.
 """
 
 import re
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     import sympy
 
 _HTML_ENTITY: Final = re.compile(r"&(?!lt;|gt;|amp;|quot;|apos;|#)\w+;")
-"""An entity that XML does not have, such as the invisible times."""
+"""An entity that XML does not define, such as the invisible times."""
 
 _LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"} | {
     letter: f"\\{letter}" for letter in "{}$%#&_"
 }
 
 _WORD: Final = re.compile(r"(?<![^\W\d_])(?<!\\)[^\W\d_]{2,}")
-"""Letters side by side that are no command."""
+"""Adjacent letters that are no command."""
 
 _LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\mu ", "Ω": r"\Omega "}
 _RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
@@ -31,37 +31,37 @@ _LOWERED: Final = str.maketrans(_RAISED, "0123456789-+")
 _UNIT_PART: Final = re.compile(
     rf"(?:\^|\*\*)(?P<power>[-+]?\d[\d.]*)|(?P<raised>[{_RAISED}]+)|(?P<times>[*·⋅×])|(?P<words>[^*·⋅×^{_RAISED}]+|\^)"
 )
-"""A power, a product, or what stands as it is."""
+"""A power, a product, or other text."""
 
 
 def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
     """Return `program` as a sympy expression over ``Symbol(name)`` for each of `names`; constants keep every bit.
 
-    sympy arranges terms anew and folds what it can, so the value agrees up to rounding.
+    sympy reorders terms and folds constants, so that values agree up to rounding.
     """
     return _Sympy(names).render(exact_form(program))
 
 
 def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
-    """Return `program` as LaTeX mathematics, written as `to_infix` shows it with so many `digits` of constants.
+    """Return `program` as LaTeX mathematics, in the form of `to_infix` with so many `digits` of constants.
 
-    Factors are set apart where a name is a word.
+    Factors are spaced where a name is a word.
     """
     has_words = any(r"\mathrm" in name or r"\text" in name for name in map(_latex_name, names))
     return _Typeset(_LATEX, names, digits, r" \, " if has_words else " ").render(displayed_form(program, digits))
 
 
 def to_mathml(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
-    """Return `program` as presentation MathML without its ``math`` element, written as `to_infix` shows it.
+    """Return `program` as presentation MathML without its ``math`` element, in the form of `to_infix`.
 
-    Factors are separated by dots where a name has several letters, and between numbers.
+    Factors are separated by dots where a name has several letters, and before numbers.
     """
     times = _MATHML.dot if any(len(name) > 1 for name in names) else "<mo>\u2062</mo>"
     return _Typeset(_MATHML, names, digits, times).render(displayed_form(program, digits))
 
 
 class _Sympy(Renderer["sympy.Expr"]):
-    """Makes sympy objects of operators and operands: a name may be whatever a column is called."""
+    """Renders forms as sympy objects; names may be any column names."""
 
     def __init__(self, names: Sequence[str]) -> None:
         import sympy
@@ -96,10 +96,10 @@ class _Sympy(Renderer["sympy.Expr"]):
 
 
 class _Markup(NamedTuple):
-    """What a language of typesetting writes around parts: templates, but for how it writes a `name`.
+    """Templates of a markup language, and a function that writes a `name`.
 
-    `scaled` is a number times a power of ten, `addend` a sign and a term, `product` a factor, what stands between, and
-    a factor; `derivatives` are left-hand sides by the order of the derivative: what is derived, and by what.
+    `scaled` is a number times a power of ten, `addend` a sign and a term, `product` a factor, the sign between, and a
+    factor; `derivatives` are left-hand sides by the order of the derivative, of a function and a variable.
     """
 
     name: Callable[[str], str]
@@ -120,9 +120,9 @@ class _Markup(NamedTuple):
 
 
 class _Typeset(Renderer[str]):
-    """Writes forms in a markup: quotients as fractions, powers raised.
+    """Renders forms in a markup language: quotients as fractions, powers raised.
 
-    `digits` are the significant ones of constants; `times` stands between factors that are no numbers.
+    `digits` are the significant digits of constants; `times` is written between factors that are no numbers.
     """
 
     def __init__(self, markup: _Markup, names: Sequence[str], digits: int, times: str) -> None:
@@ -172,7 +172,7 @@ class _Typeset(Renderer[str]):
         return self._markup.bracketed.format(self.signed(operand))
 
     def _open(self, operand: Signed) -> str:
-        """Return a part that what is around it closes."""
+        """Return a part that needs no brackets where it is placed."""
         is_group = operand.form.kind is Kind.GROUP and not operand.negative
         return self.signed(operand.form.parts[0] if is_group else operand)
 
@@ -183,16 +183,16 @@ class _Typeset(Renderer[str]):
 
 
 def _begins_with_number(operand: Signed) -> bool:
-    """Tell whether digits stand first in a factor that is no product of its own."""
+    """Tell whether a factor begins with digits."""
     return operand.is_constant or (
         operand.form.kind in (Kind.NATURAL, Kind.POWER) and operand.form.parts[0].is_constant
     )
 
 
 def _latex_name(name: str) -> str:
-    """Return a name as mathematics, words upright, since letters side by side are a product.
+    """Return a name as mathematics, words upright, since adjacent letters mean a product.
 
-    One that is no identifier is text, with what LaTeX would understand escaped.
+    A name that is no identifier becomes text, with special characters escaped.
     """
     import sympy
 
@@ -222,7 +222,7 @@ def _unit_part(part: re.Match[str]) -> str:
 
 
 def _mathml_name(name: str) -> str:
-    """Return a name as an element: letters of Greek and indices as such, what is no identifier as it stands."""
+    """Return a name as an element, with Greek letters and indices; a name that is no identifier unchanged."""
     import sympy
     from sympy.printing.mathml import mathml
 
@@ -273,7 +273,7 @@ _MATHML: Final = _Markup(
 
 
 def left_side_to_latex(lhs: str, *, is_name: bool = False) -> str:
-    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side, and one that `is_name`, as a name."""
+    """Return ``dx/dt`` and ``d2x/dt2`` as fractions, any other left-hand side, or with `is_name` all, as a name."""
     return _left_side(_LATEX, lhs, is_name)
 
 
@@ -288,7 +288,7 @@ def _left_side(markup: _Markup, lhs: str, is_name: bool) -> str:
 
 
 def _derivative(lhs: str) -> tuple[int, str] | tuple[int, str, str]:
-    """Return the order of a left-hand side, what is derived and by what; order 0 and the name where it is none."""
+    """Return the order of a derivative, its function and variable; order 0 and the name for other left-hand sides."""
     for order, pattern in ((2, "d2(.*)/d([^/]*)2"), (1, "d(.*)/d([^/]*)")):
         match = re.fullmatch(pattern, lhs, re.DOTALL)
         if match:

@@ -22,7 +22,7 @@ from atoll_core.expression.text.parsing import LARGEST_POWER
 
 TANGENT: Final = -1
 COTANGENT: Final = -2
-"""Codes of the quotients of sine and cosine, beside those of operators."""
+"""Codes of the quotients of sine and cosine, in addition to the codes of operators."""
 _QUOTIENTS: Final = {(op.SIN, op.COS): TANGENT, (op.COS, op.SIN): COTANGENT}
 
 
@@ -30,7 +30,7 @@ class Kind(Enum):
     """What a form is."""
 
     NAME = "a variable"
-    NUMBER = "a number, its sign left out"
+    NUMBER = "a number without its sign"
     CALL = "a function of one argument"
     GROUP = "a sum in brackets"
     SUM = "terms, each with its sign"
@@ -42,12 +42,11 @@ class Kind(Enum):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Form:
-    """A part as it is written, without its sign. Equal parts of one program are one object.
+    """A written part without its sign. Equal parts of one program are one object.
 
-    `parts` are the signed operands: of a sum its terms, of a product, a quotient or a power both of its sides (a
-    natural one has its base alone). `index` is that of a variable, `code` that of a function or of a quotient of
-    functions, `exponent` that of a natural power, `value` that of a number, which may have a `name`; -1, 0.0 and ""
-    stand for what a kind does not have.
+    `parts` are the signed operands: the terms of a sum, both sides of a product, quotient or power, the base of a
+    natural power. `index` belongs to a variable, `code` to a function or a quotient of functions, `exponent` to a
+    natural power, `value` to a number, which may have a `name`; they are -1, 0.0 and "" for other kinds.
     """
 
     kind: Kind
@@ -60,7 +59,7 @@ class Form:
 
     @property
     def terms(self) -> "tuple[Signed, ...]":
-        """The terms of a sum in the order of reading: the first is positive where that keeps every bit."""
+        """The terms of a sum in reading order: the first is positive where that keeps every bit."""
         first, *rest = self.parts
         if rest and first.negative and not rest[0].negative:
             return (rest[0], first, *rest[1:])
@@ -69,7 +68,7 @@ class Form:
 
 @dataclass(frozen=True, slots=True)
 class Signed:
-    """A form; the value is that of its negative where it is `negative`."""
+    """A form with its sign."""
 
     form: Form
     negative: bool = False
@@ -81,18 +80,18 @@ class Signed:
 
     @property
     def is_product(self) -> bool:
-        """Whether it is a product or a quotient, which begins with a factor."""
+        """Whether it is a product or a quotient."""
         return self.form.kind in (Kind.PRODUCT, Kind.QUOTIENT)
 
     @property
     def is_atom(self) -> bool:
-        """Whether it is one thing, or stands in brackets of its own."""
+        """Whether it is a name, or has brackets around it."""
         return self.form.kind in (Kind.NAME, Kind.CALL, Kind.GROUP)
 
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """The form of a whole program: all its parts, operands before what they are operands of, and the `whole`."""
+    """The form of a whole program: all its parts, operands first, and the `whole`."""
 
     parts: tuple[Form, ...]
     whole: Signed
@@ -102,32 +101,32 @@ Output = TypeVar("Output")
 
 
 class Renderer(ABC, Generic[Output]):
-    """Writes forms as something, operands before what they are operands of, so that no depth is too great."""
+    """Renders forms, operands first and without recursion, so that any depth is possible."""
 
     def __init__(self) -> None:
         self._done: dict[Form, Output] = {}
 
     def render(self, written: Written) -> Output:
-        """Return what a whole program is written as."""
+        """Return the rendered program."""
         for form in written.parts:
             self._done[form] = self.of(form)
         return self.signed(written.whole)
 
     def signed(self, operand: Signed) -> Output:
-        """Return an operand, which was written before, with its sign."""
+        """Return a rendered operand with its sign."""
         return self.negative(self._done[operand.form]) if operand.negative else self._done[operand.form]
 
     def plain(self, operand: Signed) -> Output:
-        """Return an operand, which was written before, without its sign."""
+        """Return a rendered operand without its sign."""
         return self._done[operand.form]
 
     @abstractmethod
     def negative(self, operand: Output) -> Output:
-        """Return the negative of what was written."""
+        """Return the negative of a rendered operand."""
 
     @abstractmethod
     def of(self, form: Form) -> Output:
-        """Return a form, whose operands were written before, without its sign."""
+        """Return the rendered form, without its sign; its operands are rendered already."""
 
 
 def form_of(
@@ -138,8 +137,8 @@ def form_of(
 ) -> Written:
     """Return the form of a program; parts that are used twice are written twice.
 
-    `constants` are the names of those that have one, by node; `quotients` what the language has of `TANGENT` and
-    `COTANGENT`.
+    `constants` are the names of named constants, by node; `quotients` are those of `TANGENT` and `COTANGENT` that the
+    language has.
     """
     writer = _Writer(quotients)
     operands: list[Signed] = []
@@ -156,7 +155,7 @@ def form_of(
 
 
 def _needed(forms: dict[Hashable, Form], whole: Form) -> Iterator[Form]:
-    """Yield the forms that a whole is made of, operands first."""
+    """Yield the forms that are parts of a whole, operands first."""
     needed = {whole}
     for form in reversed(forms.values()):
         if form in needed:
@@ -166,7 +165,7 @@ def _needed(forms: dict[Hashable, Form], whole: Form) -> Iterator[Form]:
 
 @dataclass(frozen=True)
 class _Writer:
-    """Makes forms, each but once, in the order in which they are needed."""
+    """Makes forms, each only once, operands first."""
 
     quotients: frozenset[int]
     forms: dict[Hashable, Form] = field(default_factory=dict)
@@ -178,7 +177,7 @@ class _Writer:
         return self.forms[key]
 
     def number(self, value: float, name: str = "") -> Signed:
-        """Return a constant; of one that has a name the sign is part of what is named."""
+        """Return a constant; the name of a named one includes its sign."""
         if name:
             return Signed(self.form(Kind.NUMBER, value=value, name=name))
         is_negative = value.hex().startswith("-")  # also of zero
@@ -193,7 +192,7 @@ class _Writer:
             return self._multiplied(left, right)
         if code == op.DIVIDE:
             return self._divided(left, right)
-        if code == op.BASE_LOG:  # in derivatives by an exponent; the power beside it tells where it is 0
+        if code == op.BASE_LOG:  # in derivatives by an exponent, times a power that is 0 where this would be
             return self.unary(op.LOG, left)
         return Signed(self.form(Kind.POWER, left, right))
 
@@ -244,7 +243,7 @@ class _Writer:
         return Signed(left.form), Signed(right.form), left.negative != right.negative
 
     def _natural_power(self, left: Signed, right: Signed) -> Form | None:
-        """Return a product as a natural power; None where it is none that is read as the same product."""
+        """Return a product as a natural power; None where it would not be read as the same product."""
         if left.is_constant or right.is_constant:
             return None
         if left == right:
@@ -260,10 +259,10 @@ class _Writer:
 class Notation:
     """How one language writes functions and powers; the rest, + - * / with brackets, is the same in all languages.
 
-    `functions` are names by operator code, where they differ from ours, and `prefix` stands before those that do not.
-    `power` writes a base and an exponent, `natural` a base and a natural number. A power `is_call` where that is a
-    function call, whose arguments need no brackets. `tangent` and `cotangent` name the quotients of sine and cosine;
-    empty: there is no such function, and the quotient is written.
+    `functions` are names by operator code where they differ from ours, and `prefix` is put before all other names.
+    `power` formats a base and an exponent, `natural` a base and a natural number. `is_call`: a power is a function
+    call, whose arguments need no brackets. `tangent` and `cotangent` name the quotients of sine and cosine; empty: the
+    language has no such function.
     """
 
     functions: Mapping[int, str] = field(default_factory=dict)
@@ -286,17 +285,17 @@ class Notation:
 
 
 INFIX: Final = Notation(power="{0}**{1}", natural="{0}**{1}", cotangent="cot")
-"""That of Atoll's own expressions, which our parser and sympy read."""
+"""The notation of Atoll's own expressions, which our parser and sympy read."""
 
 PRINTABLE_SIZE: Final = 5_000
-"""Largest tree that is printed. Shared nodes are printed once per use, so a short list can be a huge text."""
+"""Largest tree that is printed. Shared nodes are printed once per use, so that a short list can be a huge text."""
 
 
 def to_infix(program: Program, names: Sequence[str], *, digits: int | None = None) -> str:
     """Return `program` as infix text over `names`, the symbols of the V input variables.
 
-    With `digits`, the significant ones of constants, it is for display; else exactly what is computed. Raises
-    ValueError when the text would have more than `PRINTABLE_SIZE` operations (see `tree_size`).
+    With `digits` (significant digits of constants) it is for display, else exact. Raises ValueError when the text would
+    have more than `PRINTABLE_SIZE` operations (see `tree_size`).
     """
     if digits is None:
         return _Text(names, repr).render(exact_form(program))
@@ -304,15 +303,15 @@ def to_infix(program: Program, names: Sequence[str], *, digits: int | None = Non
 
 
 def exact_form(program: Program) -> Written:
-    """Return how `program` is written to the bit; raises ValueError when it is too large."""
+    """Return the exact form of `program`; raises ValueError when it is too large."""
     _check_size(program)
     return form_of(program)
 
 
 def displayed_form(program: Program, digits: int) -> Written:
-    """Return how `program` is shown with so many significant digits; raises ValueError when it is too large."""
+    """Return the form for display with so many significant digits; raises ValueError when `program` is too large."""
     _check_size(program)
-    # Imported here: what is printed to the bit needs none of it.
+    # Imported here: exact printing does not need it.
     from atoll_core.expression.writing.shortest import shortest
 
     short = shortest(program)
@@ -321,10 +320,10 @@ def displayed_form(program: Program, digits: int) -> Written:
 
 
 def to_code(program: Program, names: Sequence[str], notation: Notation, constants: Mapping[int, str]) -> str:
-    """Return `program` as an expression of another language, exactly as it is computed.
+    """Return `program` as an exact expression of another language.
 
-    `names` is what it calls the V input variables, `constants` those constants that have a name, by node; all others
-    are written with all their digits. Raises ValueError as `to_infix` does.
+    `names` are the names of the V input variables, `constants` the names of named constants, by node; all others are
+    written with all digits. Raises ValueError as `to_infix` does.
     """
     _check_size(program)
     return _Text(names, repr, notation).render(form_of(program, constants, quotients=notation.quotients))
@@ -350,7 +349,7 @@ def tree_size(program: Program) -> int:
 
 
 class _Text(Renderer[str]):
-    """Writes forms as text of one notation."""
+    """Renders forms as text of one notation."""
 
     def __init__(self, names: Sequence[str], number: Callable[[float], str], notation: Notation = INFIX) -> None:
         super().__init__()

@@ -1,5 +1,4 @@
-"""Parse infix text into a program: the reader of what `atoll_core.expression.text.infix` prints, and of what people
-write.
+"""Parse infix text into a program: the output of `atoll_core.expression.text.infix`, and expressions of users.
 
 Operators: ``+ - * / **``, unary minus and brackets, with Python's precedence; functions ``sin cos exp log sqrt abs Abs
 tanh``, ``tan`` and ``cot`` as quotients of sin and cos, the number ``pi``. ``x**3`` with a natural exponent is repeated
@@ -20,7 +19,7 @@ from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder
 from atoll_core.quoting import did_you_mean
 
 LARGEST_POWER: Final = 64
-"""Largest natural exponent that is written as multiplications."""
+"""Largest natural exponent that becomes multiplications."""
 
 _TOKEN: Final = re.compile(
     r"""
@@ -41,12 +40,12 @@ _MINUS: Final = "unary minus"
 
 
 def from_infix(text: str, names: Sequence[str], *, merges_constants: bool = True) -> Program:
-    """Return the program that `text` writes over the symbols `names`.
+    """Return the program of `text` over the symbols `names`.
 
-    Without `merges_constants` each number is a node of its own, so that equal ones can be fitted apart.
+    Without `merges_constants` each number is a separate node, so that equal ones can be fitted separately.
 
     Raises:
-        UsageError: the text is no expression over `names`; says what was found and at which character.
+        UsageError: the text is no expression over `names`; the message has the position.
     """
     return _Parser(text, names, merges_constants).parse()
 
@@ -79,9 +78,12 @@ class _Parser:
         return program
 
     def _value(self, token: _Token) -> bool:
-        """Take a token where a value must begin; return whether a value is still expected."""
+        """Process a token where a value must begin; return whether a value is still expected."""
         if token.kind == "number":
-            self._values.append(self._number(token))
+            value = float(token.text)
+            if math.isinf(value):
+                raise UsageError(f"the number {token.text} {self._where(token)} is too large; the largest is 1.8e308")
+            self._values.append(self._constant(value))
             return False
         if token.kind == "name":
             self._values.append(self._named(token))
@@ -94,7 +96,7 @@ class _Parser:
         return True
 
     def _continuation(self, token: _Token) -> bool:
-        """Take a token after a complete value; return whether a value is expected next."""
+        """Process a token after a complete value; return whether a value is expected next."""
         if token.kind == "natural":
             self._values.append(self._natural_power(self._values.pop(), int(token.text)))
             return False
@@ -117,12 +119,6 @@ class _Parser:
         return (
             self._builder.constant(value) if self._merges_constants else self._builder.append(op.CONSTANT, value=value)
         )
-
-    def _number(self, token: _Token) -> int:
-        value = float(token.text)
-        if math.isinf(value):
-            raise UsageError(f"the number {token.text} {self._where(token)} is too large; the largest is 1.8e308")
-        return self._constant(value)
 
     def _named(self, token: _Token) -> int:
         if token.text in self._variables:
@@ -153,20 +149,16 @@ class _Parser:
         return self._builder.add(op.DIVIDE, *(parts if token.text == "tan" else parts[::-1]))
 
     def _reduce(self, level: int) -> None:
-        """Apply the pending operators that bind at least as tightly as `level`, back to the last bracket."""
+        """Apply pending operators that bind at least as tightly as `level`, back to the last bracket."""
         while self._pending and _level(self._pending[-1]) >= level:
-            self._apply(self._pending.pop())
-
-    def _apply(self, token: _Token) -> None:
-        right = self._values.pop()
-        if token.text == _MINUS:
-            self._values.append(self._negated(right))
-        else:
-            self._values.append(self._builder.add(_BINARY[token.text][1], self._values.pop(), right))
-
-    def _negated(self, index: int) -> int:
-        code, _, _, value = self._builder.nodes[index]
-        return self._constant(-value) if code == op.CONSTANT else self._builder.add(op.NEGATE, index)
+            token, right = self._pending.pop(), self._values.pop()
+            code, _, _, value = self._builder.nodes[right]
+            if token.text != _MINUS:
+                self._values.append(self._builder.add(_BINARY[token.text][1], self._values.pop(), right))
+            elif code == op.CONSTANT:
+                self._values.append(self._constant(-value))
+            else:
+                self._values.append(self._builder.add(op.NEGATE, right))
 
     def _natural_power(self, base: int, exponent: int) -> int:
         if not 1 <= exponent <= LARGEST_POWER:
@@ -198,14 +190,21 @@ def _level(token: _Token) -> int:
 def _tokens(text: str) -> Iterator[_Token]:
     position = 0
     while position < len(text):
-        token, position = _named(text, position) if text[position].isidentifier() else _other(text, position)
-        if token.kind != "blank":
+        if text[position].isidentifier():
+            token, position = _named(text, position)
             yield token
+            continue
+        match = _TOKEN.match(text, position)
+        assert match is not None  # any character is at least foreign
+        kind = cast(_Kind, match.lastgroup)
+        if kind != "blank":
+            yield _Token(kind, match[kind], match.start(kind))
+        position = match.end()
     yield _Token("end", "", len(text))
 
 
 def _named(text: str, start: int) -> tuple[_Token, int]:
-    """Return the name that begins at `start`, as a call when a bracket follows, and where it ends."""
+    """Return the name at `start`, as a call when a bracket follows, and its end."""
     end = start + 1
     while end < len(text) and ("_" + text[end]).isidentifier():
         end += 1
@@ -213,10 +212,3 @@ def _named(text: str, start: int) -> tuple[_Token, int]:
     if bracket is None:
         return _Token("name", text[start:end], start), end
     return _Token("call", text[start:end], start), bracket.end()
-
-
-def _other(text: str, start: int) -> tuple[_Token, int]:
-    match = _TOKEN.match(text, start)
-    assert match is not None  # any character is at least foreign
-    kind = cast(_Kind, match.lastgroup)
-    return _Token(kind, match[kind], match.start(kind)), match.end()

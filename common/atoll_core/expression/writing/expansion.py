@@ -1,9 +1,9 @@
-"""An equation as a sum of terms, brackets expanded, in which each constant has a meaning of its own.
+"""An equation as an expanded sum of terms, in which each constant has a separate meaning.
 
-In ``x*(3 - 2*y)`` the factor of x*y is made of two numbers and of a sign; in ``3*x - 2*x*y`` it is one constant. The
-constants of the expanded form are the *coefficients* of terms and the numbers *inside* terms: in divisors, powers and
-arguments of functions. A sum in a divisor, or a factor that cannot be expanded, is divided by the factor of its first
-term with a variable, so that ``x/(4 + 2*y)`` is ``0.5*x/(2 + y)``.
+In ``x*(3 - 2*y)`` the coefficient of x*y is a product of two numbers and a sign; in ``3*x - 2*x*y`` it is one constant.
+The constants of the expanded form are the *coefficients* of terms and the numbers *inside* terms: in divisors, powers
+and arguments of functions. A sum in a divisor, or a factor that cannot be expanded, is normalised by the coefficient of
+its first term with a variable: ``x/(4 + 2*y)`` is ``0.5*x/(2 + y)``.
 """
 
 from collections import Counter
@@ -34,17 +34,17 @@ MOST_TERMS: Final = 40
 """Sums of more terms are not expanded."""
 
 Shape = Hashable
-"""What terms have in common that differ in numbers only."""
+"""The form of a term without its numbers."""
 Path: TypeAlias = tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True)
 class Role:
-    """What a constant of an expanded program stands for.
+    """The meaning of a constant of an expanded program.
 
-    `sign` times its value is the number that it stands for: the coefficient of the term of this `shape`, or where it
-    `is_inner`, a number inside the term. `path` tells where inside: the factor, the sum in it, the term there and so
-    on, each by its shape, whatever the order in which numbers put them; those of one shape are counted.
+    `sign` times its value is the coefficient of the term of this `shape` or, if it `is_inner`, a number inside the
+    term. `path` is the place inside: factor, sum, term and so on, each by its shape, independent of the order that
+    numbers give them; equal shapes are counted.
     """
 
     shape: Shape
@@ -57,7 +57,7 @@ class Role:
 class Expansion:
     """The expanded `program` and the role of each of its constants, in node order.
 
-    `units` are the numbers inside terms that are one or minus one and are not written, as their signs.
+    `units` are the unwritten numbers inside terms that are one or minus one, with this number as their sign.
     """
 
     program: Program
@@ -66,7 +66,7 @@ class Expansion:
 
 
 IsWritten = Callable[[Shape, float], bool]
-"""Tells whether a coefficient of one or minus one is written as a constant all the same."""
+"""Tells whether a coefficient of one or minus one is written as a constant."""
 
 
 def terms_of(program: Program) -> Sum:
@@ -76,13 +76,14 @@ def terms_of(program: Program) -> Sum:
 
 @contained
 def expand_sum(terms: Sum) -> Sum:
-    """Return a sum whose terms have no bracket above the line; raises UndefinedError beyond `MOST_TERMS` terms."""
+    """Return a sum without brackets in its numerators; raises UndefinedError beyond `MOST_TERMS` terms."""
     while True:
-        brackets = ((place, _bracket(monomial)) for place, (monomial, _) in enumerate(terms))
-        place, bracket = next((found for found in brackets if found[1] is not None), (0, None))
+        powers = ((place, power) for place, (monomial, _) in enumerate(terms) for power in monomial)
+        bracket = next((found for found in powers if found[1][0][0] == op.ADD and found[1][1] > 0), None)
         if bracket is None:
             return terms
-        (monomial, coefficient), (atom, exponent) = terms[place], bracket
+        place, (atom, exponent) = bracket
+        monomial, coefficient = terms[place]
         rest = [(other, count) for other, count in monomial if other != atom]
         rest += [(atom, exponent - 1)] * (exponent > 1)
         product = distribute(((tuple(sorted(rest)), coefficient),), atom[1])
@@ -91,13 +92,8 @@ def expand_sum(terms: Sum) -> Sum:
             raise UndefinedError
 
 
-def _bracket(monomial: Monomial) -> tuple[Atom, int] | None:
-    """Return the first bracket above the line of a term, None without one."""
-    return next(((atom, count) for atom, count in monomial if atom[0] == op.ADD and count > 0), None)
-
-
 def shape_of(monomial: Monomial) -> Shape:
-    """Return what is left of a term without its numbers."""
+    """Return a term without its numbers."""
     return tuple(sorted(((_atom_shape(atom), count) for atom, count in monomial), key=repr))
 
 
@@ -109,10 +105,10 @@ def _atom_shape(atom: Atom) -> Shape:
 
 
 def form_of(program: Program) -> Hashable:
-    """Return what programs have in common that differ in the values of their constants alone, however written.
+    """Return the form of a program: equal for programs that differ only in values of constants, however written.
 
-    Brackets above the line are expanded: ``0.1*y*(x - 4)`` has the form of ``0.1*x*y - 0.4*y``. What cannot be expanded
-    has the form of its nodes.
+    Brackets in numerators are expanded: ``0.1*y*(x - 4)`` has the form of ``0.1*x*y - 0.4*y``. A program that cannot be
+    expanded has the form of its nodes.
     """
     try:
         return tuple(sorted((shape_of(monomial) for monomial, _ in terms_of(program)), key=repr))
@@ -121,7 +117,7 @@ def form_of(program: Program) -> Hashable:
 
 
 def inner_numbers(terms: Sum) -> list[float]:
-    """Return the numbers inside the terms of a sum, but for those that are one by its form."""
+    """Return the numbers inside the terms of a sum, without those that are one by normalisation."""
     return [number for monomial, _ in terms for atom, _ in monomial for number in _numbers(atom)]
 
 
@@ -131,7 +127,8 @@ def _numbers(atom: Atom) -> list[float]:
         return []
     numbers: list[float] = []
     for inner in rest:
-        lead = _lead(inner) if kind == op.ADD else None
+        leads = (monomial for monomial, _ in inner if monomial != ONE and kind == op.ADD)
+        lead = next(leads, None)  # has the coefficient one by normalisation
         numbers += [
             coefficient
             for monomial, coefficient in inner
@@ -141,15 +138,10 @@ def _numbers(atom: Atom) -> list[float]:
     return numbers
 
 
-def _lead(terms: Sum) -> Monomial | None:
-    """Return the term of a bracket whose factor is one by the form of brackets."""
-    return next((monomial for monomial, _ in terms if monomial != ONE), None)
-
-
 def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
-    """Yield for each n/(c + u) in a sum that has n, too, the shape of n*u/(c + u), and the sum with that instead.
+    """Yield for each n/(c + u) in a sum that also has n the shape of n*u/(c + u), and the sum with this term instead.
 
-    It has no more terms: n/(c + u) is (n - n*u/(c + u))/c.
+    The number of terms does not grow: n/(c + u) is (n - n*u/(c + u))/c.
     """
     factors = dict(terms)
     for monomial, factor in terms:
@@ -167,7 +159,7 @@ def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
 
 
 def expand_program(program: Program, is_written: IsWritten = lambda *_: False) -> Expansion | None:
-    """Return the expanded form of a program; None when there is none, or none that is small enough.
+    """Return the expanded form of a program; None when there is none that is small enough.
 
     `is_written` tells which coefficients of one or minus one become constants.
     """
@@ -195,7 +187,7 @@ def _built(terms: Sum, is_written: IsWritten) -> Expansion | None:
 
 
 class _Builder(ProgramBuilder):
-    """Writes sums with each constant as a node of its own, and keeps what it stands for."""
+    """Writes sums with each constant as a separate node, and keeps the roles of constants."""
 
     def __init__(self, is_written: IsWritten) -> None:
         super().__init__()
@@ -209,7 +201,7 @@ class _Builder(ProgramBuilder):
         return self.append(op.CONSTANT, value=value)
 
     def sum_of_terms(self, terms: Sum) -> int:
-        """Return the index of an expanded sum, a positive term in front if there is one."""
+        """Return the index of an expanded sum, with a positive term in front if there is one."""
         if not terms:
             return self.number(0.0, Role(shape_of(ONE), 1.0, is_inner=False))
         return self._added(terms, inner=None)
@@ -227,7 +219,7 @@ class _Builder(ProgramBuilder):
         return top
 
     def _term(self, monomial: Monomial, coefficient: float, inner: Shape | None, path: Path, *, is_first: bool) -> int:
-        """Return the index of a term; the sign stands before it, unless it is the first."""
+        """Return the index of a term without its sign, unless it is the first term."""
         shape = shape_of(monomial) if inner is None else inner
         sign = 1.0 if is_first or coefficient > 0.0 else -1.0
         role = Role(shape, sign, inner is not None, path)
@@ -269,13 +261,13 @@ class _Builder(ProgramBuilder):
 
 
 def _extended(path: Path, name: str, counts: Counter[str]) -> Path:
-    """Return the path to the next part of this name among its neighbours, and count it."""
+    """Return the path to the next part of this name, and count it."""
     counts[name] += 1
     return (*path, (name, counts[name]))
 
 
 def factored_forms(program: Program) -> Iterator[Program]:
-    """Yield ``a*(s + b*t + …)`` for each term s of the expansion, a being its coefficient; nothing of one term."""
+    """Yield ``a*(s + b*t + …)`` for each term s of the expansion with coefficient a; nothing for a single term."""
     try:
         terms = terms_of(program)
     except UndefinedError:

@@ -1,8 +1,7 @@
-"""A sum written as an expression: which writing of its terms, factors and signs costs least, and in which order.
+"""A sum written as an expression: the cheapest writing of its terms, factors and signs, in reading order.
 
-The cost counts what a reader meets: each number, variable, operator and function once, wherever it stands; a minus
-sign in front of something counts nothing. Among writings of one count the one with fewer numbers is the cheaper, then
-that with fewer functions, fewer minus signs, fewer digits.
+The cost is the number of numbers, variables, operators and functions in the text; leading minus signs are free. Of
+writings with equal counts, the one with fewer numbers is cheaper, then with fewer functions, minus signs, digits.
 """
 
 import math
@@ -25,9 +24,9 @@ from atoll_core.expression.writing.sums_of_products import (
 )
 
 NODE: Final = 1 << 36
-"""What a node costs; the other costs decide between writings of as many nodes."""
+"""Cost of a node; the other costs decide between writings with equal numbers of nodes."""
 _INNER_QUOTIENT: Final = 3 * NODE
-"""What a quotient in a divisor costs beside its nodes: it has no value at one more place than its function."""
+"""Extra cost of a quotient in a divisor: the writing has no value at one more place than its function."""
 _NUMBER: Final = 1 << 28
 _FUNCTION: Final = 1 << 20
 _SIGN: Final = 1 << 12
@@ -35,12 +34,12 @@ _SIGN: Final = 1 << 12
 Written = tuple[int, Expression]
 """Cost and expression."""
 Term = tuple[bool, int, Expression]
-"""Whether a term is negative, and the cost and the expression of it without its sign."""
+"""Whether a term is negative, and its cost and expression without the sign."""
 
 
 @lru_cache(maxsize=50_000)
 def written(terms: Sum) -> Written:
-    """Return the cheapest writing of a sum whose terms and brackets stay as they are."""
+    """Return the cheapest writing of a sum with its present terms and brackets."""
     if not terms:
         return _number(0.0)
     listed = _listed([_term(*term) for term in in_order(terms)])
@@ -61,7 +60,7 @@ def _signed(negative: bool, cost: int, expression: Expression) -> Written:
 
 
 def _negated(expression: Expression) -> "Expression | None":
-    """Return a number, or a product or quotient that begins with one, as its negative; None where none leads."""
+    """Return the negative of a number, or of a product or quotient that begins with one; None for others."""
     if isinstance(expression, float):
         return -expression
     if isinstance(expression, tuple) and expression[0] in (op.MULTIPLY, op.DIVIDE):
@@ -83,7 +82,7 @@ def _listed(terms: list[Term]) -> Written:
 
 
 def _grouped(terms: Sum) -> Iterator[Written]:
-    """Yield a sum in which terms that have one coefficient in common, if any, stand in a bracket behind it."""
+    """Yield the sum with terms of equal coefficients in brackets behind these, if there are any."""
     groups: dict[float, list[tuple[Monomial, float]]] = {}
     for monomial, coefficient in terms:
         if monomial != ONE and abs(coefficient) != 1.0:
@@ -102,7 +101,7 @@ def _grouped(terms: Sum) -> Iterator[Written]:
 
 
 def in_order(terms: Sum) -> list[tuple[Monomial, float]]:
-    """Return terms in the order of reading: numbers, products of variables by degree, quotients, functions."""
+    """Return terms in reading order: numbers, products of variables by degree, quotients, functions."""
     return sorted(terms, key=_place)
 
 
@@ -133,7 +132,7 @@ def _term(monomial: Monomial, coefficient: float) -> Term:
 
 
 def _with_tangents(monomial: Monomial) -> list[tuple[Atom, int]]:
-    """Return factors in which sin u/cos u is one, ``(DIVIDE, u, SIN)``, and cos u/sin u likewise."""
+    """Return factors with sin u/cos u as one factor, ``(DIVIDE, u, SIN)``, and cos u/sin u likewise."""
     exponents = dict(monomial)
     for (kind, *arguments), exponent in monomial:
         partner = (op.COS, *arguments) if kind == op.SIN else ()
@@ -156,7 +155,7 @@ def _own_scale(terms: Sum) -> float:
 
 
 def _laid_out(monomial: Monomial, coefficient: float, scales: dict[Atom, float]) -> Term:
-    """Return a term whose brackets are written `scales` times as large as they are."""
+    """Return a term with its brackets multiplied by `scales`, and its coefficient divided accordingly."""
     above: list[Written] = []
     below: list[Written] = []
     for atom, scale in scales.items():
@@ -191,7 +190,7 @@ def _chained(factors: list[Written]) -> Expression:
 
 
 def _factor_place(atom: Atom) -> tuple[object, ...]:
-    """Return what orders factors for reading: variables, functions, brackets."""
+    """Return the sort key of factors in reading order: variables, functions, brackets."""
     return (atom[0] != op.VARIABLE, atom[0] == op.ADD, atom)
 
 
@@ -217,6 +216,6 @@ def _atom(atom: Atom, scale: float, *, wants_flip: bool) -> tuple[bool, Written]
 
 
 def _flips(terms: Sum, *, wants_flip: bool) -> bool:
-    """Tell whether a sum is better written as its negative: when all of it is negative, or the sign is free."""
+    """Tell whether to write the negative of a sum: all terms are negative, or the other sign is wanted and possible."""
     signs = {coefficient > 0.0 for _, coefficient in terms}
     return signs == {False} or (wants_flip and len(signs) == 2)

@@ -1,4 +1,10 @@
-"""The shortest writing of a program: a search among sums that equal its function, and a check over a box of data."""
+"""The shortest writing of a program: a search among equal sums, checked over the range of the data.
+
+The search is best-first: it expands the cheapest sum found so far by all identities, until a number of sums have been
+written (`_MOST_TRIED`). Arguments of functions and brackets are searched before the sum that contains them. The result
+is deterministic, but not proven to be shortest: the limit of tries decides, and it was set by the time that printing
+may take.
+"""
 
 import heapq
 from collections.abc import Callable
@@ -30,13 +36,13 @@ from atoll_core.expression.writing.sums_of_products import (
 )
 
 _SLACK: Final = 8 * NODE
-"""How much longer than the best a writing may be that is followed."""
+"""Sums whose writing costs more than the best one and this are not expanded."""
 _LARGEST: Final = 300
-"""Programs of more nodes, written as trees, stay as they are."""
+"""Programs with larger trees are not rewritten."""
 _SMALLEST: Final = 4 * NODE
-"""Nothing equal to a writing of fewer nodes is shorter."""
+"""Writings of fewer nodes cannot be shortened."""
 _MOST_TRIED: Final = (0, 4, 30)
-"""How many sums are written to find the shortest, by the depth of the search."""
+"""Number of sums that are written, by the depth of the search."""
 _MOST_ROWS: Final = 500
 _POINTS: Final = 250
 _TOLERANCE: Final = 1e-6
@@ -64,7 +70,7 @@ def shortest(program: Program) -> Program:
 
 
 def shortened(program: Program) -> Program:
-    """Return a short writing of the function of `program`, found by a brief search: for hundreds of candidates."""
+    """Return a short writing of the function of `program` by a brief search, for hundreds of candidates."""
     return _shortest_of(program, 1)
 
 
@@ -75,7 +81,7 @@ def collected(program: Program) -> Program:
 
 @contained
 def sum_of(program: Program, depth: int = 0) -> Sum:
-    """Return the sum that a program is; brackets and arguments in their best form to that depth."""
+    """Return a program as a sum; brackets and arguments in their best form by searches of this depth."""
     sums: list[Sum] = []
     for code, left, right, value in program.nodes():
         if code == op.VARIABLE:
@@ -106,7 +112,7 @@ def _operated(code: int, left: Sum, right: Sum, depth: int) -> Sum:
 
 @lru_cache(maxsize=50_000)
 def best_of(terms: Sum, depth: int) -> Sum:
-    """Return the sum of the shortest writing that is found; brackets on the way are searched one depth less."""
+    """Return the equal sum with the shortest writing found; its brackets are searched with one depth less."""
     best = (written(terms)[0], terms)
     if depth == 0 or best[0] < _SMALLEST:
         return terms
@@ -128,30 +134,30 @@ def best_of(terms: Sum, depth: int) -> Sum:
 
 
 def shortest_over(program: Program, inputs: FloatArray) -> Program:
-    """Return the shortest writing of `program`, or itself where the values differ over the box of `inputs` (V, R)."""
+    """Return the shortest writing of `program`, or `program` if values differ over the box of `inputs` (V, R)."""
     return shortest_at(program, lambda: points_of(inputs))
 
 
 def shortest_at(program: Program, points: Callable[[], FloatArray]) -> Program:
-    """Return what `shortest_over` does, where `points` gives those of a box (`points_of`) if they are needed."""
+    """Return the result of `shortest_over` with `points` as returned by `points_of`, called only if needed."""
     short = shortest(program)
     return short if short == program or agree(program, short, points()) else program
 
 
 def agree(before: Program, after: Program, points: FloatArray) -> bool:
-    """Tell whether `after` has the values of `before` wherever there are any, up to rounding."""
+    """Tell whether `after` has the values of `before` where these are finite, up to rounding."""
     old, new = values_of(before, points), values_of(after, points)
     defined = np.isfinite(old)
     if not defined.any():
         return True
-    size = float(np.median(_TOLERANCE * np.abs(old[defined])))  # the mean of two values may be beyond all numbers
+    size = float(np.median(_TOLERANCE * np.abs(old[defined])))  # scaled first: the mean of two values may overflow
     return bool(np.allclose(new[defined], old[defined], rtol=_TOLERANCE, atol=size))
 
 
 def points_of(inputs: FloatArray) -> FloatArray:
-    """Return rows of `inputs` (V, R >= 1), spread evenly, and points that fill the box around them (V, P).
+    """Return evenly spread rows of `inputs` (V, R >= 1), and points that fill the box around them (V, P).
 
-    The points are an additive recurrence (Roberts 2018): no two of a coordinate are equal.
+    The points are an additive recurrence (Roberts 2018): no two have an equal coordinate.
     """
     variables, rows = inputs.shape
     count = min(rows, _MOST_ROWS)

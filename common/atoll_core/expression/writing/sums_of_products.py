@@ -25,14 +25,14 @@ from atoll_core.expression.evaluation import value_of
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 FAILURES: Final[Counter[str]] = Counter()
-"""How often rewriting failed, by function and kind of error."""
+"""Number of failed rewritings, by function and kind of error."""
 
 
 def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Make any mistake in rewriting an `UndefinedError`, which leaves an expression as it was.
+    """Turn any error in rewriting into an `UndefinedError`, for which callers keep the expression unchanged.
 
-    Writing decides how an equation is shown, and not what it is: no mistake in it may cost an island or a job. What
-    fails, fails at the same program always, so that the same seed still gives the same bits.
+    Writing decides only how an equation is shown, so that a bug in it must not end an island or a job. It is logged
+    once for each kind. A failure depends on the program alone, so that equal seeds still give equal bits.
     """
 
     @wraps(function)
@@ -62,9 +62,9 @@ ZERO: Final[Sum] = ()
 LARGEST_POWER: Final = 16
 """Largest whole power of a factor."""
 _ROUNDING: Final = 1e-13
-"""Share of what is added below which a sum is nothing but rounding errors."""
+"""A sum that is smaller than this share of its terms is only rounding errors."""
 _PHASE: Final = 1e-9
-"""Radians: a phase as near as this to a multiple of a quarter turn is that multiple."""
+"""Radians: a phase this close to a multiple of a quarter turn is that multiple."""
 _QUARTER: Final = math.pi / 2
 
 
@@ -90,13 +90,13 @@ def split_constant(terms: Sum) -> tuple[float, Sum]:
 
 
 def number_of(terms: Sum) -> float | None:
-    """Return the number that a sum is, None when it is none."""
+    """Return a sum that is a number as a float, None for others."""
     number, rest = split_constant(terms)
     return None if rest else number
 
 
 def cleaned(value: float) -> float:
-    """Return a number of at most twelve digits in place of one that lies within a few roundings of it."""
+    """Return the nearest number of twelve digits if it is within a few rounding errors, else the same number."""
     if not math.isfinite(value):
         raise UndefinedError
     if value.is_integer():
@@ -106,9 +106,9 @@ def cleaned(value: float) -> float:
 
 
 def kept(value: float) -> float:
-    """Return what numbers other than 0 make; raises UndefinedError when it is 0 or not finite.
+    """Return a product of numbers other than 0; raises UndefinedError when it is 0 or not finite.
 
-    A coefficient that doubles cannot hold may be one that variables would have made up for: (1e-170 x)(1e-170 y).
+    A coefficient may underflow although large variables compensate it: (1e-170 x)(1e-170 y).
     """
     if not value or not math.isfinite(value):
         raise UndefinedError
@@ -116,7 +116,7 @@ def kept(value: float) -> float:
 
 
 def times(one: float, other: float) -> float:
-    """Return the product; raises UndefinedError when it is not finite, or 0 without a factor that is."""
+    """Return the product; raises UndefinedError when it is not finite, or 0 although no factor is 0."""
     return kept(one * other) if one and other else 0.0
 
 
@@ -126,9 +126,9 @@ def add(*parts: tuple[float, Sum]) -> Sum:
 
 
 def collect(terms: Iterable[tuple[Monomial, float]]) -> Sum:
-    """Return the sum of terms, like ones joined, lone brackets expanded, what cancels left out.
+    """Return the sum of terms: like terms are joined, brackets alone in a term expanded, cancelling terms dropped.
 
-    Raises UndefinedError where what is added is too large: whether it cancels cannot be told.
+    Raises UndefinedError where terms are too large to decide whether they cancel.
     """
     total: dict[Monomial, float] = {}
     size: dict[Monomial, float] = {}
@@ -156,14 +156,14 @@ def multiply(left: Sum, right: Sum) -> Sum:
 
 
 def scaled(terms: Sum, factor: float) -> Sum:
-    """Return a multiple of a sum; the factor is not 0. Raises UndefinedError where a term would vanish."""
+    """Return a multiple of a sum by a factor other than 0; raises UndefinedError where a term would underflow."""
     if factor == 1.0:
         return terms
     return tuple((monomial, cleaned(kept(factor * coefficient))) for monomial, coefficient in terms)
 
 
 def raised_number(value: float, exponent: int) -> float:
-    """Return a whole power of a number; raises UndefinedError when it is not finite, or 0 as that of no zero."""
+    """Return an integer power of a number; raises UndefinedError when it is not finite, or underflows."""
     try:
         raised = float(value**exponent)
         return kept(raised) if value else raised
@@ -172,7 +172,7 @@ def raised_number(value: float, exponent: int) -> float:
 
 
 def power(base: Sum, exponent: int) -> Sum:
-    """Return a whole power; raises UndefinedError for zero to a negative power."""
+    """Return an integer power; raises UndefinedError for zero to a negative power."""
     if exponent == 0:
         return constant(1.0)
     if not base:
@@ -194,9 +194,9 @@ def _factors(terms: Sum, exponent: int) -> list[tuple[Atom, int] | float]:
 
 
 def bracket(terms: Sum) -> tuple[float, Monomial]:
-    """Return a sum of several terms as a number times a monomial: what all terms share stands before the bracket.
+    """Return a sum of several terms as a number times a monomial, with common factors before the bracket.
 
-    Without what they share, terms may cancel: x^2 - x (x - 1) is x.
+    Without their common factors, terms may cancel: x^2 - x (x - 1) is x.
     """
     shared = common([monomial for monomial, _ in terms])
     rest = collect((divided(monomial, shared), coefficient) for monomial, coefficient in terms) if shared else terms
@@ -208,7 +208,7 @@ def bracket(terms: Sum) -> tuple[float, Monomial]:
 
 
 def common(monomials: Iterable[Monomial]) -> Monomial:
-    """Return the largest monomial that divides all of these, powers below the line included."""
+    """Return the largest monomial that divides all of these; common negative powers are included."""
     first, *others = (dict(monomial) for monomial in monomials)
     shared: list[tuple[Atom, int]] = []
     for atom, exponent in first.items():
@@ -219,7 +219,7 @@ def common(monomials: Iterable[Monomial]) -> Monomial:
 
 
 def divided(monomial: Monomial, divisor: Monomial) -> Monomial:
-    """Return a monomial over another."""
+    """Return the quotient of two monomials."""
     return merged([*monomial, *((atom, -exponent) for atom, exponent in divisor)])
 
 
@@ -234,7 +234,7 @@ def merged(factors: Iterable[tuple[Atom, int]]) -> Monomial:
 
 
 def product(factors: Iterable[tuple[Atom, int] | float]) -> Sum:
-    """Return the product of numbers and powers of atoms, in which there is one exponential, and no root squared."""
+    """Return the product of numbers and powers of atoms, with at most one exponential and no squared roots."""
     coefficient, powers = 1.0, []
     for factor in factors:
         if isinstance(factor, float):
@@ -250,7 +250,7 @@ def product(factors: Iterable[tuple[Atom, int] | float]) -> Sum:
 
 
 def _reduced(coefficient: float, monomial: Monomial) -> Sum:
-    """Return a product whose exponentials, powers and roots are joined."""
+    """Return a product with its exponentials, powers and roots joined."""
     known: dict[Atom, int] = {}
     exponents: list[tuple[float, Sum]] = []
     powers: dict[Sum, list[tuple[float, Sum]]] = {}
@@ -285,7 +285,7 @@ def _reduced(coefficient: float, monomial: Monomial) -> Sum:
 
 
 def _multiplied(factors: dict[Atom, int], terms: Sum, exponent: int) -> float:
-    """Multiply factors by a power of a sum; return the number that remains of it."""
+    """Multiply factors by a power of a sum; return its remaining number."""
     if not exponent:
         return 1.0
     if not terms:
@@ -297,13 +297,13 @@ def _multiplied(factors: dict[Atom, int], terms: Sum, exponent: int) -> float:
 
 
 def _lone_atom(terms: Sum) -> Atom:
-    """Return the atom that a sum is, an empty one when it is none."""
+    """Return a sum that is a single atom as this atom, an empty one for others."""
     number, monomial = bracket_or_term(terms)
     return monomial[0][0] if number == 1.0 and len(monomial) == 1 and monomial[0][1] == 1 else ()
 
 
 def bracket_or_term(terms: Sum) -> tuple[float, Monomial]:
-    """Return a sum as a number times a monomial; raises UndefinedError of zero."""
+    """Return a sum as a number times a monomial; raises UndefinedError for zero."""
     if len(terms) == 1:
         return terms[0][1], terms[0][0]
     if not terms:
@@ -315,7 +315,7 @@ def bracket_or_term(terms: Sum) -> tuple[float, Monomial]:
 
 
 def function(code: int, argument: Sum) -> Sum:
-    """Return a function of a sum, in its one form."""
+    """Return a function of a sum in normal form."""
     number = number_of(argument)
     if number is not None:
         return constant(value_of(code, number, 0.0))
@@ -328,7 +328,7 @@ def atom_sum(atom: Atom, coefficient: float = 1.0, exponent: int = 1) -> Sum:
 
 
 def unsigned(terms: Sum) -> tuple[float, Sum]:
-    """Return a sign and a sum whose first term with a variable is positive; their product is the given sum."""
+    """Return a sum as a sign times a sum whose first term with a variable is positive."""
     lead = next(coefficient for monomial, coefficient in terms if monomial != ONE)
     return (1.0, terms) if lead > 0.0 else (-1.0, scaled(terms, -1.0))
 

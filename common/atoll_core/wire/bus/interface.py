@@ -1,26 +1,31 @@
-"""The bus: what every participant may rely on, whatever carries the messages. Clock and timers belong to it too.
+"""The bus: what every participant may rely on, whichever implementation carries the messages.
 
-Promises, kept by every implementation and checked by one contract suite (tests/contract):
+Coordinator, workers and clients are loops around `Bus.receive`: they take one event, change their state, and send.
+That is all they know of the network, so that tests run the real programs on a bus in virtual time with drawn faults
+(`tests.simulation.bus`). Clock and timers belong to the bus for the same reason. One contract suite (tests/contract)
+checks these promises on every implementation:
 
-*Threading.* A bus belongs to one owner thread, which alone calls `receive`. Everything that happens (a message, a
-query, a reply, a participant coming or going, a timer, something posted) is handed to the owner as an event by
-`receive`. `post` and `put` may be called from any thread. Nothing is ever called back.
+*Threading.* A bus belongs to one owner thread, and only this thread calls `receive`. All events (a message, a query, a
+reply, a participant that comes or goes, a timer, an item posted by another thread) reach the owner by `receive`. `post`
+and `put` may be called from any thread. There are no callbacks.
 
-*Delivery.* `put` reaches every matching subscriber at most once, or is lost without a sign (a cut link, a peer that
-dies, a subscriber that does not exist yet). Puts of one participant on one key arrive in order; otherwise any order.
-Payloads up to `MAX_PAYLOAD` are delivered whole; larger ones are a LocalProtocolError.
+*Delivery.* `put` reaches every matching subscriber at most once, or is lost silently (a broken link, a peer that dies,
+a subscriber that does not exist yet). Puts of one participant on one key arrive in order; otherwise any order is
+possible. Payloads up to `MAX_PAYLOAD` are delivered whole; larger ones raise a LocalProtocolError. The bus neither
+acknowledges nor repeats: protocols above it ask again for what they miss (docs/protocol.md).
 
-*Queries.* `get` asks whoever serves a key. It ends with exactly one Reply event carrying the token that `get` returned:
-the answer, or `payload=None` when nobody serves the key, the answerer refused, or `timeout_s` passed.
+*Queries.* `get` asks the participant that serves a key. It ends with exactly one Reply event with the token that `get`
+returned: the answer, or `payload=None` when no participant serves the key, the query was refused, or `timeout_s`
+passed.
 
-*Presence.* A participant's `announce`d key is seen by watchers until the participant closes or dies; a watcher is also
-told of those already there.
+*Presence.* Watchers see an `announce`d key until its participant closes or dies; a new watcher also learns of the
+participants that are present already.
 
 *Keys.* A key is a path of non-empty chunks, such as ``atoll/r1/workers/w3/inbox``. In an expression a chunk may be
-``*`` (any one chunk) or ``**`` (any number of chunks, none included). A chunk that begins with ``@`` is only matched by
+``*`` (any one chunk) or ``**`` (any number of chunks, including none). A chunk that begins with ``@`` matches only
 itself.
 
-*Time.* `now` is monotonic seconds; timers fire once, not before their time.
+*Time.* `now` is monotonic seconds; timers fire once, and not early.
 """
 
 import itertools
@@ -35,7 +40,7 @@ _RESERVED: Final = frozenset("*$?#")
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Somebody put `payload` on `key`, which matches one of our subscriptions."""
+    """A put of `payload` on `key`, which matches one of our subscriptions."""
 
     key: str
     payload: bytes
@@ -43,10 +48,9 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """Somebody asks for `key`, which we serve; answer with `Bus.reply`, once, also from another thread.
+    """A query for `key`, which we serve; answer with `Bus.reply`, once, from any thread.
 
-    `handle` is the bus's own, and means nothing to others. `session` is what the asker's program says of itself, the
-    same for all that it asks; empty where it says nothing.
+    `handle` is private to the bus. `session` identifies the asking program, empty where it is unknown.
     """
 
     key: str
@@ -57,7 +61,7 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The end of our `get`: the answer's bytes, or None when there was none in time."""
+    """The end of our `get`: the answer's bytes, or None without an answer in time."""
 
     token: int
     payload: bytes | None
@@ -80,7 +84,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Timer:
-    """The time of `call_at` or `call_later` has come; `name` is what was given there."""
+    """A timer of `call_later` is due; `name` is its name."""
 
     name: str
 
@@ -100,11 +104,11 @@ class Bus(Protocol):
 
     @property
     def dropped(self) -> int:
-        """How many messages and queries were lost because they came faster than they were received."""
+        """Number of messages and queries that were lost because they arrived faster than they were received."""
         ...
 
     def put(self, key: str, payload: bytes) -> None:
-        """Publish `payload` on `key` to whoever subscribes now. Never raises for an unreachable peer."""
+        """Publish `payload` on `key` to present subscribers. Never raises for an unreachable peer."""
 
     def subscribe(self, key_expression: str) -> None:
         """Receive Message events of every key that matches, from now until close."""
@@ -113,32 +117,31 @@ class Bus(Protocol):
         """Receive Query events of every key that matches, from now until close."""
 
     def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
-        """Ask for `key`; return a token, unique for this bus, under which the one Reply event will come."""
+        """Ask for `key`; return the token, unique for this bus, of the one Reply event that will follow."""
         ...
 
     def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
         """Answer `query`; None means refused (the asker gets a Reply with None at once).
 
-        Returns at once: threads of the bus send the answer. `party` is who asks, as far as that is known better than by
-        `query.session`: parties take turns where answers have to wait, and a party of which too many wait is refused
-        more.
+        Returns at once: threads of the bus send the answer. Parties take turns where answers have to wait, and a party
+        with too many waiting answers is refused. `party` is the asking user where that is known, else `query.session`.
         """
 
     def announce(self, key: str) -> None:
         """Show presence under `key` until close."""
 
     def watch(self, key_expression: str) -> None:
-        """Receive Presence events of every matching key, those already present first."""
+        """Receive Presence events of every matching key, first of the participants that are present already."""
 
     def now(self) -> float:
         """Return monotonic seconds."""
         ...
 
     def call_later(self, delay_s: float, name: str) -> None:
-        """Have a Timer event with `name` delivered after `delay_s`; a later call with the same name replaces it."""
+        """Deliver a Timer event with `name` after `delay_s`; a later call with the same name replaces it."""
 
     def post(self, item: object) -> None:
-        """Have `item` delivered as a Posted event; for the compute thread."""
+        """Deliver `item` as a Posted event; for other threads of this participant."""
 
     def receive(self, timeout_s: float) -> Event | None:
         """Return the next event, waiting at most `timeout_s`; None when there was none."""

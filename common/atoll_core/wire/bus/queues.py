@@ -14,7 +14,7 @@ import logging
 import math
 import queue
 import threading
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Container
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,11 +24,29 @@ from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Message, Query, Reply
 
 T = TypeVar("T")
+_LOG: Final = logging.getLogger(__name__)
+
+INBOX_BYTES: Final = 8 * MAX_PAYLOAD
+_LONGEST_WAIT_S: Final = 3600.0
+_EVENT_BYTES: Final = 200
+
+LARGE: Final = 256 * 1024
+"""Bytes from which on an answer is a large one."""
+
+THREADS: Final = 16
+"""Threads for small answers, and for large ones. They are started when there are answers for them."""
+
+MAX_LARGE_OF_PARTY: Final = 8
+"""Large answers of one party that may wait. A party that asks for one more is told to ask again."""
+
+_MAX_SMALL_OF_PARTY: Final = 4096
+_MAX_BYTES_OF_PARTY: Final = 64 * 1024**2
+"""Bytes of waiting small, or large, answers of one party: as much as the largest payload (`interface.MAX_PAYLOAD`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """How many things of one client, of one party and of all may wait, and bytes of one party and of all."""
+    """Maximum numbers of waiting items of one client, one party and all, and of bytes of one party and all."""
 
     of_client: int
     of_party: int
@@ -37,81 +55,65 @@ class Bounds:
     bytes_of_all: int
 
 
-class _Line(Generic[T]):
-    """What waits of one party, by client, with its sizes."""
-
-    def __init__(self, bounds: Bounds) -> None:
-        self.waiting = self.bytes = 0
-        self._bounds = bounds
-        self._clients: OrderedDict[str, deque[tuple[T, int]]] = OrderedDict()
-
-    def has_room(self, client: str, size: int) -> bool:
-        is_full = self.waiting >= self._bounds.of_party or self.bytes + size > self._bounds.bytes_of_party
-        return not is_full and len(self._clients.get(client, ())) < self._bounds.of_client
-
-    def add(self, client: str, item: T, size: int) -> None:
-        self._clients.setdefault(client, deque()).append((item, size))
-        self.waiting += 1
-        self.bytes += size
-
-    def take(self) -> tuple[T, int]:
-        """Return what comes next of the client whose turn it is; the client goes to the end."""
-        client, items = self._clients.popitem(last=False)
-        item, size = items.popleft()
-        if items:
-            self._clients[client] = items
-        self.waiting -= 1
-        self.bytes -= size
-        return item, size
-
-
 class Turns(Generic[T]):
-    """Lines of things that wait, by party."""
+    """Waiting items by party and client; parties take turns, and so do the clients of a party. Pure."""
 
     def __init__(self, bounds: Bounds) -> None:
         self.refused = 0
-        """How many were refused, since too many waited already."""
+        """Number of items that were refused because too many waited."""
         self._bounds = bounds
-        self._lines: OrderedDict[str, _Line[T]] = OrderedDict()
-        self._waiting = self._bytes = 0
+        self._lines: OrderedDict[str, OrderedDict[str, deque[tuple[T, int]]]] = OrderedDict()
+        self._waiting: Counter[str] = Counter()
+        self._bytes: Counter[str] = Counter()
+        self._all_waiting = self._all_bytes = 0
 
     def __len__(self) -> int:
-        return self._waiting
+        return self._all_waiting
 
     def add(self, party: str, client: str, item: T, size: int = 0) -> bool:
-        """Let something of `size` bytes wait; return False when too much does."""
-        line = self._lines.get(party) or _Line[T](self._bounds)
-        is_full = self._waiting >= self._bounds.of_all or self._bytes + size > self._bounds.bytes_of_all
-        if is_full or not line.has_room(client, size):
+        """Append an item of `size` bytes; return False when too much waits already."""
+        bounds = self._bounds
+        clients = self._lines.get(party, OrderedDict())
+        if (
+            self._all_waiting >= bounds.of_all
+            or self._all_bytes + size > bounds.bytes_of_all
+            or self._waiting[party] >= bounds.of_party
+            or self._bytes[party] + size > bounds.bytes_of_party
+            or len(clients.get(client, ())) >= bounds.of_client
+        ):
             self.refused += 1
             return False
-        line.add(client, item, size)
-        self._lines[party] = line
-        self._waiting += 1
-        self._bytes += size
+        clients.setdefault(client, deque()).append((item, size))
+        self._lines[party] = clients
+        self._count(party, 1, size)
         return True
 
     def take(self) -> T | None:
-        """Return what comes next of the party whose turn it is; the party goes to the end."""
+        """Return the next item of the party whose turn it is; the party goes to the end."""
         return self.take_of()[1]
 
     def take_of(self, but: Container[str] = ()) -> tuple[str, T | None]:
-        """Return whose turn it is of the parties that are not among `but`, and what comes next; None: nothing does."""
+        """Return the party whose turn it is, without those in `but`, and its next item; None when nothing waits."""
         party = next((party for party in self._lines if party not in but), None)
         if party is None:
             return "", None
-        line = self._lines.pop(party)
-        item, size = line.take()
-        self._waiting -= 1
-        self._bytes -= size
-        if line.waiting:
-            self._lines[party] = line
+        clients = self._lines.pop(party)
+        client, items = clients.popitem(last=False)
+        item, size = items.popleft()
+        if items:
+            clients[client] = items
+        if clients:
+            self._lines[party] = clients
+        self._count(party, -1, -size)
         return party, item
 
-
-INBOX_BYTES: Final = 8 * MAX_PAYLOAD
-_LONGEST_WAIT_S: Final = 3600.0
-_EVENT_BYTES: Final = 200
+    def _count(self, party: str, items: int, size: int) -> None:
+        self._waiting[party] += items
+        self._bytes[party] += size
+        self._all_waiting += items
+        self._all_bytes += size
+        if not self._waiting[party]:
+            del self._waiting[party], self._bytes[party]
 
 
 class Inbox:
@@ -124,7 +126,7 @@ class Inbox:
         self.dropped = 0
 
     def add(self, event: Event) -> None:
-        """Hand in an event; from any thread, never blocking."""
+        """Add an event; from any thread, never blocking."""
         size = _size(event)
         with self._lock:
             if isinstance(event, Message | Query) and self._bytes + size > INBOX_BYTES:
@@ -145,22 +147,27 @@ class Inbox:
         return event
 
 
+def _size(event: Event) -> int:
+    payload = event.payload if isinstance(event, Message | Query | Reply) else None
+    return _EVENT_BYTES + len(payload or b"")
+
+
 class Timers:
-    """Named alarms, each with at most one time."""
+    """Named timers, each with at most one time."""
 
     def __init__(self) -> None:
         self._times: dict[str, float] = {}
 
     def add(self, time_s: float, name: str) -> None:
-        """Set alarm `name` to `time_s`, whatever it was set to before."""
+        """Set timer `name` to `time_s`; an earlier setting of the same name is replaced."""
         self._times[name] = time_s
 
     def next_time(self) -> float:
-        """Return the time of the first alarm; infinity when there is none."""
+        """Return the time of the first timer; infinity without one."""
         return min(self._times.values(), default=math.inf)
 
     def pop_due(self, now: float) -> str | None:
-        """Remove and return the first alarm whose time is `now` or earlier."""
+        """Remove and return the first timer whose time is `now` or earlier."""
         due = [(time_s, name) for name, time_s in self._times.items() if time_s <= now]
         if not due:
             return None
@@ -169,61 +176,33 @@ class Timers:
         return name
 
 
-def _size(event: Event) -> int:
-    payload = event.payload if isinstance(event, Message | Query | Reply) else None
-    return _EVENT_BYTES + len(payload or b"")
-
-
-_LOG: Final = logging.getLogger(__name__)
-
-LARGE: Final = 256 * 1024
-"""Bytes from which on an answer is a large one."""
-
-THREADS: Final = 16
-"""Threads of each kind. They are started when there are answers for them."""
-
-MAX_LARGE_OF_PARTY: Final = 8
-"""Large answers of one party that may wait. Who asks for one more is told to ask again."""
-
-_MAX_LARGE: Final = THREADS * MAX_LARGE_OF_PARTY
-_MAX_SMALL_OF_PARTY: Final = 4096
-_MAX_SMALL: Final = 8 * _MAX_SMALL_OF_PARTY
-_MAX_BYTES_OF_PARTY: Final = 64 * 1024**2
-_MAX_BYTES: Final = 8 * _MAX_BYTES_OF_PARTY
-"""Of answers of a kind that wait. One party may have the largest payload of a bus (`interface.MAX_PAYLOAD`) wait."""
-
-
 class Outbox:
-    """Answers that wait for a thread that sends them, by party; large ones and small ones."""
+    """Answers that wait for a thread that sends them, by party; large ones and small ones apart."""
 
     def __init__(self) -> None:
-        self._small = _Senders(
-            "sending answers",
-            Bounds(_MAX_SMALL_OF_PARTY, _MAX_SMALL_OF_PARTY, _MAX_SMALL, _MAX_BYTES_OF_PARTY, _MAX_BYTES),
-        )
-        self._large = _Senders(
-            "sending large answers",
-            Bounds(MAX_LARGE_OF_PARTY, MAX_LARGE_OF_PARTY, _MAX_LARGE, _MAX_BYTES_OF_PARTY, _MAX_BYTES),
-        )
+        self._small = _Senders("sending answers", _MAX_SMALL_OF_PARTY, 8 * _MAX_SMALL_OF_PARTY)
+        self._large = _Senders("sending large answers", MAX_LARGE_OF_PARTY, THREADS * MAX_LARGE_OF_PARTY)
 
     def add(self, party: str, size: int, send: Callable[[], object]) -> bool:
         """Have `send` called by a thread when it is the turn of `party`; return False when too many answers wait."""
         return (self._large if size >= LARGE else self._small).add(party, size, send)
 
     def close(self) -> None:
-        """Return when all answers that wait have been sent or given up; later ones are lost. Repeatable."""
+        """Return when all waiting answers have been sent or given up; later ones are lost. Repeatable."""
         self._small.close()
         self._large.close()
 
 
 class _Senders:
-    """Threads that send the answers of one kind."""
+    """Threads that send answers."""
 
-    def __init__(self, name: str, bounds: Bounds) -> None:
+    def __init__(self, name: str, of_party: int, of_all: int) -> None:
+        bounds = Bounds(of_party, of_party, of_all, _MAX_BYTES_OF_PARTY, 8 * _MAX_BYTES_OF_PARTY)
         self._turns = Turns[Callable[[], object]](bounds)
         self._busy: set[str] = set()
         self._lock = threading.Lock()
-        self._threads = ThreadPoolExecutor(THREADS, name)  # has no thread before its first task
+        self._threads = ThreadPoolExecutor(THREADS, name)  # starts no thread before its first task
+        self.close = self._threads.shutdown
 
     def add(self, party: str, size: int, send: Callable[[], object]) -> bool:
         with self._lock:
@@ -233,11 +212,8 @@ class _Senders:
             self._threads.submit(self._send)
         return True
 
-    def close(self) -> None:
-        self._threads.shutdown()
-
     def _send(self) -> None:
-        """Send what waits of parties of which no thread sends anything; what is left, their threads send."""
+        """Send waiting answers of parties that no other thread serves now; the other threads send the rest."""
         while True:
             with self._lock:
                 party, send = self._turns.take_of(self._busy)

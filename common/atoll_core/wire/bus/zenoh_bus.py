@@ -57,11 +57,11 @@ from atoll_core.wire.topics import HELLO, ROOT
 _FOLDERS: Final = (Path("/proc/self/fd"), Path("/dev/fd"))
 _OFF: Final = struct.pack("ii", 0, 0)
 _SCAN_PAUSE_S: Final = 0.05
-"""Between two looks at all sockets, so that a thousand clients that connect at once do not cause a thousand looks."""
+"""Pause between two scans of all sockets, so that a thousand clients that connect at once cause few scans."""
 
 
 class LingerRemover:
-    """A thread that takes SO_LINGER back from the sockets of a router; it is told of each link that comes up."""
+    """A thread that resets SO_LINGER on the sockets of a router; call `link_is_up` for each new link."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -69,8 +69,8 @@ class LingerRemover:
         self._is_closed = threading.Event()
         threading.Thread(target=self._run, name="lingering sockets", daemon=True).start()
 
-    def link_is_up(self) -> None:
-        """Look for new sockets. From any thread; returns at once."""
+    def link_is_up(self, _event: object = None) -> None:
+        """Scan for new sockets soon. From any thread; returns at once."""
         self._is_due.set()
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ def sockets_of(port: int) -> Iterator[socket.socket]:
     folder = next((folder for folder in _FOLDERS if folder.is_dir()), None)
     for name in [path.name for path in folder.iterdir()] if folder is not None else []:
         try:
-            copy = os.dup(int(name))  # whose socket stays the same, even when zenoh closes its own meanwhile
+            copy = os.dup(int(name))  # refers to the same socket even when zenoh closes its descriptor meanwhile
         except OSError:
             continue
         try:
@@ -109,7 +109,7 @@ def sockets_of(port: int) -> Iterator[socket.socket]:
 
 _WAIT_FOR_PEER_US: Final = 1_000_000
 _GIVEN_UP: Final = 0.9
-"""Of `_WAIT_FOR_PEER_US`: an answer that took so long was given up, or nearly, and `_CLOSING_S` more costs little."""
+"""Share of `_WAIT_FOR_PEER_US` after which zenoh has nearly given up an answer, so that `_CLOSING_S` more is cheap."""
 
 _CLOSING_S: Final = 0.1
 _LEASE_MS: Final = 4_000
@@ -121,7 +121,7 @@ _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
 _RUNTIME: Final = "ZENOH_RUNTIME"
 _THREADS: Final = 8
-"""Threads of a router that read, and that write: so many links may be closing while others are served."""
+"""Reading threads of a router, and writing ones: so many links may be closing while others are served."""
 
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
@@ -138,7 +138,7 @@ _SIZE_LIMITS: Final = {
         f"{ROOT}/*/client/*/changes",
     ),
 }
-"""Bytes that a put or a question may have, by its key; a router drops what is larger before anybody reads it."""
+"""Largest put or query in bytes, by its key; a router drops larger ones unread."""
 
 
 def open_router(
@@ -149,10 +149,10 @@ def open_router(
     Args:
         listen: such as ``tcp/0.0.0.0:7447``, or with credentials.
         settings: further zenoh settings by path, such as ``{"transport/unicast/max_sessions": 100}``.
-        role_bindings: who may say what, by the names in certificates; None: whoever can connect may say anything.
+        role_bindings: permissions by the names in certificates; None: every participant may send anything.
 
     Raises:
-        UsageError: nobody can listen there, or a setting is unknown to zenoh.
+        UsageError: no router can listen there, or a setting is unknown to zenoh.
     """
     wanted = listen if isinstance(listen, Destination) else destination(listen)
     further = _guards(wanted)
@@ -166,9 +166,11 @@ def open_router(
                 session = zenoh.open(_config("router", [str(address)], [], further))
             bus = ZenohBus(session, str(address), is_router=True)
             if not address.is_socket:
-                bus._remove_lingering(address.port)
+                bus._lingering = LingerRemover(address.port)
+                session.info.declare_link_events_listener(_directly(bus._lingering.link_is_up))
+                bus._lingering.link_is_up()
             return bus
-        except zenoh.ZError as error:  # between finding a free port and listening on it, somebody may have taken it
+        except zenoh.ZError as error:  # another program may have taken the port since it was found to be free
             if wanted.address.port or wanted.address.is_socket or attempt == _FREE_PORT_ATTEMPTS:
                 raise UsageError(f"cannot listen on {address}: {_reason(error)}") from error
     raise AssertionError
@@ -177,12 +179,12 @@ def open_router(
 def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Settings | None = None) -> "ZenohBus":
     """Connect to the router at `connect`, trying again for `wait_s` seconds, and return a bus.
 
-    Once connected, the bus finds a router that went away again by itself, or one at another of the addresses of
-    `connect`; Link events tell of both.
+    If the router goes away, the bus reconnects by itself, to it or to another address of `connect`; Link events tell
+    the owner.
 
     Raises:
         UnreachableError: no coordinator answered in time.
-        RefusedError: certificates do not fit, on our side or theirs; trying again would not help.
+        RefusedError: one side does not accept the other's certificate; trying again would not help.
         UsageError: `connect` is no address, or a setting is unknown to zenoh.
     """
     to = connect if isinstance(connect, Destination) else destination(connect)
@@ -207,7 +209,7 @@ def open_client(connect: str | Destination, wait_s: float = 0.0, settings: Setti
 
 
 def _dial(address: Address, to: Destination, config: zenoh.Config) -> "ZenohBus | str":
-    """Return a bus connected to `address`, or why there is none now; raises RefusedError where that stays so."""
+    """Return a bus connected to `address`, or the reason why not; raises RefusedError where retrying would not help."""
     reason = why_unreachable(address)
     if reason is None and to.credentials is not None:
         reason = check_certificates(address, to.credentials, _QUICK_S)
@@ -246,41 +248,38 @@ class ZenohBus:
         self.close()
 
     def close(self) -> None:
-        """Send what is under way and leave the bus; gives up after some seconds rather than hang. Repeatable."""
-        closer = threading.Thread(target=self._leave, name="closing the bus", daemon=True)
+        """Send waiting answers and leave the bus; gives up after some seconds rather than hang. Repeatable."""
+
+        def leave() -> None:
+            self._outbox.close()
+            self._call(self._session.close)
+
+        closer = threading.Thread(target=leave, name="closing the bus", daemon=True)
         closer.start()
         closer.join(_CLOSE_LIMIT_S)
         if self._lingering is not None:
             self._lingering.close()
 
-    def _leave(self) -> None:
-        self._outbox.close()
-        self._call(self._session.close)
-
     def put(self, key: str, payload: bytes) -> None:
-        """See `Bus.put`."""
         check_payload(key, payload)
         self._call(lambda: self._session.put(check_key(key), payload, **_FIRMLY))
 
     def subscribe(self, key_expression: str) -> None:
-        """See `Bus.subscribe`."""
         check_expression(key_expression)
         self._call(lambda: self._session.declare_subscriber(key_expression, _directly(self._on_sample)))
 
     def serve(self, key_expression: str) -> None:
-        """See `Bus.serve`."""
         check_expression(key_expression)
         self._call(lambda: self._session.declare_queryable(key_expression, _directly(self._on_query), complete=True))
 
     def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
-        """See `Bus.get`."""
         check_payload(key, payload)
         check_key(key)
         token = next(self._tokens)
         is_open = threading.Semaphore(1)
 
         def finish(payload: bytes | None) -> None:
-            if is_open.acquire(blocking=False):  # whatever becomes of the question, one Reply comes of it
+            if is_open.acquire(blocking=False):  # exactly one Reply for each query
                 self._inbox.add(Reply(token, payload))
 
         def on_reply(reply: zenoh.Reply) -> None:
@@ -295,21 +294,20 @@ class ZenohBus:
         return token
 
     def reply(self, query: Query, payload: bytes | None, party: str | None = None) -> None:
-        """See `Bus.reply`."""
         if payload is not None:
             check_payload(query.key, payload)
         party = party if party is not None else query.session
         if not self._add(query, payload, party) and not (payload and self._add(query, None, party)):
-            self._call(_handle(query).drop)  # far too much waits: this asker finds out by itself
+            self._call(_handle(query).drop)  # far too much waits: the asker's own timeout ends the query
 
     def _add(self, query: Query, payload: bytes | None, party: str) -> bool:
         return self._outbox.add(party, len(payload or b""), lambda: self._reply(query, payload))
 
     def _reply(self, query: Query, payload: bytes | None) -> None:
-        """Send an answer and its end; by a thread of the outbox.
+        """Send an answer and the end of its query; called by a thread of the outbox.
 
-        Zenoh gives up the link to an asker that takes nothing, and closes it in the background. Until then the end
-        would wait as long again, and threads of zenoh that serve all links would wait for it.
+        Zenoh gives up the link to an asker that reads nothing and closes it in the background. Sending the end before
+        the link is closed would wait as long again, and block threads of zenoh that serve all links.
         """
         handle = _handle(query)
         begin = time.monotonic()
@@ -322,31 +320,25 @@ class ZenohBus:
         self._call(handle.drop)
 
     def announce(self, key: str) -> None:
-        """See `Bus.announce`."""
         check_key(key)
         self._call(lambda: self._kept.append(self._session.liveliness().declare_token(key)))
 
     def watch(self, key_expression: str) -> None:
-        """See `Bus.watch`."""
         check_expression(key_expression)
         handler = _directly(self._on_presence)
         self._call(lambda: self._session.liveliness().declare_subscriber(key_expression, handler, history=True))
 
     @property
     def dropped(self) -> int:
-        """See `Bus.dropped`."""
         return self._inbox.dropped
 
     def now(self) -> float:
-        """See `Bus.now`."""
         return time.monotonic()
 
     def call_later(self, delay_s: float, name: str) -> None:
-        """See `Bus.call_later`."""
         self._timers.add(time.monotonic() + delay_s, name)
 
     def post(self, item: object) -> None:
-        """See `Bus.post`."""
         self._inbox.add(Posted(item))
 
     def receive(self, timeout_s: float) -> Event | None:
@@ -362,9 +354,9 @@ class ZenohBus:
                 return event
 
     def _call(self, act: Callable[[], object]) -> bool:
-        """Let zenoh `act`; return False when the session is closed: what is then sent is lost without a sign.
+        """Let zenoh `act`; return False when the session is closed: messages are then lost silently.
 
-        It may call us back meanwhile, and an interrupt that is raised there would be lost.
+        Zenoh may call us back meanwhile, and an interrupt that is raised in a callback would be lost.
         """
         is_main = threading.current_thread() is threading.main_thread()
         try:
@@ -388,12 +380,6 @@ class ZenohBus:
     def _on_presence(self, sample: zenoh.Sample) -> None:
         self._inbox.add(Presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
-    def _remove_lingering(self, port: int) -> None:
-        """Have sockets of a router that listens on `port` closed without a wait, of present and of later links."""
-        remover = self._lingering = LingerRemover(port)
-        self._session.info.declare_link_events_listener(_directly(lambda _event: remover.link_is_up()))
-        remover.link_is_up()
-
     def _on_transport(self, event: zenoh.TransportEvent) -> None:
         self._inbox.add(Link(event.kind == zenoh.SampleKind.PUT))
 
@@ -414,10 +400,10 @@ def _directly(callback: Callable[[Any], None]) -> Any:
 
 @contextlib.contextmanager
 def _more_threads() -> Iterator[None]:
-    """Have zenoh start more threads, where nobody has set how many; it reads the variable when it starts the first.
+    """Let zenoh start more threads unless the user has set a number; it reads the variable at its first thread.
 
-    By itself it writes on all links by one thread and reads all by two, each of which waits while it closes the link of
-    a client that takes nothing.
+    By default one thread writes on all links and two read them, and each waits while it closes the link of a client
+    that reads nothing.
     """
     if _RUNTIME in os.environ:
         yield
@@ -462,7 +448,7 @@ def _config(mode: str, listen: list[str], connect: list[str], settings: Settings
 
 
 def _guards(to: Destination) -> dict[str, object]:
-    """Return the settings for TLS with certificates on both sides; no other protocol is spoken then."""
+    """Return the settings for TLS with certificates on both sides; no other protocol is then allowed."""
     files = to.credentials
     if files is None:
         return {}
@@ -481,6 +467,6 @@ def _guards(to: Destination) -> dict[str, object]:
 
 
 def _reason(error: zenoh.ZError) -> str:
-    """Return what zenoh says without its places in source code."""
+    """Return zenoh's message without the positions in its source code."""
     text = str(error).split(" at /")[0].strip().splitlines()
     return text[0][:200] if text else "no reason was given"

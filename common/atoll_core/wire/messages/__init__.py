@@ -1,10 +1,11 @@
-"""The messages, as frozen models that refuse unknown fields; an envelope names who speaks to whom.
+"""The messages, as frozen models that refuse unknown fields.
 
-- ``handshake``: the first question and its answer, which versions that differ can read.
+- ``handshake``: the first request and its answer, which other versions can read.
 - ``workers``: coordinator and workers: control, heartbeat.
-- ``epochs``: what comes of epochs: reports, migrants, states, and the pulls for them.
-- ``clients``: requests of clients and their answers. ``views``: what is shown of jobs and workers.
-- ``limits``: what fields may hold, and how large messages may be.
+- ``epochs``: results of epochs: reports, migrants, states, and the pulls for them. ``tasks``: leases and batches.
+- ``clients``: requests of clients and their answers. ``views``: jobs and workers as clients see them.
+- ``limits``: types of fields, and limits of sizes.
 
-A change of any of them raises `atoll.PROTOCOL_VERSION`.
+An envelope names sender and receiver; its ``body`` is one of a closed union, told apart by ``kind``. A change of any
+message raises `atoll_core.PROTOCOL_VERSION`.
 """

@@ -1,4 +1,4 @@
-"""The messages of clients: what they ask a coordinator, and what it answers."""
+"""The messages of clients: requests to a coordinator, and its answers."""
 
 from typing import Annotated, Literal
 
@@ -31,11 +31,11 @@ from atoll_core.wire.messages.views import (
 )
 
 MAX_QUESTION = 64 * 1024
-"""Most bytes of a question about a result, such as the equations of rivals."""
+"""Most bytes of a question about a result, such as the equations of alternative models."""
 
 
 class Upload(Frozen):
-    """One chunk of a table, or, with `data` None, the question which chunks are missing.
+    """One chunk of a table, or with `data` None a request for the list of missing chunks.
 
     `blob` is the SHA-256 of all `size` bytes; chunk `index` holds bytes from ``index * CHUNK_SIZE``; `sha256` is the
     chunk's own. Idempotent.
@@ -52,7 +52,7 @@ class Upload(Frozen):
 class Submit(Frozen):
     """A job under an id that the client made. The same id with the same contents again is the same job.
 
-    Others than its submitter and admins know nothing of it, unless it is `shared`.
+    Unless the job is `shared`, only its submitter and admins can see it.
     """
 
     kind: Literal["submit"] = "submit"
@@ -64,11 +64,11 @@ class Submit(Frozen):
     shared: bool = False
 
 
-class Jobs(Frozen):
-    """List jobs whose ids begin with `prefix`: the last that came; all, or with `is_open` those that have not ended, or
-    those in one `state`.
+class ListJobs(Frozen):
+    """List the latest jobs whose ids begin with `prefix`, at most `limit` of them.
 
-    `before` is the cursor that the list of those behind them gave; at most `limit` are listed.
+    `is_open`: only jobs that have not ended; `state`: only jobs in this state; `before`: the cursor of the last list,
+    for the jobs before it.
     """
 
     kind: Literal["jobs"] = "jobs"
@@ -80,21 +80,21 @@ class Jobs(Frozen):
 
 
 class FindJob(Frozen):
-    """Tell the id of the one job whose id is `prefix` or begins with it."""
+    """Return the id of the one job whose id is `prefix` or begins with it."""
 
     kind: Literal["find-job"] = "find-job"
     prefix: Id
 
 
 class Status(Frozen):
-    """Tell how a job is getting on."""
+    """Return the state and progress of a job."""
 
     kind: Literal["job-status"] = "job-status"
     job: Id
 
 
-class Workers(Frozen):
-    """List workers whose names begin with `prefix`, by name, those behind `after`: at most `limit` of them."""
+class ListWorkers(Frozen):
+    """List workers whose names begin with `prefix`, by name, from the one after `after` on, at most `limit` of them."""
 
     kind: Literal["workers"] = "workers"
     prefix: Id | Literal[""] = ""
@@ -103,20 +103,20 @@ class Workers(Frozen):
 
 
 class GetQueueDepth(Frozen):
-    """Tell how much work waits."""
+    """Return how much work waits."""
 
     kind: Literal["get-queue-depth"] = "get-queue-depth"
 
 
 class GetResult(Frozen):
-    """Give a job's result; while it runs, the best so far."""
+    """Return a job's result; while it runs, the best result so far."""
 
     kind: Literal["get-result"] = "get-result"
     job: Id
 
 
 class GetTable(Frozen):
-    """Give chunk `index` of the table that a job was submitted with."""
+    """Return chunk `index` of the table that a job was submitted with."""
 
     kind: Literal["get-table"] = "get-table"
     job: Id
@@ -124,17 +124,17 @@ class GetTable(Frozen):
 
 
 class GetIslands(Frozen):
-    """Say where the islands of a job are, and how far."""
+    """Return the worker and the last epoch of each island of a job."""
 
     kind: Literal["get-islands"] = "get-islands"
     job: Id
 
 
-class Analyse(Frozen):
-    """Have a worker answer a `question` about the result of a job that has ended, and give chunk `index` of the answer.
+class AskAnalysis(Frozen):
+    """Have a worker answer a `question` about the result of a job that has ended; return chunk `index` of the answer.
 
-    Until it is there, asking again is what keeps it wanted. `table` is the digest of uploaded measurements that take
-    the place of those of the result.
+    Until the answer exists, the client repeats the request; otherwise it is no longer computed. `table` is the digest
+    of uploaded measurements to be used in place of the measurements of the result.
     """
 
     kind: Literal["analyse"] = "analyse"
@@ -153,14 +153,14 @@ class Cancel(Frozen):
 
 
 class Delete(Frozen):
-    """Forget a job that has ended, with its result, its events and the data that no other job uses. Idempotent."""
+    """Delete a job that has ended, with its result, its events and the data that no other job uses. Idempotent."""
 
     kind: Literal["delete"] = "delete"
     job: Id
 
 
 class Pause(Frozen):
-    """Have a job wait until it is resumed (`paused` false); its islands stop at a checkpoint. It keeps its place."""
+    """Pause a job, or resume it (`paused` false); its islands stop at a checkpoint. It keeps its place."""
 
     kind: Literal["pause"] = "pause"
     job: Id
@@ -176,7 +176,7 @@ class SetPriority(Frozen):
 
 
 class Share(Frozen):
-    """Let everybody see a job, or (`shared` false) its submitter and admins only."""
+    """Let all users see a job, or (`shared` false) only its submitter and admins."""
 
     kind: Literal["share"] = "share"
     job: Id
@@ -184,7 +184,7 @@ class Share(Frozen):
 
 
 class Retry(Frozen):
-    """Submit what a job that failed or was cancelled was submitted with once more, under an id that the client made."""
+    """Submit a job that failed or was cancelled once more, under an id that the client made."""
 
     kind: Literal["retry"] = "retry"
     job: Id
@@ -192,9 +192,9 @@ class Retry(Frozen):
 
 
 class SetWorker(Frozen):
-    """Give a worker no more islands (cordon), take those away that it has as well (drain), or let it have some again.
+    """Give a worker no more islands (cordon), also take its present ones away (drain), or give it islands again (open).
 
-    It lasts until it is taken back; for admins.
+    Durable; for admins.
     """
 
     kind: Literal["set-worker"] = "set-worker"
@@ -203,16 +203,16 @@ class SetWorker(Frozen):
 
 
 class SetQueue(Frozen):
-    """Take up no more jobs (`paused`), or go on; what is under way goes on. It lasts; for admins."""
+    """Start no more jobs (`paused`), or start them again; running jobs go on. Durable; for admins."""
 
     kind: Literal["set-queue"] = "set-queue"
     paused: bool
 
 
 class GetEvents(Frozen):
-    """Tell what happened to a job, or at all (`job` None), after the event of number `after`: `limit` of it at most.
+    """Return events of a job, or all events (`job` None), after the event number `after`, at most `limit` of them.
 
-    With `after` 0 these are the last ones. `of_workers`: only lines of workers' logs.
+    With `after` 0 these are the latest events. `of_workers`: only lines of workers' logs.
     """
 
     kind: Literal["get-events"] = "get-events"
@@ -223,12 +223,10 @@ class GetEvents(Frozen):
 
 
 class Follow(Frozen):
-    """Put changes of a job, or (`job` None) all that happens, on the client's key `changes`, for a lease.
+    """Put changes of a job, or of all jobs (`job` None), on the client's key `changes`, for a lease.
 
-    Asked again, it renews the lease.
-
-    `after` is the number of the last event that the client has; None: it wants none that came before. `sequence` is
-    that of the last change it has.
+    A repeated request renews the lease. `after` is the number of the last event that the client has; None: it wants no
+    earlier events. `sequence` is the sequence number of the last change it has.
     """
 
     kind: Literal["follow"] = "follow"
@@ -238,19 +236,19 @@ class Follow(Frozen):
 
 
 RequestBody = (
-    Upload | Submit | Jobs | FindJob | Status | Workers | GetQueueDepth | GetResult | GetIslands | GetTable
-    | Analyse | Cancel | Delete | GetEvents | Follow | Pause | SetPriority | Share | Retry | SetWorker | SetQueue
+    Upload | Submit | ListJobs | FindJob | Status | ListWorkers | GetQueueDepth | GetResult | GetIslands | GetTable
+    | AskAnalysis | Cancel | Delete | GetEvents | Follow | Pause | SetPriority | Share | Retry | SetWorker | SetQueue
 )  # fmt: skip
 
 
-class Request(Frozen):
+class ClientRequest(Frozen):
     """A request of a client."""
 
     body: Annotated[RequestBody, Field(discriminator="kind")]
 
 
 class Uploaded(Frozen):
-    """Chunks of an upload that are still missing; none: the table is stored."""
+    """Chunks of an upload that are still missing; without any, the table is stored."""
 
     kind: Literal["uploaded"] = "uploaded"
     blob: Digest
@@ -258,7 +256,7 @@ class Uploaded(Frozen):
 
 
 class JobList(Frozen):
-    """Jobs, newest last; `before` is the cursor for those that came before them, None when there are none."""
+    """Jobs, newest last; `before` is the cursor for earlier jobs, None when there are none."""
 
     kind: Literal["job-list"] = "job-list"
     jobs: tuple[JobView, ...]
@@ -266,23 +264,23 @@ class JobList(Frozen):
 
 
 class JobFound(Frozen):
-    """The id that was asked for."""
+    """The id of the requested job."""
 
     kind: Literal["job-found"] = "job-found"
     job: Id
 
 
 class JobStatus(Frozen):
-    """One job; the answer to what is done to one."""
+    """One job; the answer to all requests that change one."""
 
     kind: Literal["job-view"] = "job-view"
     job: JobView
 
 
 class WorkerList(Frozen):
-    """Workers seen since the coordinator started, by name, and the coordinator itself; SetWorker tells the one.
+    """Workers seen since the coordinator started, by name, and the coordinator itself; to SetWorker, the one worker.
 
-    `after` is the cursor for those behind them, None when there are none.
+    `after` is the cursor for further workers, None when there are none.
     """
 
     kind: Literal["worker-list"] = "worker-list"
@@ -292,9 +290,9 @@ class WorkerList(Frozen):
 
 
 class QueueDepth(Frozen):
-    """How many jobs are in which state; how many tasks, such as islands, could be computed at once.
+    """Numbers of jobs by state, and of islands and tasks that could be computed at once (`tasks_ready`).
 
-    `workers_wanted`: how many worker processes would have work now, or as soon as data are prepared.
+    `workers_wanted`: number of worker processes that would have work now, or as soon as data are prepared.
     """
 
     kind: Literal["queue-depth"] = "queue-depth"
@@ -307,18 +305,18 @@ class QueueDepth(Frozen):
 
 
 class EventList(Frozen):
-    """What happened, in order."""
+    """Events, in order."""
 
     kind: Literal["event-list"] = "event-list"
     events: tuple[EventView, ...]
 
 
-class Change(Frozen):
-    """How a job stands now, and what has happened to it since the change of the sequence number `previous`.
+class JobChange(Frozen):
+    """The view of a job now, and its events since the change with the sequence number `previous`.
 
-    Who does not have that one has missed some, and asks anew. Sequence numbers rise through all lives of a store. `job`
-    None: all that happens is followed, and there is no view. `last` is the number of the last event that has been told;
-    with `has_more` there are others already.
+    A client without that change has missed some, and repeats its request. Sequence numbers rise over all restarts of a
+    coordinator. `job` None: all events are followed, and there is no view. `last` is the number of the last event sent;
+    with `has_more` there are further events already.
     """
 
     job: Id | None = None
@@ -332,14 +330,14 @@ class Change(Frozen):
 
 
 class Following(Frozen):
-    """The client hears of changes for `lease_s` seconds; `change` is what it does not have yet, None: nothing."""
+    """The client receives changes for `lease_s` seconds; `change` is what it does not have yet, None: nothing."""
 
     kind: Literal["following"] = "following"
     lease_s: Seconds
-    change: Change | None = None
+    change: JobChange | None = None
 
 
-class Result(Frozen):
+class ResultText(Frozen):
     """The contents of result.json, as JSON text."""
 
     kind: Literal["result"] = "result"
@@ -358,7 +356,7 @@ class TableChunk(Frozen):
 
 
 class IslandList(Frozen):
-    """The islands of a job, by equation and number; none unless it is searched now."""
+    """The islands of a job, by equation and number; empty unless the job is searching now."""
 
     kind: Literal["island-list"] = "island-list"
     islands: Annotated[tuple[IslandView, ...], Field(max_length=MAX_SHOWN_ISLANDS)]
@@ -367,7 +365,7 @@ class IslandList(Frozen):
 class AnalysisAnswer(Frozen):
     """Chunk `index` of the answer to a question about a job, of `size` bytes in all, whose SHA-256 is `digest`.
 
-    Without `data` the answer is not there yet; `waits_for` says in words what for, None while it is made.
+    Without `data` there is no answer yet; `waits_for` says in words why not, None while it is computed.
     """
 
     kind: Literal["analysis-answer"] = "analysis-answer"
@@ -380,7 +378,7 @@ class AnalysisAnswer(Frozen):
 
 
 class Deleted(Frozen):
-    """There is no job of this id any more."""
+    """The job of this id no longer exists."""
 
     kind: Literal["deleted"] = "deleted"
     job: Id
@@ -390,7 +388,7 @@ FailureKind = Literal["unknown-job", "no-table", "refused", "data", "too-early",
 
 
 class Failure(Frozen):
-    """The question cannot be answered; `sentence` is for the person who asked."""
+    """The request failed; `sentence` is for the user."""
 
     kind: Literal["failure"] = "failure"
     failure: FailureKind
@@ -398,7 +396,7 @@ class Failure(Frozen):
 
 
 AnswerBody = (
-    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | Result | IslandList | TableChunk
+    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | ResultText | IslandList | TableChunk
     | AnalysisAnswer | Deleted | EventList | Following | Failure
 )  # fmt: skip
 

@@ -1,8 +1,7 @@
-"""What comes of epochs: reports, migrants, states, and the questions for them.
+"""Results of epochs: reports, migrants, states, and the pulls for them.
 
-Frozen, validated models tagged by `kind`, in envelopes as those of `atoll_core.wire.messages.workers`: EpochReport
-(worker to coordinator); Mail (worker to worker); Pull (to a worker; that for states also to the coordinator) and
-PullAnswer.
+Envelopes: EpochReport (worker to coordinator); Mail (worker to worker); Pull (to a worker; for states also to the
+coordinator) and PullAnswer.
 """
 
 from typing import Annotated, Literal
@@ -26,7 +25,7 @@ from atoll_core.wire.messages.tasks import GivenBatch, NoTask, PullBatch
 
 
 class OfTerm(Frozen):
-    """Base of the messages about one archipelago under one term, each of which has a `kind` of its own."""
+    """Base of the messages about one archipelago under one term; each has its own `kind`."""
 
     kind: str
     job: Id
@@ -38,7 +37,7 @@ class OfTerm(Frozen):
 
 
 class HitStatement(Frozen):
-    """The target was met at `generation` (1-based within the epoch), the end of a slice, with this normalized error."""
+    """The target was reached at `generation` (1-based in the epoch), the end of a slice, with this normalized error."""
 
     generation: Count
     error: float
@@ -62,12 +61,12 @@ class SliceCounters(Frozen):
 
 
 class IslandReport(Frozen):
-    """What one island says of one epoch, finished or given up.
+    """The report of one island for one epoch, finished or given up.
 
-    `generations` is how far it got: to the epoch's end, to its own hit, or, when another island met the target, at
-    least as far as is needed then. `additions` are those to its front, in the order found, `runners_up` those that came
-    to be the next best beside it without ever having been on it. `counters` are those of all slices that it finished;
-    `best_error` is the smallest normalized error on all rows so far (None: none finite yet); `digest` is that of its
+    `generations` is the last one computed: the epoch's end, the island's own hit, or, after a hit of another island, at
+    least the last one that counts. `additions` are the entries added to its front, in the order found, `runners_up`
+    those added to its runners-up that were never on the front. `counters` are given for every slice that it finished.
+    `best_error` is the smallest normalized error on all rows so far (None: none finite yet), `digest` the digest of its
     state.
     """
 
@@ -82,7 +81,7 @@ class IslandReport(Frozen):
 
 
 class EpochReport(OfTerm):
-    """One worker's islands of one archipelago, one epoch: all but those that the cut spares the whole epoch."""
+    """All islands of one archipelago on one worker, one epoch; without islands for which no slice of it counts."""
 
     kind: Literal["report"] = "report"
     epoch: Count
@@ -93,7 +92,7 @@ class EpochReport(OfTerm):
 
 
 class Block(Frozen):
-    """Solutions of island `source` for island `destination`, with their slots; opaque to all but the island."""
+    """Solutions of island `source` for island `destination`, with their slots; only islands read `data`."""
 
     source: IslandIndex
     destination: IslandIndex
@@ -108,8 +107,8 @@ class Migrants(OfTerm):
     blocks: Annotated[tuple[Block, ...], Field(min_length=1)]
 
 
-class Finished(OfTerm):
-    """In place of emigrants: `island` met the target at `generation` of `epoch`; nothing after that is needed."""
+class IslandFinished(OfTerm):
+    """Instead of emigrants: `island` reached the target at `generation` of `epoch`; nothing after it is needed."""
 
     kind: Literal["finished"] = "finished"
     epoch: Count
@@ -120,14 +119,14 @@ class Finished(OfTerm):
 class Mail(Frozen):
     """From worker to worker."""
 
-    body: Annotated[Migrants | Finished, Field(discriminator="kind")]
+    body: Annotated[Migrants | IslandFinished, Field(discriminator="kind")]
 
 
 # ---------------------------------------------------------------------------------------------- pulls
 
 
 class PullMigrants(OfTerm):
-    """What did the `sources` of yours send in `epoch` to island `destination`?"""
+    """Send the migrants of `epoch` from your islands `sources` to island `destination` again."""
 
     kind: Literal["pull-migrants"] = "pull-migrants"
     epoch: Count
@@ -136,7 +135,7 @@ class PullMigrants(OfTerm):
 
 
 class PullReports(OfTerm):
-    """What did you report of these epochs (first included, last excluded)?"""
+    """Send your reports of these epochs (first included, last excluded) again."""
 
     kind: Literal["pull-reports"] = "pull-reports"
     first: Count
@@ -144,7 +143,7 @@ class PullReports(OfTerm):
 
 
 class PullStates(OfTerm):
-    """What are the states of these islands at checkpoint `epoch`, of the first one from byte `offset` on?"""
+    """Send the states of these islands at checkpoint `epoch`, the first one from byte `offset` on."""
 
     kind: Literal["pull-states"] = "pull-states"
     epoch: Count
@@ -153,21 +152,21 @@ class PullStates(OfTerm):
 
 
 class Pull(Frozen):
-    """Question to a worker; that for states also to the coordinator."""
+    """Request to a worker; for states also to the coordinator."""
 
     body: Annotated[PullMigrants | PullReports | PullStates | PullBatch, Field(discriminator="kind")]
 
 
 class Sent(Frozen):
-    """The migrants asked for, as far as they exist already, and those sources that finished instead."""
+    """The requested migrants that exist already, and the sources that finished instead."""
 
     kind: Literal["sent"] = "sent"
     migrants: Migrants | None
-    finished: tuple[Finished, ...] = ()
+    finished: tuple[IslandFinished, ...] = ()
 
 
 class Reports(Frozen):
-    """The reports asked for, as far as they exist already."""
+    """The requested reports that exist already."""
 
     kind: Literal["reports"] = "reports"
     reports: tuple[EpochReport, ...]
@@ -184,20 +183,20 @@ class Piece(Frozen):
 
 
 class States(Frozen):
-    """As many of the states asked for as one message bears, in their order; the last one may be a part of it."""
+    """As many of the requested states as fit into one message, in their order; the last one may be incomplete."""
 
     kind: Literal["states"] = "states"
     pieces: Annotated[tuple[Piece, ...], Field(min_length=1, max_length=1024)]
 
 
 class NotYet(Frozen):
-    """Nothing of what was asked for exists yet; ask later."""
+    """Nothing of the requested data exists yet; ask later."""
 
     kind: Literal["not-yet"] = "not-yet"
 
 
 class NewerTerm(OfTerm):
-    """The question's term is over; `term` is the one that the answerer knows (0: it holds nothing there)."""
+    """The term of the request is over; `term` is the one that the answering side knows (0: none)."""
 
     kind: Literal["newer-term"] = "newer-term"
     term: Count

@@ -1,4 +1,4 @@
-"""The messages with which a worker or a client introduces itself, and the answers. Other versions can read them."""
+"""The messages with which a worker or a client registers, and the answers. Other versions can read them."""
 
 from typing import Annotated, Literal
 
@@ -15,10 +15,10 @@ class Tolerant(Frozen):
 
 
 class Hello(Tolerant):
-    """The first words of a worker or a client. `instance` is drawn anew by each process.
+    """The first message of a worker or a client. `instance` is a random id of the process.
 
-    `fingerprint` names what the bits of a worker's islands depend on ("" while its kernels are not ready, and for a
-    client, which computes nothing). `cores` and `memory_bytes` are those that the processes of its host may use.
+    `fingerprint` identifies the kernels, on which the bits of a worker's islands depend ("" while they are not ready,
+    and for a client). `cores` and `memory_bytes` are available to all processes of its host together.
     """
 
     kind: Literal["hello"] = "hello"
@@ -38,7 +38,7 @@ class Hello(Tolerant):
 class Welcome(Tolerant):
     """The coordinator accepts; all further keys lie under its cluster, `realm`.
 
-    `clock` is its time of day as ISO text, if told.
+    `clock` is its time of day as ISO text, "" if unknown.
     """
 
     kind: Literal["welcome"] = "welcome"
@@ -51,7 +51,7 @@ class Welcome(Tolerant):
 
 
 class Refusal(Tolerant):
-    """The coordinator does not accept; `sentence` says why and names both sides' versions where they differ."""
+    """The coordinator refuses; `sentence` says why and names both sides' versions where they differ."""
 
     kind: Literal["refusal"] = "refusal"
     protocol: Count
@@ -61,7 +61,7 @@ class Refusal(Tolerant):
 
 
 class Greeting(Tolerant):
-    """Question on the hello key."""
+    """Request on the hello key."""
 
     body: Hello
 

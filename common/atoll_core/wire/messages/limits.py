@@ -1,4 +1,4 @@
-"""What fields of messages may hold, and how large messages and what they carry may be."""
+"""Types of the fields of messages, and limits of the sizes of messages and their contents."""
 
 from typing import Annotated, Final
 
@@ -17,22 +17,22 @@ MAX_PAGE_WORKERS: Final = 500
 """Most workers in one list of them: each has a few thousand bytes of counters."""
 
 CHUNK_LIMIT_S: Final = 120.0
-"""How long a client tries to have one chunk of an upload taken, on a slow line, in seconds."""
+"""Seconds for which a client tries to upload one chunk over a slow line."""
 
 MAX_MESSAGE: Final = 16 * 1024 * 1024
 """Largest encoded message; anything larger is refused unread."""
 
 MAX_STATE: Final = 256 * 1024 * 1024
-"""Largest state of one island, in bytes; the usual one has about 50,000."""
+"""Largest state of one island, in bytes; a typical state has about 50,000."""
 
 MAX_RUNNERS_UP: Final = 20_000
-"""Most runners-up that an island may report of one epoch; an epoch has room for a few hundred."""
+"""Most runners-up that an island may report for one epoch; a few hundred are usual."""
 
 MAX_ISLANDS: Final = 1024
 """Most islands of one archipelago."""
 
 MAX_SHOWN_ISLANDS: Final = 16_384
-"""Most islands of a job that are shown one by one."""
+"""Most islands of a job that are listed one by one."""
 
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

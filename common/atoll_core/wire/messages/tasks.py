@@ -1,9 +1,9 @@
-"""What coordinator and workers tell each other of tasks: leases, results, and batches between workers.
+"""Messages about tasks: leases and results between coordinator and workers, batches between workers.
 
 A task is a pure function of inputs that are named by their digests. The coordinator leases it to a worker, which pulls
-the inputs, runs it in a process of its own and pushes the result. Other workers may help: they pull batches of its
-work from the worker that has it. Messages are those of `atoll_core.wire.messages.workers` and
-`atoll_core.wire.messages.epochs`, whose envelopes carry them.
+the inputs, runs the task in a separate process and pushes the result. Other workers may help: they pull batches of its
+work from the worker that runs it. The envelopes are in `atoll_core.wire.messages.workers` and
+`atoll_core.wire.messages.epochs`.
 """
 
 from typing import Annotated, Literal
@@ -14,19 +14,19 @@ from atoll_core.config import Frozen
 from atoll_core.wire.messages.limits import CHUNK_SIZE, Count, Digest, Id, Seconds, Sentence, Term
 
 AnalysisFunction = Literal["analyse", "profile", "suggest", "report"]
-"""What can be asked of the result of a job."""
+"""Analyses of the result of a job."""
 
 TaskFunction = Literal["prepare", "refine", AnalysisFunction]
 TaskState = Literal["fetching", "waiting", "running", "done", "failed", "helping"]
-"""Of a task on its worker: inputs are on their way; its process is loading; it runs; its result is kept; or it is that
-of another worker, which is helped."""
+"""State of a task on a worker: inputs are downloaded; its process loads; it runs; its result is kept; it failed; or it
+runs on another worker, which this one helps."""
 
 MAX_INPUTS = 8
 MAX_RESULT = 2**31
 """Largest result of a task, in bytes."""
 
 MAX_BATCH = 12 * 1024 * 1024
-"""Most bytes of a batch, its context included: what is larger is not given to helpers."""
+"""Most bytes of a batch, its context included: larger ones are not given to helpers."""
 
 
 class TaskInput(Frozen):
@@ -38,10 +38,10 @@ class TaskInput(Frozen):
 
 
 class Lease(Frozen):
-    """Run this task and push its result; said again, push the result again.
+    """Run this task and push its result; a repeated lease asks for the result again.
 
-    `task` is the digest of job, function and inputs. A higher `term` has it tried again where it failed before.
-    `seconds`: how long it may take, None: any time. `threads`: how many it may use.
+    `task` is the digest of job, function and inputs. A higher `term` retries a task that failed before. `seconds` is
+    its time limit, None: unlimited. `threads` is the number of threads it may use.
     """
 
     kind: Literal["lease"] = "lease"
@@ -55,7 +55,7 @@ class Lease(Frozen):
 
 
 class Help(Frozen):
-    """Pull batches of this task from `worker`, and compute them, until it is released or there are no more."""
+    """Pull batches of this task from `worker` and compute them, until it is released or there are no more."""
 
     kind: Literal["help"] = "help"
     task: Digest
@@ -64,14 +64,14 @@ class Help(Frozen):
 
 
 class Release(Frozen):
-    """Have nothing more to do with this task: its result has come, or nobody needs it."""
+    """Forget this task: its result has arrived, or is no longer needed."""
 
     kind: Literal["release"] = "release"
     task: Digest
 
 
 class TaskStatus(Frozen):
-    """What a worker has of a task of this job, and how many candidates the task has compared."""
+    """The state of a task on a worker, and how many candidates it has compared."""
 
     task: Digest
     job: Id
@@ -92,9 +92,9 @@ class TaskChunk(Frozen):
 
 
 class TaskFailed(Frozen):
-    """A task has no result: something of ours broke, memory ran out, its process died, or it took too long.
+    """A task has no result: an internal error, no memory, its process died, or it took too long.
 
-    `term` is that of the lease: a failure that is said twice counts once.
+    `term` is the term of the lease, so that a failure that is reported twice counts once.
     """
 
     kind: Literal["failed"] = "failed"
@@ -105,22 +105,22 @@ class TaskFailed(Frozen):
 
 
 class TaskReport(Frozen):
-    """From a worker to the coordinator: what came of a task."""
+    """From a worker to the coordinator: the result of a task, or its failure."""
 
     body: Annotated[TaskChunk | TaskFailed, Field(discriminator="kind")]
 
 
 class BatchResult(Frozen):
-    """What a helper made of a batch; None: it could not be made."""
+    """The result of a batch; None: it could not be computed."""
 
     number: Count
     result: bytes | None
 
 
 class PullBatch(Frozen):
-    """A helper has room for a batch of this task of yours; `result` is what it made of the one before.
+    """A helper asks for a batch of this task; `result` is the result of its last batch.
 
-    `contexts` are the digests of those that it has.
+    `contexts` are the digests of the contexts that it has.
     """
 
     kind: Literal["pull-batch"] = "pull-batch"
@@ -130,7 +130,7 @@ class PullBatch(Frozen):
 
 
 class GivenBatch(Frozen):
-    """A batch: a named function, its context by digest (without bytes: you have it), and the item."""
+    """A batch: a named function, its context by digest (without bytes if the helper has it), and the item."""
 
     kind: Literal["batch"] = "batch"
     number: Count
@@ -141,6 +141,6 @@ class GivenBatch(Frozen):
 
 
 class NoTask(Frozen):
-    """The task is not, or no longer, here."""
+    """The task does not, or no longer, run here."""
 
     kind: Literal["no-task"] = "no-task"

@@ -1,4 +1,4 @@
-"""What the coordinator tells its clients about jobs and workers; the shapes behind `status`, `jobs` and `workers`."""
+"""Jobs and workers as clients see them: the data behind `status`, `jobs` and `workers`."""
 
 from collections.abc import Iterable
 from typing import Annotated, Final, Literal, Self
@@ -12,7 +12,7 @@ JobState = Literal["queued", "preparing", "running", "refining", "done", "failed
 FINAL_STATES: frozenset[JobState] = frozenset({"done", "failed", "cancelled"})
 WorkerState = Literal["compiling", "ready", "computing", "waiting", "leaving", "hung", "lost"]
 WorkerService = Literal["open", "cordoned", "draining"]
-"""Whether a worker is given islands, keeps those that it has without being given more, or hands them over."""
+"""Whether a worker gets islands, keeps its present ones without getting more, or hands them over."""
 EventKind = Literal[
     "submitted", "prepared", "placed", "unplaced", "isolated", "pardoned", "commit", "cut", "refining",
     "done", "failed", "cancelled", "stalled", "moving", "worker-joined", "worker-lost", "worker-back",
@@ -22,7 +22,7 @@ EventKind = Literal[
 WARNINGS: frozenset[EventKind] = frozenset(
     {"failed", "stalled", "isolated", "unplaced", "worker-lost", "refused", "broken"}
 )
-"""Events that somebody may have to do something about."""
+"""Events that may need attention."""
 
 
 class Traffic(Frozen):
@@ -36,12 +36,12 @@ class Traffic(Frozen):
 
 
 class Counters(Frozen):
-    """What a process has done since its start, and what it takes.
+    """Counters of a process since its start.
 
-    `dropped`: messages lost because they came faster than they were taken; `refused`: malformed or foreign ones;
-    `broken`: events over which something of ours broke; `duplicates`: what came again and changed nothing; `waited_s`:
-    seconds that islands waited for migrants, summed over islands; `memory_bytes`: memory occupied now; `cpu_s`:
-    processor time taken.
+    `dropped`: messages lost because they arrived faster than they were processed; `refused`: malformed or foreign
+    messages; `broken`: events that caused an internal error; `duplicates`: repeated messages, which change nothing;
+    `waited_s`: seconds that islands waited for migrants, summed over islands; `memory_bytes`: memory in use now;
+    `cpu_s`: processor time used.
     """
 
     traffic: Annotated[tuple[Traffic, ...], Field(max_length=32)] = ()
@@ -55,7 +55,7 @@ class Counters(Frozen):
 
 
 class StoreView(Frozen):
-    """Transactions of the coordinator's store since its start, and the seconds that they took."""
+    """Transactions of the coordinator's store since its start, and the seconds they took."""
 
     transactions: int = 0
     total_s: float = 0.0
@@ -63,9 +63,9 @@ class StoreView(Frozen):
 
 
 class UserView(Frozen):
-    """Jobs of one user that have not ended: those that wait in the queue, and those that have begun.
+    """Numbers of jobs of one user that wait in the queue and that have begun, without ended ones.
 
-    `user` is the name in the certificate; None: nobody has proved whose they are.
+    `user` is the name in the certificate; None: jobs submitted without a certificate.
     """
 
     user: str | None
@@ -76,9 +76,9 @@ class UserView(Frozen):
 class CoordinatorView(Frozen):
     """The coordinator itself as `workers` shows it; `seconds` since its start.
 
-    `queued` jobs wait, `under_way` ones have places; while the queue is `paused`, none is taken up. `lag_s` is by how
-    many seconds its loop was late at most within the last minute. `users` are those with the most jobs that have not
-    ended, as far as who asks may see their jobs.
+    `queued` jobs wait, `under_way` ones have places; while the queue is `paused`, none is started. `lag_s` is the
+    largest delay of its event loop in the last minute, in seconds. `users` are the users with the most jobs that have
+    not ended, limited to jobs that the client may see.
     """
 
     version: str
@@ -94,10 +94,10 @@ class CoordinatorView(Frozen):
 
 
 class JobCounters(Frozen):
-    """What a job has cost beside its point evaluations, in this coordinator's life.
+    """Counters of a job since the coordinator's start, besides its point evaluations.
 
-    `placements` counts terms, `deaths` those that ended by the death of a worker, `stalls` the times that it stood
-    still; the others are as in `Counters`.
+    `placements` counts terms, `deaths` terms that ended by the death of a worker, `stalls` the times without progress;
+    the others are as in `Counters`.
     """
 
     reports: int = 0
@@ -110,7 +110,7 @@ class JobCounters(Frozen):
 
 
 class EventView(Frozen):
-    """One thing that happened, as `logs` shows it; `number` rises. What does not apply is None.
+    """One event, as `logs` shows it; `number` rises. Fields that do not apply are None.
 
     `details` are further numbers and words by name.
     """
@@ -131,8 +131,7 @@ class EventView(Frozen):
 class VariableView(Frozen):
     """Progress of one equation. `epoch` counts completely reported epochs; `why` says how its search ended.
 
-    A known equation is not searched: `why` is "known" from the beginning. `verdict` is given when the job has ended:
-    how far the equation can be trusted.
+    A known equation is not searched: its `why` is always "known". `verdict` is known when the job has ended.
     """
 
     variable: str
@@ -150,7 +149,7 @@ class VariableView(Frozen):
 
 
 class TaskView(Frozen):
-    """A task of a job that has not ended; `compared` counts candidates, `helpers` the workers that help `worker`."""
+    """A task that has not ended; `compared` counts candidates, `helpers` the workers that help `worker`."""
 
     function: TaskFunction
     worker: str | None = None
@@ -161,11 +160,11 @@ class TaskView(Frozen):
 class JobView(Frozen):
     """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for.
 
-    `fault` of a failed job: the data could not be used, two workers diverged, its islands killed their workers, or
-    something of ours broke. `stalls` says where it stands still, and why; `ahead` counts jobs before it in the line.
-    `submitter` is by the name in the certificate; others see the job when it is `shared`. One that is `paused` waits to
-    be resumed, one that is `held` has begun and has no place now. `tasks` are those that have not ended. `notes` are
-    those of the `warnings` that report what was done by rule.
+    `fault` of a failed job: unusable data, two workers that diverged, islands that killed their workers (poison), or an
+    internal error. `stalls` says where it makes no progress, and why; `ahead` counts jobs before it in the queue.
+    `submitter` is the name in the certificate; other users see the job when it is `shared`. A `paused` job waits to be
+    resumed; a job that is `held` has begun and has no place now. `tasks` have not ended. `notes` are those `warnings`
+    that only report what was done by rule.
     """
 
     job: str
@@ -196,7 +195,7 @@ class JobView(Frozen):
 
 
 class IslandView(Frozen):
-    """One island of an equation that is searched: its worker, None while it has none, and its last reported epoch."""
+    """One island of an equation that is searched: its worker, if it has one, and its last reported epoch."""
 
     variable: str
     island: int
@@ -205,10 +204,10 @@ class IslandView(Frozen):
 
 
 class WorkerView(Frozen):
-    """One worker as `workers` shows it; `silent` is seconds since it was last heard of, `detail` for a person.
+    """One worker as `workers` shows it; `silent` is seconds since its last message, `detail` a note for users.
 
-    `doing` is what it last said that it computes, the job first; `standing` is for how many seconds that has not got
-    on. `joined` is seconds since it joined; `cores` are those that the processes of its host may use.
+    `doing` is its current computation by its last message, the job first; `standing` is seconds without progress in it.
+    `joined` is seconds since it joined; `cores` are available to all processes of its host together.
     """
 
     worker: str
@@ -228,11 +227,11 @@ class WorkerView(Frozen):
 
 
 MAX_DETAILS: Final = 8
-"""What so many workers are getting ready with is told; more are not read."""
+"""Most notes of workers that are getting ready."""
 
 
 class Workforce(Frozen):
-    """How many workers are there, how many of them are getting ready, and with what: the first sentences in order."""
+    """Numbers of workers that are alive and that are getting ready, and the first notes of the latter in order."""
 
     alive: Annotated[int, Field(ge=0)] = 0
     compiling: Annotated[int, Field(ge=0)] = 0
@@ -240,7 +239,7 @@ class Workforce(Frozen):
 
     @classmethod
     def of(cls, workers: Iterable[WorkerView]) -> Self:
-        """Return what these workers are together; lost ones are not there."""
+        """Return the workforce of these workers; lost ones do not count."""
         alive = [worker for worker in workers if worker.state != "lost"]
         compiling = [worker for worker in alive if worker.state == "compiling"]
         details = sorted(worker.detail for worker in compiling if worker.detail)  # "compiling …" before "waiting …"

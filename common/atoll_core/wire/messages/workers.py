@@ -1,11 +1,7 @@
-"""What coordinator and workers tell each other of jobs, places and progress: control and heartbeat.
+"""Control messages from the coordinator to workers, heartbeats and log lines from workers to the coordinator.
 
-Frozen, validated models tagged by `kind`. An *envelope* names who speaks to whom; its `body` is one of a closed union,
-told apart by `kind`: Control (coordinator to workers); WorkerStatus (worker to coordinator). What comes of epochs is in
-`atoll_core.wire.messages.epochs`, Greeting and GreetingAnswer (hello) in `atoll_core.wire.messages.handshake`, Request
-and Answer (clients) in `atoll_core.wire.messages.clients`. docs/protocol.md lists the bodies of all.
-
-Epochs count from 0, islands from 0; a *term* belongs to one (job, variable) and rises with each of its placements.
+Epochs and islands count from 0; a *term* belongs to one (job, variable) and rises with each of its placements. An
+*archipelago* is all islands of one (job, variable). docs/protocol.md has the rules by which these messages are sent.
 """
 
 from typing import Annotated, Final, Literal
@@ -35,10 +31,10 @@ from atoll_core.wire.messages.views import Counters, WorkerState
 
 
 class JobAnnouncement(Frozen):
-    """A job as workers need it: its resolved configuration and where its dataset can be pulled.
+    """A job as workers need it: its resolved configuration, and the digest by which its dataset can be pulled.
 
-    `blob` is the SHA-256 of the encoded dataset of `size` bytes in `chunks` chunks of `CHUNK_SIZE`. Between submitters
-    workers share their time evenly, within one by `priority`; a later announcement may change that.
+    `blob` is the SHA-256 of the encoded dataset of `size` bytes in `chunks` chunks of `CHUNK_SIZE`. Workers share their
+    time evenly between submitters, and by `priority` between the jobs of one; a later announcement may change it.
     """
 
     kind: Literal["job"] = "job"
@@ -55,8 +51,8 @@ class JobAnnouncement(Frozen):
 class Schedule(Frozen):
     """The next two checkpoints of an archipelago: epochs before which islands take a snapshot.
 
-    No island begins an epoch beyond `last`, nor `last` itself when it `holds`: then it is a barrier, where all wait for
-    another placement.
+    No island begins an epoch after `last`, nor `last` itself when it `holds`: then `last` is a barrier, at which all
+    islands wait for another placement.
     """
 
     next: Count
@@ -70,11 +66,10 @@ class Schedule(Frozen):
 
 
 class Placement(Frozen):
-    """Who computes which island of one archipelago: `workers[k]` has island k.
+    """Which worker computes which island of one archipelago: `workers[k]` has island k.
 
     The term begins at `epoch`: 0, or a committed checkpoint, whose states are pulled. No island begins epoch `epochs`
-    or later; `interval` epochs lie between the first checkpoints. `commit_order` says what counts when
-    the target is met.
+    or later; `interval` epochs lie between the first checkpoints. `commit_order` decides what counts after a hit.
     """
 
     incarnation: Count
@@ -98,7 +93,7 @@ class Placement(Frozen):
 
 
 class Placements(Frozen):
-    """Current placements of archipelagos that are still searched."""
+    """Current placements of archipelagos whose search has not ended."""
 
     kind: Literal["placements"] = "placements"
     placements: tuple[Placement, ...]
@@ -107,7 +102,7 @@ class Placements(Frozen):
 class Commit(OfTerm):
     """The checkpoint for `epoch` is durable, and these are the next ones.
 
-    Every island has reported epoch `reported` under this term: what was sent in the epochs below is needed no more.
+    Every island has reported epoch `reported` under this term: messages of earlier epochs are no longer needed.
     """
 
     kind: Literal["commit"] = "commit"
@@ -117,7 +112,7 @@ class Commit(OfTerm):
 
 
 class Close(OfTerm):
-    """Stop computing one archipelago, as far as it is placed under `term` or a lower one, and forget it."""
+    """Stop computing one archipelago and forget it, if it is placed under `term` or a lower one."""
 
     kind: Literal["close"] = "close"
 
@@ -130,7 +125,7 @@ class CloseJob(Frozen):
 
 
 class Shutdown(Frozen):
-    """The coordinator ends and its workers may end too; `refused` tells one worker to leave with an error."""
+    """The coordinator ends and its workers may end, too; `refused` tells one worker to end with an error."""
 
     kind: Literal["shutdown"] = "shutdown"
     sentence: Sentence = ""
@@ -138,7 +133,7 @@ class Shutdown(Frozen):
 
 
 class Reregister(Frozen):
-    """The coordinator does not know this worker (it started anew, perhaps): greet again."""
+    """The coordinator does not know this worker, for example after a restart: greet again."""
 
     kind: Literal["introduce"] = "introduce"
 
@@ -156,11 +151,11 @@ class Control(Frozen):
 
 
 class AssignmentStatus(Frozen):
-    """What a worker has of one archipelago, and how far that is.
+    """The islands of one archipelago on a worker, and their progress.
 
-    All epochs below `reported` have been finished and reported by all of its islands there; `commit` is the last
-    commit it knows of; `snapshots` are the epochs after it of which there is a snapshot of every island there.
-    `waited_s` are the seconds that its islands there have waited for migrants, summed over them.
+    All of these islands have finished and reported all epochs before `reported`; `commit` is the last commit that the
+    worker knows of; `snapshots` are later epochs of which it has a snapshot of each of these islands. `waited_s` are
+    the seconds that they have waited for migrants, summed over islands.
     """
 
     job: Id
@@ -174,7 +169,7 @@ class AssignmentStatus(Frozen):
 
 
 class Doing(Frozen):
-    """What a worker's compute thread is at."""
+    """The epoch that a worker's compute thread is computing."""
 
     job: Id
     variable: Variable
@@ -183,7 +178,7 @@ class Doing(Frozen):
 
 
 class IslandFailure(Frozen):
-    """Something of ours broke while this island computed; repeated until its archipelago is closed."""
+    """An internal error while this island computed; repeated until its archipelago is closed."""
 
     job: Id
     variable: Variable
@@ -192,19 +187,19 @@ class IslandFailure(Frozen):
     sentence: Sentence
 
 
-class Computed(Frozen):
-    """For how many seconds a worker process has computed islands of a submitter's jobs; it only grows."""
+class ComputedTime(Frozen):
+    """Seconds for which a worker process has computed islands of a submitter's jobs since its start."""
 
     submitter: Id | None = None
     seconds: Seconds
 
 
 class WorkerStatus(Frozen):
-    """The heartbeat. `progress` rises while the compute thread gets on; `detail` says what a person should know.
+    """The heartbeat. `progress` rises while the compute thread advances; `detail` is a note for users.
 
-    `jobs` are those whose dataset is here or on its way, also without islands of theirs. `tasks` are those leased to it
-    or helped with; `is_loaded`: its process for tasks need not be started; `computed` has the time that this process
-    has spent, by submitter; `available_bytes` is the memory that more data can take (None: not told).
+    `jobs` are the jobs whose dataset is here or on its way, also without islands here. `tasks` are leased to this
+    worker or helped by it; `is_loaded`: its process for tasks is ready; `computed` is the computing time of this
+    process by submitter; `available_bytes` is the memory available for more data (None: unknown).
     """
 
     kind: Literal["status"] = "status"
@@ -219,7 +214,7 @@ class WorkerStatus(Frozen):
     doing: Doing | None = None
     tasks: Annotated[tuple[TaskStatus, ...], Field(max_length=64)] = ()
     is_loaded: bool = False
-    computed: Annotated[tuple[Computed, ...], Field(max_length=10_000)] = ()
+    computed: Annotated[tuple[ComputedTime, ...], Field(max_length=10_000)] = ()
     available_bytes: Count | None = None
     counters: Counters = Counters()
 
@@ -231,7 +226,7 @@ MAX_LINES: Final = 100
 
 
 class LogLine(Frozen):
-    """One line of a worker's log: a warning, or what it says of a job; `time` is ISO, by the worker's clock."""
+    """One line of a worker's log, a warning or about a job; `time` is ISO, by the worker's clock."""
 
     time: Annotated[str, Field(max_length=40)]
     level: Literal["info", "warning", "error"]
@@ -244,7 +239,7 @@ class LogLine(Frozen):
 
 
 class WorkerLog(Frozen):
-    """Lines of a worker's log since the last such message; `dropped` were too many."""
+    """Lines of a worker's log since the last such message; `dropped` further ones were not sent."""
 
     kind: Literal["log"] = "log"
     lines: Annotated[tuple[LogLine, ...], Field(max_length=MAX_LINES)]

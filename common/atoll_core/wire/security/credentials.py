@@ -1,8 +1,8 @@
-"""Certificates: the three files of a program, whether they can work at all, and why the other side was not content.
+"""Certificates: the three files of a program, checks before they are used, and reasons why the other side refuses them.
 
-What can be known before dialling is found out by a handshake in memory: our certificate is shown to a verifier that
-trusts our authority alone. What the network says is found out by a handshake of our own with the same files, since the
-bus only says that it could not connect. Contents of keys are never read into a message or a log.
+Before dialling, our certificate is checked by a handshake in memory with a verifier that trusts only our authority.
+When the bus cannot connect, it does not say why; a separate TLS handshake with the same files finds the reason.
+Contents of keys are never written to a message or a log.
 """
 
 import contextlib
@@ -41,14 +41,14 @@ _ALERTS: Final = {
     "CERTIFICATE_REVOKED": "our certificate {certificate} has been revoked",
     "DECRYPT_ERROR": "it trusts another authority than the one that issued our certificate {certificate}",
 }
-"""What a TLS alert from the other side means, by the end of OpenSSL's name for it."""
+"""Meaning of TLS alerts from the other side, by the end of OpenSSL's name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """Three files that fit each other. `name` is the certificate's common name, `hosts` whom else it speaks for.
+    """Three files that fit each other. `name` is the certificate's common name, `hosts` its alternative names.
 
-    It expires at `expires`, in seconds of Unix time, if that is known.
+    It expires at `expires`, in seconds of Unix time, if known.
     """
 
     authority: Path
@@ -60,7 +60,7 @@ class Credentials:
 
 
 class _Certificate(TypedDict, total=False):
-    """What ssl tells of a certificate, as far as it is used here: names by kind, times as OpenSSL writes them."""
+    """The used parts of a certificate as ssl returns it: names by kind, times as OpenSSL writes them."""
 
     subject: tuple[tuple[tuple[str, str], ...], ...]
     subjectAltName: tuple[tuple[str, str], ...]
@@ -69,10 +69,10 @@ class _Certificate(TypedDict, total=False):
 
 
 def credentials_of(options: Mapping[str, object], environ: Mapping[str, str], use: Use) -> Credentials | None:
-    """Return what the options ``tls_ca``, ``tls_cert``, ``tls_key``, or the environment, name; None without any.
+    """Return the credentials that the options ``tls_ca``, ``tls_cert``, ``tls_key`` or the environment name, if any.
 
     Raises:
-        UsageError: one is missing, or they cannot work.
+        UsageError: one of the three is missing, or they cannot work.
     """
     files: dict[str, object] = {}
     for option, (variable, _) in TLS_OPTIONS.items():
@@ -87,26 +87,31 @@ def credentials_of(options: Mapping[str, object], environ: Mapping[str, str], us
 
 
 def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials:
-    """Return the credentials in these files, after checking all that can be checked before dialling.
+    """Return the credentials in these files, after all checks that are possible before dialling.
 
-    All are PEM. `certificate` has those between it and the authority behind it, if there are any; `key` is unencrypted;
-    `use` says whether the side that listens shows them or the one that dials.
+    All files are PEM. Intermediate certificates follow in the file `certificate`; `key` is unencrypted; `use` says
+    whether the listening side ("serve") or the dialling side uses them.
 
     Raises:
         UsageError: a file cannot be read or holds something else; key and certificate do not fit; the certificate was
-            issued by somebody else, has expired, is for the other side, or names nobody.
+            issued by another authority, has expired, is for the other side, or has no usable name.
     """
     _check_contents(authority, "--tls-ca", "CERTIFICATE-----", "the certificate of an authority")
     _check_contents(certificate, "--tls-cert", "CERTIFICATE-----", "a certificate")
     if "ENCRYPTED" in _check_contents(key, "--tls-key", "PRIVATE KEY-----", "a private key"):
         raise UsageError(f"the key {key} is encrypted; give --tls-key one that is not, readable by its owner only")
     shown = _shown(authority, certificate, key, use)
-    _check_dates(certificate, shown)
+    now, first, last = time.time(), shown.get("notBefore"), shown.get("notAfter")
+    expires = None if last is None else float(ssl.cert_time_to_seconds(last))
+    if expires is not None and now > expires:
+        raise UsageError(f"the certificate {certificate} has expired ({last}); renew it with deploy/tls/make-authority")
+    if first is not None and now < ssl.cert_time_to_seconds(first):
+        raise UsageError(f"the certificate {certificate} is not valid before {first}; check this machine's clock")
     hosts = tuple(_plain(kind, name) for kind, name in shown.get("subjectAltName", ()))
     names = [value for part in shown.get("subject", ()) for kind, value in part if kind == "commonName"]
     if use == "serve" and not hosts:
         raise UsageError(
-            f"the certificate {certificate} has no subject alternative name, so nobody could dial it by name or "
+            f"the certificate {certificate} has no subject alternative name, so that it cannot be dialled by name or "
             "address; make one with deploy/tls/make-authority DIR --coordinator HOST,..."
         )
     if len(names) != 1 or not is_id(names[0]) or len(names[0]) > MAX_NAME:
@@ -114,15 +119,13 @@ def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials
             f"the certificate {certificate} has the common name {', '.join(names)[:100]!r}, but one of 1 to {MAX_NAME} "
             "letters, digits, - and _ was expected"
         )
-    last = shown.get("notAfter")
-    expires = None if last is None else float(ssl.cert_time_to_seconds(last))
     return Credentials(authority, certificate, key, names[0], hosts, expires)
 
 
 def check_welcome(host: str, port: int, credentials: Credentials, listen_s: float) -> str | None:
-    """Try a TLS connection with these credentials; return what else is wrong, None when both sides are content.
+    """Try a TLS connection with these credentials; return any other problem, None when both sides accept.
 
-    For `listen_s` seconds it is listened for what the other side thinks of us.
+    Waits up to `listen_s` seconds for the other side to refuse our certificate.
 
     Raises:
         RefusedError: one side does not accept the other's certificate, so that trying again would not help.
@@ -132,7 +135,7 @@ def check_welcome(host: str, port: int, credentials: Credentials, listen_s: floa
     try:
         with _connected(context, host, port) as connection:
             connection.settimeout(listen_s)
-            with contextlib.suppress(TimeoutError):  # with TLS 1.3 a server says so after the handshake
+            with contextlib.suppress(TimeoutError):  # with TLS 1.3 a server refuses after the handshake
                 connection.recv(1)
     except ssl.SSLCertVerificationError as error:
         raise RefusedError(_distrust(error, host, port, credentials)) from error
@@ -147,7 +150,7 @@ def check_welcome(host: str, port: int, credentials: Credentials, listen_s: floa
 
 
 def speaks_tls(host: str, port: int) -> bool:
-    """Tell whether whoever listens there begins a TLS handshake."""
+    """Tell whether the server there begins a TLS handshake."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     try:
@@ -205,7 +208,7 @@ def _check_contents(file: Path, option: str, mark: str, expected: str) -> str:
 
 
 def _shown(authority: Path, certificate: Path, key: Path, use: Use) -> _Certificate:
-    """Return what a verifier that trusts `authority` reads in our certificate; raises UsageError."""
+    """Return our certificate as a verifier reads it that trusts `authority`; raises UsageError."""
     try:
         try:
             return _handshake(authority, certificate, key, use, 0)
@@ -220,7 +223,7 @@ def _shown(authority: Path, certificate: Path, key: Path, use: Use) -> _Certific
 
 
 def _handshake(authority: Path, certificate: Path, key: Path, use: Use, flags: int) -> _Certificate:
-    """Let a verifier in memory look at our certificate, and return what it sees. Raises ssl.SSLError."""
+    """Return our certificate as the verifier of a handshake in memory reads it. Raises ssl.SSLError."""
     server = _context(ssl.PROTOCOL_TLS_SERVER, certificate, key)
     client = _context(ssl.PROTOCOL_TLS_CLIENT, certificate, key)
     client.check_hostname, client.verify_mode = False, ssl.CERT_NONE
@@ -243,7 +246,7 @@ def _handshake(authority: Path, certificate: Path, key: Path, use: Use, flags: i
 def _context(protocol: int, certificate: Path, key: Path) -> ssl.SSLContext:
     context = ssl.SSLContext(protocol)
     try:
-        context.load_cert_chain(certificate, key, password=lambda: "")  # so that OpenSSL asks nobody
+        context.load_cert_chain(certificate, key, password=lambda: "")  # so that OpenSSL does not prompt
     except ssl.SSLError as error:
         if error.reason == "KEY_VALUES_MISMATCH":
             raise UsageError(f"the key {key} does not belong to the certificate {certificate}") from error
@@ -253,16 +256,8 @@ def _context(protocol: int, certificate: Path, key: Path) -> ssl.SSLContext:
     return context
 
 
-def _check_dates(certificate: Path, shown: _Certificate) -> None:
-    now, first, last = time.time(), shown.get("notBefore"), shown.get("notAfter")
-    if last is not None and now > ssl.cert_time_to_seconds(last):
-        raise UsageError(f"the certificate {certificate} has expired ({last}); renew it with deploy/tls/make-authority")
-    if first is not None and now < ssl.cert_time_to_seconds(first):
-        raise UsageError(f"the certificate {certificate} is not valid before {first}; check this machine's clock")
-
-
 def _plain(kind: str, name: str) -> str:
-    """Return a subject alternative name as people write it: OpenSSL writes IPv6 addresses at full length."""
+    """Return a subject alternative name in its usual form: OpenSSL writes IPv6 addresses at full length."""
     with contextlib.suppress(ValueError):
         return str(ipaddress.ip_address(name)) if kind == "IP Address" else name
     return name
@@ -276,4 +271,4 @@ def _unfit(error: ssl.SSLCertVerificationError, authority: Path, certificate: Pa
     if error.verify_code == _PURPOSE:
         users = "a coordinator" if use == "serve" else "workers and clients"
         return f"the certificate {certificate} is not one for {users} (its extended key usage says so); use another"
-    return f"the certificate {certificate} does not hold ({error.verify_message}); make a new one"
+    return f"the certificate {certificate} was not accepted ({error.verify_message}); make a new one"

@@ -15,28 +15,28 @@ from atoll_core.errors import UsageError
 from atoll_core.wire.topics import HELLO, ROOT, is_id
 
 Role = Literal["coordinator", "router", "worker", "submitter", "admin", "revoked"]
-"""``revoked``: a certificate that was lost; a new one gets another name, since routers see names and no numbers."""
+"""``revoked``: a lost certificate; its replacement gets another name, since routers see names and no serial numbers."""
 
 MAX_NAME: Final = 48
-"""Longest name in a certificate, in characters: those of its processes are this with more behind it."""
+"""Longest name in a certificate, in characters; the names of its processes are longer."""
 
 MAX_NAMES: Final = 10_000
 
 
 @dataclass(frozen=True)
 class RoleBindings:
-    """Roles by principal, as the file has them."""
+    """Roles by principal."""
 
     roles: Mapping[str, Role] = field(default_factory=dict)
 
     def principal(self, name: str) -> str | None:
-        """Return the principal under which `name` falls: itself, or what stands before one of its hyphens."""
+        """Return the principal of `name`: itself, or its part before a hyphen; None for a stranger."""
         parts = name.split("-")
         candidates = ("-".join(parts[:count]) for count in range(len(parts), 0, -1))
         return next((candidate for candidate in candidates if candidate in self.roles), None)
 
     def role(self, name: str) -> Role | None:
-        """Return what the principal of `name` may do; None for a stranger."""
+        """Return the role of the principal of `name`; None for a stranger."""
         principal = self.principal(name)
         return self.roles[principal] if principal is not None else None
 
@@ -45,7 +45,7 @@ def read_role_bindings(path: Path) -> RoleBindings:
     """Return the role bindings in the TOML file `path`: one line ``name = "role"`` each.
 
     Raises:
-        UsageError: it cannot be read, or a name or role is not as it must be.
+        UsageError: it cannot be read, or a name or role is not allowed.
     """
     try:
         entries = tomllib.loads(path.read_text("utf-8"))
@@ -79,7 +79,7 @@ def checked_role_bindings(entries: Mapping[str, object], source: str) -> RoleBin
         principal = role_bindings.principal(name.rpartition("-")[0])
         if principal is not None:
             raise UsageError(
-                f"the roster {source} has {principal} and {name}, but names that begin with {principal}- are those of "
+                f"the roster {source} has {principal} and {name}, but names that begin with {principal}- belong to "
                 f"the processes of {principal}; give one of them another name and certificate"
             )
     return role_bindings
@@ -88,7 +88,7 @@ def checked_role_bindings(entries: Mapping[str, object], source: str) -> RoleBin
 Flow = Literal["ingress", "egress"]
 
 _PUT: Final = ("status", "report", "result", "log", "to/*")
-"""What a worker puts under its own names."""
+"""Keys under its own names on which a worker puts."""
 
 _ANYBODY: Final = "(anybody)"
 _SPEAKING: Final = ("put",)
@@ -110,21 +110,37 @@ class Permission:
 
 
 _OF_ANYBODY: Final = (Permission("ingress", ("query",), (HELLO,)), Permission("egress", _SERVING, (HELLO,)))
-"""Whoever has a certificate may ask whether there is a place for its name; that changes nothing."""
+"""Every program with a certificate may ask whether it would be accepted; that changes nothing."""
 
 _TRUSTED: Final = tuple(Permission(flow, _ALL, (f"{ROOT}/**",)) for flow in get_args(Flow))
-"""A coordinator beyond the router commands all others, and another router passes on what all of its site say."""
+"""A coordinator behind the router commands all workers, and another router forwards the messages of its whole site."""
 
 
 def permissions(name: str, role: Role) -> tuple[Permission, ...]:
     """Return what the principal `name` may send and receive; everything else is denied."""
-    if role in ("coordinator", "router"):
-        return _TRUSTED
-    if role == "revoked":
-        return ()
-    if role == "worker":
-        return _of_worker(name)
-    return _of_client(name)
+    asked, heard = _own(name, "client/{}/ask") + _hello(name), _own(name, "client/{}/changes")
+    match role:
+        case "coordinator" | "router":
+            return _TRUSTED
+        case "revoked":
+            return ()
+        case "worker":
+            heard = _keys("control") + _own(name, "control/{}", "worker/*/to/{}")
+            asked = _keys("job/**", "blob/**", "worker/*/pull") + _hello(name)
+    pulls = _own(name, "worker/{}/pull")
+    of_worker = (
+        Permission("ingress", _SPEAKING, _own(name, *(f"worker/{{}}/{part}" for part in _PUT))),
+        Permission("ingress", _PRESENCE, _own(name, "worker/{}/alive")),
+        Permission("ingress", _SERVING, pulls),
+        Permission("egress", ("query",), pulls),
+    )
+    return (
+        *(of_worker if role == "worker" else ()),
+        Permission("ingress", ("declare_subscriber",), heard),
+        Permission("egress", _SPEAKING, heard),
+        Permission("ingress", ("query",), asked),
+        Permission("egress", _SERVING, asked),
+    )
 
 
 def access_control(role_bindings: RoleBindings) -> dict[str, object]:
@@ -151,32 +167,6 @@ def access_control(role_bindings: RoleBindings) -> dict[str, object]:
         for name, allowed in granted.items()
     ]
     return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
-
-
-def _of_worker(name: str) -> tuple[Permission, ...]:
-    heard = _keys("control") + _own(name, "control/{}", "worker/*/to/{}")
-    pulls = _own(name, "worker/{}/pull")
-    asked = _keys("job/**", "blob/**", "worker/*/pull") + _hello(name)
-    return (
-        Permission("ingress", _SPEAKING, _own(name, *(f"worker/{{}}/{part}" for part in _PUT))),
-        Permission("ingress", _PRESENCE, _own(name, "worker/{}/alive")),
-        Permission("ingress", _SERVING, pulls),
-        Permission("egress", ("query",), pulls),
-        Permission("ingress", ("declare_subscriber",), heard),
-        Permission("egress", _SPEAKING, heard),
-        Permission("ingress", ("query",), asked),
-        Permission("egress", _SERVING, asked),
-    )
-
-
-def _of_client(name: str) -> tuple[Permission, ...]:
-    asked, heard = _own(name, "client/{}/ask") + _hello(name), _own(name, "client/{}/changes")
-    return (
-        Permission("ingress", ("query",), asked),
-        Permission("egress", _SERVING, asked),
-        Permission("ingress", ("declare_subscriber",), heard),
-        Permission("egress", _SPEAKING, heard),
-    )
 
 
 def _keys(*parts: str) -> tuple[str, ...]:

@@ -16,9 +16,8 @@ from atoll.cli.exit_codes import DONE, end_of_cancelled, finish
 from atoll.cli.options import job_id
 from atoll.cli.request import CONNECT_LIMIT_S, address_of
 from atoll.client.client import Client, connected
-from atoll.client.follower import Display, Follower
+from atoll.client.follower import Display, Follower, Subscription
 from atoll.client.over_http import Whereabouts
-from atoll.client.subscription import Subscription
 from atoll.terminal.output import as_json, clipped, count, duration, say, table
 from atoll.terminal.progress import JsonDisplay, LiveDisplay, PlainDisplay, is_screen, plain_lines
 from atoll_core.data.notes import with_kind

@@ -1,7 +1,6 @@
-"""``coordinator run``: everything on this machine, through a real router, as on any number of machines.
+"""``coordinator run``: a search on this machine, through a real router, in the same way as on many machines.
 
-The workers and the process that prepares the data are started first of all, and only then is loaded what this process
-needs itself: each takes about half a second.
+Workers are started first, and only then this process loads what it needs itself: each takes about half a second.
 """
 
 import argparse
@@ -17,7 +16,7 @@ from atoll.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from atoll.cli.options import job_id
 from atoll.cli.result_files import refuse_existing_result
 from atoll.cli.verbs.web import web_process
-from atoll.client.local_coordinator import local_processes
+from atoll.client.local_processes import local_processes
 from atoll_core.errors import DataError, UsageError
 from atoll_core.logs import configure
 from atoll_core.machine import usable_cores
@@ -28,7 +27,7 @@ _COORDINATOR_LOG: Final = "coordinator.log"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Search the equations behind ``options.data``; return the exit code."""
+    """Search equations for ``options.data``; return the exit code."""
     started = time.monotonic()
     if options.dry_run:
         from atoll.cli.request import request_of
@@ -54,9 +53,9 @@ def run(options: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _log_in(folder: Path) -> Iterator[None]:
-    """Make the folder and send the coordinator's log there while the block lasts; raises UsageError.
+    """Create the folder and write the coordinator's log into it while the block lasts; raises UsageError.
 
-    Where bad input or an interrupt ends the block, no log is left.
+    If bad input or an interrupt ends the block, the logs are removed.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -76,7 +75,7 @@ def _log_in(folder: Path) -> Iterator[None]:
 
 
 def _remove_logs(folder: Path) -> None:
-    """Leave no trace of a run that had nothing to keep."""
+    """Remove the logs, and the empty folder, of a run without a result."""
     if (folder / "result.json").exists():
         return
     for name in (_WORKER_LOG, _COORDINATOR_LOG):

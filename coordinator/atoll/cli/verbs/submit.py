@@ -1,4 +1,4 @@
-"""``coordinator submit``: give a job to a coordinator and follow it; leaving early leaves the job running."""
+"""``coordinator submit``, the part of ``coordinator run`` that follows the job, and the next command to propose."""
 
 import argparse
 import contextlib
@@ -17,8 +17,7 @@ from atoll.cli.request import CONNECT_LIMIT_S, JobRequest, address_of, request_o
 from atoll.cli.result_files import REPORT, refuse_existing_result, write_report, write_result
 from atoll.client.client import Client, connected
 from atoll.client.follower import Display, Follower
-from atoll.client.local_coordinator import LocalCoordinator
-from atoll.client.local_workers import LocalWorkers, NoWorkerLeftError
+from atoll.client.local_processes import LocalCoordinator, LocalWorkers, NoWorkerLeftError
 from atoll.terminal.output import duration, note, say
 from atoll.terminal.progress import is_screen, open_display, waiting
 from atoll_coordinator.result.result import Result
@@ -28,12 +27,12 @@ from atoll_core.signals import raising_interrupts
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 _OPTION: Final = re.compile(r"--(robust|stochastic)\b")
-"""Options that the reason of a verdict or a warning proposes, and which take no value."""
+"""Options without a value that a verdict's reason or a warning proposes."""
 
 _ADDED: Final = re.compile(
     r"\badd --(missing-value|hold|order|per-trajectory|inputs|states)(?: ('[^']*'|[^\s;,.]\S*?))?(?=[;,.]?(?:\s|$))"
 )
-"""Options with their values that a warning says to add: what the columns themselves say."""
+"""Options, with values, that a warning about the columns proposes."""
 
 _WHY: Final = {
     "missing-value": "a number that stands for missing values was taken as measured",
@@ -43,7 +42,7 @@ _WHY: Final = {
     "inputs": "a column, or the time, seems to act from outside",
     "states": "the columns determine each other",
 }
-"""The options that are proposed, the most useful first, and what for."""
+"""The proposed options, the most useful first, and the reasons."""
 
 _NOT_STOCHASTIC: Final = ("order", "target", "derivatives", "only", "robust", "weights", "offsets")
 """Settings that exclude ``--stochastic``."""
@@ -57,10 +56,10 @@ _Proposal = tuple[list[str], str]
 
 
 def next_step(result: Result, folder: Path, words: Sequence[str], program: str = "coordinator") -> str | None:
-    """Return a command and, behind two spaces and ``#``, what it is for; None where there is nothing to propose.
+    """Return a command and, after two spaces and ``#``, its purpose; None if there is nothing to propose.
 
-    `result` is of a job that has ended, written into `folder`; `words` of the command line that gave it, of a
-    `program` that is called like this.
+    `result` is the result of a job that has ended, written into `folder`; `words` are the command line of the job, and
+    `program` is how the program is called.
     """
     if result.state == "cancelled" and result.refining == "not refined":
         why = "it was interrupted before the equations were fitted to trajectories and compared"
@@ -80,7 +79,7 @@ def next_step(result: Result, folder: Path, words: Sequence[str], program: str =
 
 
 def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None:
-    """Propose an option that a sentence of the result names."""
+    """Propose an option that a warning or a verdict names."""
     sentences = [*result.warnings, *(equation.reason or "" for equation in result.equations)]
     given = result.data_settings
     named = [match[1] for sentence in sentences for match in _OPTION.finditer(sentence)]
@@ -94,7 +93,7 @@ def _again_with_option(result: Result, words: Sequence[str]) -> _Proposal | None
 
 
 def _again_with_columns(result: Result, words: Sequence[str]) -> _Proposal | None:
-    """Propose what a warning says of the columns, unless every equation is good; of missing values in any case."""
+    """Propose an option about columns, unless all equations are good; about missing values in any case."""
     added = {match[1]: match[2] for sentence in reversed(result.warnings) for match in _ADDED.finditer(sentence)}
     is_good = all(equation.verdict in ("exact", "good") for equation in result.equations)
     for option, why in _WHY.items():
@@ -106,7 +105,7 @@ def _again_with_columns(result: Result, words: Sequence[str]) -> _Proposal | Non
 
 
 def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:
-    """Propose twice the budget where it ended the search of an equation that is not good, or refining it."""
+    """Propose twice the budget if it stopped the search or the refining of an equation that is not good."""
     ends = {equation.why for equation in result.equations if equation.verdict not in ("exact", "good")}
     budget = result.settings("budget")
     is_cut = bool(ends) and result.refining in ("not refined", "max-time")
@@ -121,7 +120,7 @@ def _again_for_longer(result: Result, words: Sequence[str]) -> _Proposal | None:
 
 
 def _again_with_operators(result: Result, words: Sequence[str]) -> _Proposal | None:
-    """Propose more operators where nothing was found with the usual ones."""
+    """Propose more operators if nothing was found with the usual ones."""
     is_nothing = any(equation.verdict == "no model" for equation in result.equations)
     if not is_nothing or result.settings("space"):
         return None
@@ -136,9 +135,9 @@ def _with_result(result: Result, folder: str) -> _Proposal:
     if any(equation.verdict == "no model" for equation in result.equations):
         return ["result", f"{folder}/result.json"], "the best expression of each size"
     is_driven = kind == "process" or result.columns.inputs
-    is_told = result.simulated or result.recorded  # of a job that was cut nothing may tell an initial state
+    is_told = result.simulated or result.recorded  # a job that was stopped may have no initial state
     if is_driven and is_told:
-        return ["simulate", folder, "-o", f"{folder}/simulation.csv"], "the model along what was measured"
+        return ["simulate", folder, "-o", f"{folder}/simulation.csv"], "simulate the model along the measurements"
     if any(not constant.identifiable for equation in result.equations for constant in equation.constants):
         return ["analyse", folder, "--identifiability"], "which constants the data determine"
     if any(equation.verdict == "doubtful" and equation.candidates for equation in result.equations):
@@ -147,14 +146,14 @@ def _with_result(result: Result, folder: str) -> _Proposal:
 
 
 def _seconds(words: Sequence[str]) -> float | None:
-    """Return the time that the command line allows; a result has what was left of it once programs had started."""
+    """Return the time limit of the command line; the result has only the time that was left after start-up."""
     given = [after for word, after in pairwise(words) if word == "--max-time"]
     given += [word.partition("=")[2] for word in words if word.startswith("--max-time=")]
     return seconds_of(given[-1]) if given else None
 
 
 def _elsewhere(words: Sequence[str]) -> list[str]:
-    """Return the words without the names of what there is now: a job's id, and the folder of a result."""
+    """Return the words without the id and the output folder, which exist already."""
     return _without(_without(words, "--out"), "--id")
 
 
@@ -176,8 +175,8 @@ _WORTH_SAYING_S: Final = 0.05
 def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, workers: LocalWorkers, started: float) -> int:
     """Start the coordinator, follow the job, write and print its result; return the exit code.
 
-    `workers` have been started and are ended by the caller; `started` is the monotonic second at which the
-    command began. Raises UsageError or DataError.
+    The caller has started `workers`, and ends them; `started` is the monotonic second at which the command began.
+    Raises UsageError or DataError.
     """
     request = request_of(options)
     with LocalCoordinator(endpoint, workers.number) as coordinator:
@@ -213,9 +212,9 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
 
 
 def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobView, int | None]:
-    """Follow the job; return its last state, and the exit code of an early end.
+    """Follow the job; return its last state, and the exit code if it was ended early.
 
-    An interrupt, or the loss of all workers, cancels it and keeps its best equations.
+    An interrupt, or the loss of all workers, cancels the job and keeps its best equations.
     """
     try:
         return follower.follow(), None
@@ -229,15 +228,15 @@ def _follow(follower: Follower, client: Client, display: Display) -> tuple[JobVi
 
 
 def program_of(path: Path, here: Path) -> str:
-    """Return how the program at `path` is called from `here`: by its path where the shell does not find it."""
+    """Return how the program at `path` is called from `here`: by its path if the shell does not find it."""
     if path.name != "coordinator" or shutil.which("coordinator") is not None:
         return "coordinator"
     return str(path.relative_to(here) if path.is_relative_to(here) else path)
 
 
 def _stay(client: Client, check_processes: Callable[[], object]) -> None:
-    """Let somebody at a terminal look at the page until an interrupt; workers make its report."""
-    note("the page stays until Ctrl-C")
+    """Keep the page until an interrupt, for a user at a terminal; workers make its report."""
+    note("the page stays open until Ctrl-C")
     with contextlib.suppress(KeyboardInterrupt):
         while True:
             check_processes()
@@ -245,7 +244,7 @@ def _stay(client: Client, check_processes: Callable[[], object]) -> None:
 
 
 def _times(result: Result, phases: dict[str, float], total: float) -> str:
-    """Return what the seconds of a run went into."""
+    """Return the seconds of each phase of a run."""
     parts = {name: phases.get(name, 0.0) for name in ("compiling kernels", "loading kernels")}
     parts["search"] = result.search_seconds or 0.0
     refining = phases.get("refining", 0.0)
@@ -256,7 +255,7 @@ def _times(result: Result, phases: dict[str, float], total: float) -> str:
 
 
 def submit(options: argparse.Namespace) -> int:
-    """Submit ``options.data`` as a job; return the exit code of the job unless told not to wait for it."""
+    """Submit ``options.data`` as a job; return the exit code of the job, unless ``--no-wait``."""
     request = request_of(options)
     if options.dry_run:
         return request.rehearse()
@@ -265,7 +264,9 @@ def submit(options: argparse.Namespace) -> int:
     if folder is not None and options.no_wait:
         raise UsageError("--out and --no-wait contradict each other: there is no result yet; fetch it later")
     if options.report and (folder is None or options.no_wait):
-        raise UsageError("--report writes a page beside the result, so it needs --out and the wait for the result")
+        raise UsageError(
+            "--report writes a page next to the result, so it needs --out and cannot be used with --no-wait"
+        )
     if folder is not None:
         refuse_existing_result(folder)
     with raising_interrupts(), connected(address, CONNECT_LIMIT_S) as client:
@@ -274,7 +275,7 @@ def submit(options: argparse.Namespace) -> int:
         try:
             view = request.submit(client, request.read())
         except KeyboardInterrupt:
-            note(f"interrupted before job {request.job} was known to be taken in: {look}")
+            note(f"interrupted before the coordinator confirmed job {request.job}: {look}")
             return INTERRUPTED
         if options.no_wait:
             _say_what_it_waits_for(view, client, hint)
@@ -285,7 +286,7 @@ def submit(options: argparse.Namespace) -> int:
                 display.print_note(f"job {request.job} submitted; Ctrl-C detaches and leaves it running")
                 view = Follower(client, request.job, display).follow()
         except KeyboardInterrupt:
-            note(f"detached; the job goes on: {look}")
+            note(f"detached; the job continues: {look}")
             return INTERRUPTED
         result = request.result(client, view)
         if result is not None:
@@ -294,15 +295,15 @@ def submit(options: argparse.Namespace) -> int:
 
 
 def _say_what_it_waits_for(view: JobView, client: Client, hint: str) -> None:
-    """Tell somebody who leaves now what keeps the job from being searched at once, if anything does."""
+    """Print what the job waits for, if anything, for a user who does not follow it."""
     if view.state in FINAL_STATES:
-        note(f"job {view.job} is known, and has ended: {view.state}")
+        note(f"job {view.job} exists already, and has ended: {view.state}")
     elif waits := waiting(view, Workforce.of(client.workers()), hint):
         note(f"job {view.job} {view.state}; {waits}")
 
 
 def _deliver(request: JobRequest, result: "Result", folder: Path | None, *, has_report: bool) -> None:
-    """Print a result, and write it and its page into a folder if one was named."""
+    """Print a result, and write it and its page into a folder if one is given."""
     if folder is not None:
         note(f"result in {write_result(folder, result)}")
     request.show(result)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from atoll.cli.exit_codes import DONE
-from atoll.client.local_workers import start_apart
+from atoll.client.local_processes import start_apart
 from atoll.client.over_http import TOKEN
 from atoll.terminal.output import note, say
 from atoll_core.errors import UsageError

@@ -39,8 +39,9 @@ from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import grouped_errors_on
 from atoll_coordinator.model.regression.fit import contains
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import remarks
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting.noise import estimate_variances
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -263,10 +264,13 @@ def _odds_of_data(other: FittedModel, own: FittedModel, equation: int, points: F
 def _state_errors(final: FinalModel) -> dict[str, Errors]:
     """Return what the residuals say of the errors of each state, by name; nothing where there is no noise."""
     comparison, fit = final.comparison, final.free.fit
-    if comparison.is_exact(final.free):
+    if comparison.score.is_exact(final.free):
         return {}
     bounds = comparison.estimator.measurements.bounds
-    rows = np.minimum(comparison.misfit.effective_rows(comparison.squares(fit)), comparison.counts / fit.errors.lengths)
+    rows = np.minimum(
+        comparison.score.misfit.effective_rows(comparison.score.squares(fit)),
+        comparison.score.counts / fit.errors.lengths,
+    )
     errors_by_state, variances = {}, estimate_variances(final.task.recording)
     for index, name in enumerate(final.task.variables):
         share, decay = float(fit.errors.shares[index]), float(fit.errors.decays[index])

@@ -48,7 +48,7 @@ class ModelEvidence:
         variance = target.standard_deviation**2
         smoothing = self._smoothing(index)
         noise = estimate = float(measurements.noise[index])
-        sensor, innovations = final.comparison.errors, None
+        sensor, innovations = final.comparison.score.errors, None
         if sensor is not None and sensor.shares[index] > 0.0:
             noise = float(sensor.sigmas[index])
             whitened = final.seen.estimator.whitened(final.seen_fit.residuals, sensor)
@@ -189,7 +189,7 @@ class ModelEvidence:
             self.final,
             self._measurements,
             self.final.seen_fit,
-            self.final.comparison.errors,
+            self.final.comparison.score.errors,
         )
         program, is_given = final.shown[index], index in final.comparison.fixed
         squares = deviations = effective = 0.0

@@ -20,9 +20,10 @@ from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.regression.rounding import ERROR_DIGITS
 from atoll_coordinator.model.selection.alternatives import Ranking, rank_alternatives
 from atoll_coordinator.model.selection.candidates import form
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.piece_lengths import in_whole, on_all_rows
 from atoll_coordinator.model.selection.rounding import RoundedSystem, ShownConstants, round_system
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.shooting.system import SharedNumber
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
@@ -246,7 +247,7 @@ def _show(
     fitted = comparison.fit_beside(near, programs, shared=shared)
     if free is None or fitted is None:
         return None
-    errors, is_exact = estimate_errors(comparison, free).of_constants(free.fit.system), comparison.is_exact(free)
+    errors, is_exact = estimate_errors(comparison, free).of_constants(free.fit.system), comparison.score.is_exact(free)
     numbers = fitted.fit.system.columns[0].tolist()
 
     def outside(rounded: RoundedSystem) -> frozenset[int]:

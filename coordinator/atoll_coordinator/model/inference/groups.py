@@ -16,7 +16,8 @@ import numpy as np
 from atoll_coordinator.model.inference.standard_errors import ConstantErrors, joint_covariance
 from atoll_coordinator.model.regression.covariance import constant_of, student_95
 from atoll_coordinator.model.regression.rounding import Estimates
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting import system
 from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
@@ -108,7 +109,7 @@ def displayed_values(comparison: ModelComparison, model: FittedModel) -> FloatAr
     numbers = model.fit.system
     if not numbers.count:
         return numbers.values
-    spread = comparison.inflation(model) * bounded_covariance(model.fit)
+    spread = comparison.score.inflation(model) * bounded_covariance(model.fit)
     is_many = numbers.count > SETTINGS.effort.beam
     return Estimates(numbers.values, spread).rounded(estimates=range(numbers.count) if is_many else ()).values
 

@@ -110,7 +110,7 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
     """
     task, programs = final.task, final.shown
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
-    if task.piece >= task.longest or not final.comparison.excess(final.free) <= limit:
+    if task.piece >= task.longest or not final.comparison.score.excess(final.free) <= limit:
         return None
     rows, allowed = task.measurements(task.variables).rows, SETTINGS.selection.fitted_sensitivities
     stride = -(-rows // max(allowed // len(task.variables) ** 2, SETTINGS.shooting.piece))
@@ -124,7 +124,7 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
         model = comparison.fit_model(programs, lengths=(begun, None))
         if deadline.is_over:
             return None
-        if model is None or not comparison.excess(model) <= limit:
+        if model is None or not comparison.score.excess(model) <= limit:
             return False
         programs = model.programs
     return True

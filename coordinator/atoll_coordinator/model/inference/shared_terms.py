@@ -16,7 +16,8 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.regression.rounding import find_simple
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
 from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance
 from atoll_coordinator.settings import SETTINGS
@@ -236,12 +237,12 @@ def _found(
     """Return what the estimates of a fit say that terms share."""
     system = free.fit.system
     index = {place: number for number, place in enumerate(comparison.places(system))}
-    estimates = _Estimates(index, system.values, comparison.inflation(free) * bounded_covariance(free.fit))
+    estimates = _Estimates(index, system.values, comparison.score.inflation(free) * bounded_covariance(free.fit))
     stoichiometries = []
     for shape, alike in common.items():
-        estimates, fluxes = _alike(estimates, alike, comparison.constant_nats, savings[shape])
+        estimates, fluxes = _alike(estimates, alike, comparison.score.constant_nats, savings[shape])
         for flux in fluxes:
-            estimates = _with_multiples(estimates, flux, comparison.constant_nats)
+            estimates = _with_multiples(estimates, flux, comparison.score.constant_nats)
             term = _stoichiometry(shape, flux)
             stoichiometries += [term] if term is not None else []
     return stoichiometries

@@ -12,7 +12,8 @@ import numpy as np
 
 from atoll_coordinator.model.inference.unknown_correlation import widening
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
@@ -76,11 +77,11 @@ def estimate_errors(comparison: ModelComparison, model: FittedModel) -> Constant
     correlation asks for that the rows do not exclude, if that is more.
     """
     fit = model.fit
-    counts, inflation = float(comparison.counts.sum()), comparison.inflation(model)
-    noisy = comparison.has_independent_errors
+    counts, inflation = float(comparison.score.counts.sum()), comparison.score.inflation(model)
+    noisy = comparison.score.has_independent_errors
     wide = widening(comparison.estimator.measurements, fit, noisy) if noisy.any() else 1.0
     left = max(counts - fit.system.count - fit.starts.size, 1.0)
-    certain = float(comparison.counts @ fit.errors.degrees_of_freedom) / counts
+    certain = float(comparison.score.counts @ fit.errors.degrees_of_freedom) / counts
     scale = max(wide, inflation) * counts / left
     return ConstantErrors(
         fit.system.values, covariance(fit) * scale, max(left * certain / inflation, 1.0), scale,

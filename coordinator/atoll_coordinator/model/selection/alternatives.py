@@ -13,10 +13,11 @@ import numpy as np
 
 from atoll_coordinator.model.criteria import structure_length, validated_length
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison, differ
+from atoll_coordinator.model.selection.comparison import ModelComparison, differ
 from atoll_coordinator.model.selection.cross_validation import Validated, Validation
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.proposals import rates_of
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
@@ -106,15 +107,15 @@ def _simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> SelectedM
     for equation, own in enumerate(selection.model.programs):
         if equation in comparison.fixed:
             continue
-        values, longest = values_of(own, inputs), comparison.length(own) - SETTINGS.selection.least_gain
+        values, longest = values_of(own, inputs), comparison.score.length(own) - SETTINGS.selection.least_gain
         tried = [
             model.programs[equation]
             for (tried_equation, _), model in comparison.tried.items()
             if tried_equation == equation
         ]
         tried += selection.lists[equation] if selection.lists else []
-        for program in sorted({structure(program): program for program in tried}.values(), key=comparison.length):
-            if comparison.length(program) >= longest:
+        for program in sorted({structure(program): program for program in tried}.values(), key=comparison.score.length):
+            if comparison.score.length(program) >= longest:
                 break
             if _is_multiple(values_of(program, inputs), values):
                 model = comparison.fit_exchanged(selection.model, equation, program, SETTINGS.effort.steps)
@@ -278,7 +279,7 @@ def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
     if problem is None:
         return []
     columns, operators, candidates = task.columns(name), task.operators(name), task.candidates[name].programs
-    most = comparison.length(own) + SETTINGS.inference.exact_nats
+    most = comparison.score.length(own) + SETTINGS.inference.exact_nats
     if any(_are_dependent(terms, problem.inputs) for terms in libraries(columns, operators)):
         unfactored = most + SETTINGS.inference.exact_nats  # it prices sums term by term
         candidates += [*neighbours(own, columns, operators), *pursue(problem, columns, operators, (), unfactored)]
@@ -288,7 +289,7 @@ def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
     fitted = (squares.fit(program, enough=limit) for program in short.values())
     close = [_with_neutral_constants(candidate.program) for candidate in fitted if candidate.mse <= limit]
     others = {structure(program): program for program in close if structure(program) != structure(own)}
-    return sorted(others.values(), key=comparison.length)[: SETTINGS.effort.beam]
+    return sorted(others.values(), key=comparison.score.length)[: SETTINGS.effort.beam]
 
 
 def _with_neutral_constants(program: Program) -> Program:

@@ -14,8 +14,9 @@ from atoll_coordinator.data.prior_knowledge import guessed_programs, known_progr
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.pools import Member, Origin, Pools, decode_members
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.elimination import eliminate_all
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Problem
@@ -198,11 +199,11 @@ class RankedCandidates:
 
     def _brief(self, programs: Iterable[Program], most: float) -> list[Program | None]:
         """Return programs in a short writing, None of those of `most` nats or more; constants alone tell of many."""
-        given, price = list(programs), self._whole.constant_nats
+        given, price = list(programs), self._whole.score.constant_nats
         are_few = [price * len(constant_places(program)) < most for program in given]
         written = iter(_written(self._comparison, list(compress(given, are_few)), is_shortest=False))
         briefs = [next(written) if is_few else None for is_few in are_few]
-        return [None if brief is None or not self._whole.length(brief) < most else brief for brief in briefs]
+        return [None if brief is None or not self._whole.score.length(brief) < most else brief for brief in briefs]
 
     @property
     def programs(self) -> list[Program]:

@@ -12,17 +12,11 @@ from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.criteria import (
-    TrajectoryMisfit,
-    constant_nats_of,
     least_term_length,
-    structure_length,
-    system_length,
 )
-from atoll_coordinator.model.regression.rounding import quadratic_form
 from atoll_coordinator.model.selection.fit_batches import (
     Beginning,
     ComparisonParts,
@@ -33,12 +27,11 @@ from atoll_coordinator.model.selection.fit_batches import (
     SummarizedFit,
 )
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
-from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting, fit_in_stages
-from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
+from atoll_coordinator.model.selection.score import FittedModel, Score
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.points_between import points_beside
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
@@ -51,30 +44,6 @@ STAGES: Final[tuple[int | None, ...]] = (*SETTINGS.shooting.lengths[:2], None)
 """Rows of the segments that a system is fitted to, one after another; None: whole trajectories."""
 _REPEATED: Final = 10.0 * SETTINGS.effort.settled
 """Misfits that differ by less, relative to their size, are of the same function in other words: fits settle so far."""
-
-
-@dataclass(frozen=True, eq=False)
-class FittedModel:
-    """A system fitted to trajectories: its `programs` with fitted constants, the fit, and its nats.
-
-    `nats` are those of the misfit, of the programs, and 1/2 ln N for each fitted constant (Schwarz 1978). A fit that
-    was made elsewhere is `made` whole when somebody asks for it.
-    """
-
-    programs: tuple[Program, ...]
-    made: TrajectoryFit | SummarizedFit
-    misfit: float
-    nats: float
-
-    @cached_property
-    def fit(self) -> TrajectoryFit:
-        """The fit."""
-        return self.made.complete() if isinstance(self.made, SummarizedFit) else self.made
-
-    @property
-    def squares(self) -> FloatArray:
-        """Mean squares (O,) of the fit's residuals."""
-        return self.made.squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,52 +79,48 @@ def _work(outcomes: Iterable[FitOutcome | None]) -> int:
     return sum(outcome.work for outcome in outcomes if outcome is not None)
 
 
-def _spread(rows: FloatArray) -> FloatArray:
-    """Return by what factors (O,) variances that the roughness of so many rows tells may be wrong."""
-    return np.asarray(1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(rows, 1.0)))
-
-
+@dataclass(frozen=True, eq=False)
 class ModelComparison:
-    """Fits and compares systems over the same measurements.
+    """Fits systems to the same measurements and compares them by one score.
 
-    `names` are the variables of the programs, `fixed` the equations (by index) whose constants are given; with order 2
-    `leading` are the equations of the positions, which come before those that are sought and are not counted. `tried`
-    has the best model of each program that was ever fitted for an equation, by (equation, structure). What equations
-    must keep to is in `constraints`. Systems are
-    fitted wherever `spread` has it done; one after another without it.
+    The score never changes: a calibrated comparison is another one, in which nothing was tried yet.
+
+    Attributes:
+        estimator: fits systems to the measurements.
+        names: the variables of the programs.
+        fixed: equations, by index, whose constants are given.
+        leading: with order 2 the equations of the positions, which come before those that are sought.
+        spread: has systems fitted, by threads or by workers; one after another unless given.
+        constraints: what equations must keep to.
+        calibration: the score by earlier residuals; None: that of the smoother's noise.
+        tried: the best model of each program that was fitted for an equation, by (equation, structure).
     """
 
-    def __init__(
-        self, estimator: MultipleShooting, names: Sequence[str], fixed: Iterable[int] = (),
-        leading: Sequence[Program] = (), spread: Spread | None = None,
-        constraints: Constraints | None = None,
-    ) -> None:  # fmt: skip
-        measurements = estimator.measurements
-        self.estimator: Final = estimator
-        self.names: Final = tuple(names)
-        self.fixed: Final = frozenset(fixed)
-        self.leading: Final = tuple(leading)
-        self._restrictions: Final = {} if constraints is None else constraints.restrictions
-        self.groups: Final = None if constraints is None else constraints.groups
-        self.tried: Final[dict[tuple[int, bytes], FittedModel]] = {}
-        self.counts: Final = measurements.weights.sum(axis=1)
-        self._starts: Final = len(measurements.bounds) * (len(measurements.scales) + len(measurements.offset))
-        least = max(SETTINGS.shooting.exact, measurements.input_error)
-        self.least_errors: Final = least * measurements.scales[measurements.observed]
-        self.pieces: Final = np.minimum(
-            np.maximum(count_pieces(measurements), SETTINGS.selection.systematic_numbers), self.counts
-        )
-        smallest = SETTINGS.selection.least_noise * measurements.scales[measurements.observed]
-        self._is_noisy: Final = measurements.noise >= smallest
-        self.errors: ErrorModel | None = None
-        self._roughness = measurements.noise
-        self.misfit = self._misfit(measurements.noise, self.counts)
-        self._shared_nats: Final = constant_nats_of(measurements.rows)
+    estimator: MultipleShooting
+    names: tuple[str, ...]
+    fixed: frozenset[int] = frozenset()
+    leading: tuple[Program, ...] = ()
+    spread: Spread = field(default_factory=Spread)
+    constraints: Constraints = field(default_factory=Constraints)
+    calibration: Score | None = None
+    tried: dict[tuple[int, bytes], FittedModel] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def score(self) -> Score:
+        """What systems are compared by."""
         count = 1 if self.groups is None else self.groups.count
-        self._own_nats: Final = constant_nats_of(measurements.rows / count)
-        self.constant_nats: Final = self._own_nats * count
-        self.spread: Final = spread or Spread()
-        self._encoded: bytes | None = None
+        return self.calibration or Score.of_smoother(self.estimator, len(self.leading), self.fixed, count)
+
+    @property
+    def groups(self) -> GroupedRows | None:
+        """Rows by group, where groups of trajectories may have constants of their own."""
+        return self.constraints.groups
+
+    def calibrated(self, model: FittedModel) -> tuple["ModelComparison", FittedModel]:
+        """Return the comparison by the errors that the residuals of a model show, and the model fitted by these."""
+        score, fit = self.score.calibrated(model.fit)
+        comparison = replace(self, calibration=score)
+        return comparison, comparison.measure(fit)
 
     def fit_all(
         self, systems: Sequence[Sequence[Program]], steps: int = SETTINGS.effort.steps,
@@ -252,7 +217,7 @@ class ModelComparison:
     def summary(self, order: FitOrder, model: FittedModel) -> FitSummary:
         """Return what travels of the model of a system that was fitted to an order."""
         fit, sharing = model.fit, model.fit.system.sharing
-        in_whole = order.near is not None or self.errors is not None
+        in_whole = order.near is not None or self.score.errors is not None
         return FitSummary(
             fit.system.constants, None if sharing is None else sharing.constants, fit.starts, fit.errors, fit.squares,
             None if in_whole else order.lengths[-1], fit.is_stiff, model.misfit, model.nats,
@@ -271,15 +236,14 @@ class ModelComparison:
         estimator = self.estimator
         return ComparisonParts(
             estimator.measurements, estimator.tolerance, estimator.measured_rows, self.names, self.fixed, self.leading,
-            self._restrictions, None if self.groups is None else self.groups.rows, self.errors, self.misfit,
+            self.constraints.restrictions, None if self.groups is None else self.groups.rows,
+            self.score.errors, self.score.misfit,
         )  # fmt: skip
 
-    @property
+    @cached_property
     def encoded(self) -> bytes:
         """The bytes of its parts."""
-        if self._encoded is None:
-            self._encoded = encode_value(self.parts)
-        return self._encoded
+        return encode_value(self.parts)
 
     @classmethod
     def of_parts(cls, parts: ComparisonParts) -> "ModelComparison":
@@ -287,17 +251,17 @@ class ModelComparison:
         rows = parts.groups
         groups = None if rows is None else GroupedRows(rows.count, rows.problems, rows.restrictions)
         estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
-        made = cls(estimator, parts.names, parts.fixed, parts.leading, None, Constraints(parts.restrictions, groups))
-        made.errors, made.misfit = parts.errors, parts.misfit
-        return made
+        constraints = Constraints(parts.restrictions, groups)
+        made = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=constraints)
+        return replace(made, calibration=replace(made.score, errors=parts.errors, misfit=parts.misfit))
 
     def restrictions(self, equation: int) -> Restrictions:
         """Return what an equation must keep to; a given one to nothing."""
-        return NONE if equation in self.fixed else self._restrictions.get(equation, NONE)
+        return NONE if equation in self.fixed else self.constraints.restrictions.get(equation, NONE)
 
     def admitted(self, programs: Sequence[Program]) -> list[Program] | None:
         """Return `programs` as they may be fitted; None when one of them may not stand for its equation."""
-        if not self._restrictions:
+        if not self.constraints.restrictions:
             return list(programs)
         admissible_programs = [self.restrictions(index).admitted(program) for index, program in enumerate(programs)]
         return (
@@ -364,8 +328,8 @@ class ModelComparison:
         if admitted is None:
             return None
         fit = fit_in_stages(self.estimator, self.system(admitted), lengths, steps)
-        if fit is not None and self.errors is not None:
-            fit = self._with_errors(fit, self.errors)
+        if fit is not None and self.score.errors is not None:
+            fit = self.score.with_errors(fit, self.score.errors)
         return None if fit is None else self.measure(fit)
 
     def fit_beside(
@@ -392,23 +356,9 @@ class ModelComparison:
         if admitted is None:
             return None
         system = self.system(admitted, fixed_nodes, near.system, shared)
-        goal = self._goal(system, most)
+        goal = self.score.goal(system, most)
         fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff, goal=goal)
         return None if fit is None else self.measure(fit)
-
-    def _is_refuted(self, begun: TrajectoryFit, fit: TrajectoryFit) -> bool:
-        """Tell whether constants differ by more than chance from those of the fit that it was begun with.
-
-        Then what the residuals have in common is not errors, but what the equations miss (Hausman 1978, Econometrica
-        46:1251).
-        """
-        from scipy import special
-
-        moved = fit.system.values - begun.system.values
-        if not moved.any():
-            return False
-        distance = 2.0 * quadratic_form(moved, self._inflation(begun) * bounded_covariance(begun))
-        return bool(special.chdtrc(len(moved), distance) < SETTINGS.inference.improbable)
 
     def fit_exchanged(
         self, near: FittedModel, equation: int, program: Program, steps: int, most: float = math.inf
@@ -470,220 +420,12 @@ class ModelComparison:
 
     def _useful(self, near: FittedModel) -> float:
         """Return the nats of the longest description that is of use beside `near`: longer by a term."""
-        return near.nats + least_term_length(self.constant_nats)
+        return near.nats + least_term_length(self.score.constant_nats)
 
     def measure(self, fit: TrajectoryFit) -> FittedModel:
         """Return the model that a fit of one of this comparison's systems gives."""
         self.spread.note(1)
-        misfit = self._misfit_of(fit.system).total(self.squares(fit)) + self._drift(fit)
-        return FittedModel(fit.system.programs[len(self.leading) :], fit, misfit, self._length(misfit, fit.system))
-
-    def _length(self, misfit: float, system: System) -> float:
-        """Return the nats of a system with this misfit."""
-        return system_length(misfit, system.programs[len(self.leading) :], 1, self._constants_length(system))
-
-    def _goal(self, system: System, most: float) -> Goal | None:
-        """Return the misfit at which the description with a system takes `most` nats; None where that has no end."""
-        return Goal(self._misfit_of(system), most - self._length(0.0, system)) if most < math.inf else None
-
-    def _misfit_of(self, system: System) -> TrajectoryMisfit:
-        """Return the misfit of systems with as many fitted numbers."""
-        return self.misfit.with_fitted(self._fitted_numbers(system))
-
-    def _fitted_numbers(self, system: System) -> float:
-        """Return how many numbers are fitted for each measured state: constants, also where they are held for a while,
-        and initial states."""
-        programs = system.programs[len(self.leading) :]
-        sought = (program for index, program in enumerate(programs) if index not in self.fixed)
-        constants = max(system.count, sum(len(constant_places(program)) for program in sought))
-        return (constants + self._starts) / len(self.counts)
-
-    def _constants_length(self, system: System) -> float:
-        """Return the nats of all fitted numbers: those of one group are known from its rows alone."""
-        own = 0 if system.sharing is None else system.sharing.own_numbers
-        return self._own_nats * own + self._shared_nats * (system.count - own)
-
-    def _drift(self, fit: TrajectoryFit) -> float:
-        """Return the misfit of states that rest at 0, n/2 ln(s / least^2): only integration may err there."""
-        measurements = self.estimator.measurements
-        total = 0.0
-        for resting, state, least in zip(
-            measurements.resting if measurements.resting is not None else (),
-            measurements.observed.tolist(),
-            self.least_errors,
-            strict=False,
-        ):
-            if resting.any():
-                square = float(np.mean(fit.simulated[state, resting] ** 2))
-                total += 0.5 * int(resting.sum()) * math.log(max(square / float(least) ** 2, 1.0))
-        return total
-
-    def calibrate(self, model: FittedModel) -> FittedModel:
-        """Take the errors of measurement from what `model` leaves; return it, fitted and measured by these.
-
-        What goes together between neighbouring rows as a sensor's errors do is held for all systems, and what is left
-        then is compared. The size of independent errors follows from its roughness.
-        """
-        fit = self._with_errors(model.fit, None) if model.fit.errors.shares.any() else model.fit
-        fit, measurements = fit or model.fit, self.estimator.measurements
-        free = self.counts - self._fitted_numbers(fit.system)
-        self._roughness = self._independent_noise(roughness(measurements, fit.residuals), free)
-        self.errors, self.misfit = None, self._misfit(self._roughness, free)
-        correlated = self._with_sensor_errors(fit)
-        if correlated is not None:
-            fit, self.errors = correlated, correlated.errors
-            self._roughness = self._independent_noise(roughness(measurements, self.whitened(fit)), free)
-            self.misfit = self._misfit(self._roughness, free)
-        self.tried.clear()
-        self._encoded = None
-        return self.measure(fit)
-
-    def _independent_noise(self, deviations: FloatArray, free: FloatArray) -> FloatArray:
-        """Return the standard deviations (O,) of independent errors, by the roughness of residuals.
-
-        So many `free` rows count and not all, since numbers were fitted to them, and the smoother's noise as one row
-        more: residuals of a system with as many numbers as rows say nothing.
-        """
-        squares, smoother = self.counts * deviations**2, self.estimator.measurements.noise**2
-        return np.asarray(np.sqrt((squares * (free > 0.0) + smoother) / (np.maximum(free, 0.0) + 1.0)))
-
-    def _with_errors(self, fit: TrajectoryFit, errors: ErrorModel | None) -> TrajectoryFit | None:
-        """Return a fit begun anew with these errors, independent ones unless given."""
-        errors = errors or ErrorModel.independent(np.sqrt(fit.squares))
-        return self.estimator.fit(fit.system, None, SETTINGS.effort.steps, fit.starts, errors, is_stiff=fit.is_stiff)
-
-    def _with_sensor_errors(self, fit: TrajectoryFit) -> TrajectoryFit | None:
-        """Return a fit to independent errors with those of a sensor, None where there are none or constants object.
-
-        See `Innovations.sensor_errors`, and `_is_refuted`. Of states that are nearly clean nothing is an error of a
-        sensor.
-        """
-        if not self._is_noisy.any():
-            return None
-        errors = self.estimator.sensor_errors(fit, self.counts / np.maximum(self.pieces, 1.0))
-        shares = np.where(self._is_noisy, errors.shares, 0.0)
-        correlated = self._with_errors(fit, replace(errors, shares=shares)) if shares.any() else None
-        return None if correlated is None or self._is_refuted(fit, correlated) else correlated
-
-    def whitened(self, fit: TrajectoryFit) -> FloatArray:
-        """Return the residuals (O, N), what goes together in the errors of measurement taken out."""
-        return fit.residuals if self.errors is None else self.estimator.whitened(fit.residuals, self.errors)
-
-    def squares(self, fit: TrajectoryFit) -> FloatArray:
-        """Return the mean squares (O,) of `whitened`."""
-        return fit.squares if self.errors is None else self.estimator.squares(self.whitened(fit))
-
-    def _misfit(self, noise: FloatArray, rows: FloatArray) -> TrajectoryMisfit:
-        """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,), by so many
-        independent `rows` (O,)."""
-        spread = _spread(rows)
-        smallest = (
-            SETTINGS.selection.least_noise * self.estimator.measurements.scales[self.estimator.measurements.observed]
-        )
-        is_noisy, variances = noise >= smallest, np.maximum(noise, smallest) ** 2
-        return TrajectoryMisfit(
-            np.where(is_noisy, variances / spread, variances),
-            np.where(is_noisy, variances * spread, variances),
-            self.least_errors**2,
-            np.where(is_noisy, self.counts, self.pieces),
-            self.pieces,
-            np.where(is_noisy, self.pieces, SETTINGS.selection.systematic_numbers),
-            self.counts,
-        )
-
-    @property
-    def has_independent_errors(self) -> npt.NDArray[np.bool_]:
-        """Of which states (O,) errors of measurement are taken to be independent between rows, and there are some."""
-        return self._is_noisy & (self.errors is None)
-
-    def inflation(self, model: FittedModel) -> float:
-        """Return how many rows count as one in the covariance of constants: 1 where errors are independent."""
-        return self._inflation(model.fit)
-
-    def _inflation(self, fit: TrajectoryFit) -> float:
-        rows = self.misfit.effective_rows(self.squares(fit))
-        return float(self.counts.sum() / min(rows.sum(), self.counts.sum()))
-
-    def hidden_errors(self, model: FittedModel) -> float:
-        """Return how many times the mean square of the residuals may be that the integration hides, at least 1."""
-        return float(max(1.0, (self.least_errors**2 / np.maximum(model.fit.squares, 1e-300)).max()))
-
-    def length(self, program: Program) -> float:
-        """Return the nats of a program, its constants fitted."""
-        return structure_length(program) + self.constant_nats * len(constant_places(program))
-
-    def has_room(self, model: FittedModel) -> bool:
-        """Tell whether a longer system could be a shorter description than `model`, which calibrated the errors."""
-        return self.room(model) >= least_term_length(self.constant_nats)
-
-    def room(self, model: FittedModel) -> float:
-        """Return how many nats the misfit of `model`, by which the errors are calibrated, could be less.
-
-        Of a nearly clean state it could fall to the noise, or to what an exact model leaves. Where the residuals of a
-        state are as small as the smoother's noise, it could at most explain what is slow in them beyond what is so in
-        independent errors. Where those of a noisy state are larger, there is no limit.
-        """
-        measurements, squares = self.estimator.measurements, self.squares(model.fit)
-        misfit = self._misfit_of(model.fit.system)
-        scales = measurements.scales[measurements.observed]
-        is_clean = self.misfit.low == self.misfit.high
-        if not np.all(is_clean | self._is_like_noise(model)):
-            return math.inf
-        noise = np.minimum(measurements.noise, self._roughness)
-        least = np.minimum(np.maximum(noise, SETTINGS.inference.exact * scales) ** 2, squares)
-        shares, expected = slow_shares(measurements, self.whitened(model.fit), self.pieces)
-        left = np.minimum((1.0 - shares) / np.maximum(1.0 - expected, 1e-12), 1.0)
-        return misfit.total(squares) - misfit.total(np.where(is_clean, least, left * squares))
-
-    def _noise(self, errors: ErrorModel | None) -> FloatArray:
-        """Return the standard deviations (O,) of errors: the smoother's noise, which is that of independent ones, or
-        where they go together what these `errors` have."""
-        noise = self.estimator.measurements.noise
-        return noise if errors is None else np.where(errors.shares > 0.0, np.maximum(errors.sigmas, noise), noise)
-
-    def affordable(self, model: FittedModel, equation: int, room: float | None = None) -> float:
-        """Return the length from which on no program in one equation's place is a description about as short.
-
-        Whatever it explains, it gains no more than the `room` there is, which is found unless given.
-        """
-        room = self.room(model) if room is None else room
-        return self.length(model.programs[equation]) + room + SETTINGS.inference.distinct_nats
-
-    def _is_like_noise(self, model: FittedModel) -> npt.NDArray[np.bool_]:
-        """Tell of which states (O,) no more is left than a sensor's errors, or the smoother's noise.
-
-        Errors that are independent may be of uneven size, such as outliers: n with the kurtosis k tell their variance
-        as well as 2 n/(k - 1) normal ones.
-        """
-        measurements, rows, squares = self.estimator.measurements, self.counts, model.fit.squares
-        errors = measurements.weights * model.fit.residuals**2
-        kurtosis = rows * (errors**2).sum(axis=1) / np.maximum(errors.sum(axis=1) ** 2, 1e-300)
-        uneven = _spread(rows * 2.0 / np.maximum(kurtosis - 1.0, 2.0)) * measurements.noise**2
-        is_independent = squares <= _spread(rows) * self._roughness**2
-        is_noise = (squares <= _spread(rows) * measurements.noise**2) | (is_independent & (squares <= uneven))
-        return is_noise if self.errors is None else is_noise | (self.errors.shares > 0.0)
-
-    def is_exact(self, model: FittedModel) -> bool:
-        """Tell whether all errors are those of the integration."""
-        return bool(np.all(model.fit.squares <= self.least_errors * self.least_errors))
-
-    def excess(self, model: FittedModel) -> float:
-        """Return how many times as large as the noise the residuals are, of the state that is fitted worst.
-
-        Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
-        """
-        measurements, residuals = self.estimator.measurements, np.sqrt(model.fit.squares)
-        least = SETTINGS.common.negligible * measurements.scales[measurements.observed]
-        errors = self.errors
-
-        def ratio() -> float:
-            allowed = np.maximum(self._noise(errors), least) * (2.0 if measurements.has_smoothed_inputs else 1.0)
-            return float(np.max(residuals / allowed))
-
-        if errors is None and ratio() > SETTINGS.inference.excess:
-            correlated = self._with_sensor_errors(model.fit)
-            errors = None if correlated is None else correlated.errors
-        return ratio()
+        return self.score.model_of(fit)
 
     def _remembered(self, equation: int, models: Sequence[FittedModel]) -> list[FittedModel]:
         for model in models:
@@ -720,7 +462,7 @@ class ModelComparison:
         """
         first, second = (values_of(one.programs[equation], self._beside) for one in (model, other))
         either = np.isfinite(first) | np.isfinite(second)
-        share = math.sqrt(SETTINGS.inference.part) if self._is_noisy.any() else SETTINGS.common.negligible
+        share = math.sqrt(SETTINGS.inference.part) if self.score.is_noisy.any() else SETTINGS.common.negligible
         return bool(either.any()) and differ(first[either], second[either], share)
 
     def disputed_state(self, model: FittedModel, others: Sequence[FittedModel], equation: int) -> dict[str, float]:

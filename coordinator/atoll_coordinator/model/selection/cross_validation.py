@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.fit_batches import ComparisonParts
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -69,8 +70,8 @@ class Validation:
             whitened += errors[1]
             total += _total_squares(measurements.part(left_out))
         r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, total, strict=True)]
-        counts = self._comparison.counts
-        misfit = self._comparison.misfit.total(whitened / counts)
+        counts = self._comparison.score.counts
+        misfit = self._comparison.score.misfit.total(whitened / counts)
         return Validated(tuple(r2), misfit)
 
 
@@ -91,7 +92,7 @@ def squared_errors(comparison: ModelComparison, fold: Fold) -> tuple[FloatArray,
     predicted = rest.fit(fixed, None, steps, fold.starts[is_out], fold.errors)
     if predicted is None:
         return ()
-    weights, errors = rest.measurements.weights, comparison.errors
+    weights, errors = rest.measurements.weights, comparison.score.errors
     whitened = predicted.residuals if errors is None else rest.whitened(predicted.residuals, errors)
     return (weights * predicted.residuals**2).sum(axis=1), (weights * whitened**2).sum(axis=1)
 

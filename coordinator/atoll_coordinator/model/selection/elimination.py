@@ -14,8 +14,9 @@ import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
 from atoll_coordinator.model.least_squares import coefficients_of
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.fit_batches import ComparisonParts, FitOrder, FitSummary
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.model.structure.term_libraries import sum_of
 from atoll_coordinator.settings import SETTINGS

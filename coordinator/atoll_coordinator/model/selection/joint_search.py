@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from atoll_coordinator.model.criteria import is_function
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.local_search import LocalSearch
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.model.structure.moves.extensions import extensions, further_terms, leaps
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
@@ -40,8 +41,9 @@ def fit_jointly(
         return None
     if not are_laws:
         comparison, best = _without_noise(task, comparison, best)
-    best = exchange(comparison, comparison.calibrate(best), lists)
-    return SelectedModel(task, comparison, comparison.calibrate(best), lists)
+    comparison, best = comparison.calibrated(best)
+    comparison, best = comparison.calibrated(exchange(comparison, best, lists))
+    return SelectedModel(task, comparison, best, lists)
 
 
 def search_jointly(
@@ -58,7 +60,7 @@ def search_jointly(
     if selection is None:
         return None
     comparison, best = selection.comparison, selection.model
-    if comparison.is_exact(best):
+    if comparison.score.is_exact(best):
         best = reduce_all(comparison, best)
     elif not is_hopeless(selection):
         best = search_locally(task, comparison, best, lists)
@@ -111,10 +113,10 @@ def exchange(
     stayed the same: what comes of those after one that is exchanged is dropped.
     """
     until = comparison.estimator.work + SETTINGS.effort.work
-    if comparison.is_exact(best):
-        lengths = [comparison.length(program) for program in best.programs]
+    if comparison.score.is_exact(best):
+        lengths = [comparison.score.length(program) for program in best.programs]
         lists = [
-            [program for program in programs if comparison.length(program) < length] or [own]
+            [program for program in programs if comparison.score.length(program) < length] or [own]
             for programs, length, own in zip(lists, lengths, best.programs, strict=True)
         ]
     tried: Sequence[Sequence[Program]] = lists
@@ -139,10 +141,10 @@ def _exchangeable(
     comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]
 ) -> dict[int, list[Program]]:
     """Return by equation the programs that may be better; those are left out that have none."""
-    room = comparison.room(best)
-    lengths = [comparison.affordable(best, equation, room) for equation in range(len(lists))]
+    room = comparison.score.room(best)
+    lengths = [comparison.score.affordable(best, equation, room) for equation in range(len(lists))]
     shorter = [
-        [program for program in others if comparison.length(program) < most]
+        [program for program in others if comparison.score.length(program) < most]
         for others, most in zip(lists, lengths, strict=True)
     ]
     return {
@@ -159,8 +161,8 @@ def search_locally(
 
     Where that leaves noise alone, programs are not tried that are so long that no misfit could make them better.
     """
-    room = comparison.room(best)
-    has_room = comparison.has_room(best)
+    room = comparison.score.room(best)
+    has_room = comparison.score.has_room(best)
 
     def around(equation: int, program: Program) -> Iterator[Program]:
         name = task.variables[equation]
@@ -172,10 +174,9 @@ def search_locally(
         return promising(program, leaps(program, task.operators(task.variables[equation])))
 
     def promising(program: Program, others: Iterable[Program]) -> Iterator[Program]:
-        most = comparison.length(program) + room
-        return (
-            candidate for candidate in others if comparison.length(candidate) < most and task.may_be_shown(candidate)
-        )
+        most = comparison.score.length(program) + room
+        affordable = (candidate for candidate in others if comparison.score.length(candidate) < most)
+        return filter(task.may_be_shown, affordable)
 
     descent = LocalSearch(comparison, around, comparison.estimator.work + SETTINGS.effort.work, beyond)
     equations = [index for index, _ in enumerate(lists) if index not in comparison.fixed]
@@ -219,16 +220,15 @@ def search_terms(
     return end if end is best else reduce_all(comparison, end)
 
 
-def recalibrated(comparison: ModelComparison, best: FittedModel, others: Sequence[FittedModel]) -> FittedModel:
-    """Return the best system by the errors of measurement that it leaves; what came closest is compared again by these.
+def recalibrated(
+    comparison: ModelComparison, best: FittedModel, others: Sequence[FittedModel]
+) -> tuple[ModelComparison, FittedModel]:
+    """Return the comparison by the errors that the residuals of the best system show, and that system.
 
-    Args:
-        comparison: is calibrated, which makes it forget what it has compared.
-        best: the best system.
-        others: systems whose equations are its rivals as well.
+    The closest alternatives, and those of `others`, are compared again.
     """
     tried = sorted(comparison.tried.items(), key=lambda item: item[1].nats)
-    best = comparison.calibrate(comparison.fit_beside(best, best.programs) or best)
+    comparison, best = comparison.calibrated(comparison.fit_beside(best, best.programs) or best)
     for equation, own in enumerate(best.programs):
         if equation in comparison.fixed:
             continue
@@ -238,7 +238,7 @@ def recalibrated(comparison: ModelComparison, best: FittedModel, others: Sequenc
         distinct.pop(structure(own), None)
         nearest = list(reversed(distinct.values()))[: SETTINGS.effort.kept]
         compare_rivals(comparison, best, equation, nearest)
-    return best
+    return comparison, best
 
 
 def compare_rivals(

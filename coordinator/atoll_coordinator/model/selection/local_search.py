@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.criteria import least_term_length
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.model.structure.moves.reductions import multiply_out, reductions
 from atoll_coordinator.settings import SETTINGS
@@ -98,7 +99,7 @@ class LocalSearch:
         program = model.programs[equation]
         fit = model.fit
         own = np.flatnonzero(fit.system.owners == equation + len(self._comparison.leading))
-        inflation = self._comparison.inflation(model) * self._comparison.hidden_errors(model)
+        inflation = self._comparison.score.inflation(model) * self._comparison.score.hidden_errors(model)
         variances = fit.system.by_place(inflation * np.diag(covariance(fit)), 2)[:, own]
         values = fit.system.by_place(fit.system.values)[:, own]
         priced: list[tuple[float, float, int, float]] = []
@@ -107,11 +108,11 @@ class LocalSearch:
                 away = values[:, number] - neutral
                 nats = float((0.5 * away**2 / np.maximum(variances[:, number], 1e-300)).sum())
                 priced.append((nats, float(np.abs(away).max()), place, neutral))
-        length, programs = self._comparison.length(program), []
+        length, programs = self._comparison.score.length(program), []
         for nats, _, place, neutral in sorted(priced):
             shorter = [collected(with_constants(program, {place: neutral}))]
             shorter += multiply_out(program, place) if neutral == 1.0 else ()
-            programs += [one for one in shorter if nats < length - self._comparison.length(one)]
+            programs += [one for one in shorter if nats < length - self._comparison.score.length(one)]
         return programs
 
     def _is_new(self, tried: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int) -> bool:
@@ -131,7 +132,7 @@ class LocalSearch:
         near = [
             neighbour
             for neighbour in models
-            if neighbour.nats < best.nats + least_term_length(self._comparison.constant_nats)
+            if neighbour.nats < best.nats + least_term_length(self._comparison.score.constant_nats)
         ]
         leaps = self._leaps(equation, best.programs[equation])
         near += self._comparison.narrow_down(best, equation, leaps, SETTINGS.effort.rounds[1:], self._until, math.inf)

@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import partial
 
 from atoll_coordinator.model.selection.alternatives import fit_guesses
-from atoll_coordinator.model.selection.comparison import FittedModel
 from atoll_coordinator.model.selection.joint_search import (
     combine,
     compare_rivals,
@@ -35,6 +34,7 @@ from atoll_coordinator.model.selection.proposals import (
     propose_reduced,
     propose_sums,
 )
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.shortcut import (
     excess_without,
     fit_laws_together,
@@ -145,7 +145,7 @@ def collect_pool(task: ModellingTask) -> tuple[ModellingTask, list[list[Program]
         pool.add(propose_further_sums)
     if not pool.suffices:
         pool.add(propose_all)
-    return task, pool.lists
+    return task.with_comparison(pool.comparison), pool.lists
 
 
 def _settled(task: ModellingTask) -> dict[str, list[Program]]:
@@ -171,7 +171,7 @@ def _is_exact(task: ModellingTask, programs: Sequence[Program]) -> bool:
     """Tell whether these equations give the trajectories up to errors of integration."""
     comparison = task.compare(task.compared_measurements, task.variables, has_noise=False)
     model = comparison.fit_model(programs)
-    return model is not None and comparison.is_exact(model)
+    return model is not None and comparison.score.is_exact(model)
 
 
 def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
@@ -200,7 +200,7 @@ def with_sums_like(selection: SelectedModel) -> SelectedModel:
     Their constants are those of the curves of the selection, from which it takes more than a few steps to the best.
     """
     task, comparison, before = selection.task, selection.comparison, selection.model
-    if task.recording.groups or task.solver is not None or task.is_over or not comparison.has_room(before):
+    if task.recording.groups or task.solver is not None or task.is_over or not comparison.score.has_room(before):
         return selection
     known = [[task.known[name]] if name in task.known else None for name in task.variables]
     calls = [partial(propose_like, before, comparison, task, name) for name in task.variables if name not in task.known]
@@ -229,8 +229,8 @@ def with_guesses(selection: SelectedModel) -> SelectedModel:
     shortest = min(known, key=lambda model: model.nats, default=best)
     if shortest.nats > best.nats - SETTINGS.selection.least_gain:
         return selection
-    shortest = reduce_all(comparison, shortest)
-    return replace(selection, model=recalibrated(comparison, shortest, [best]))
+    comparison, model = recalibrated(comparison, reduce_all(comparison, shortest), [best])
+    return replace(selection, comparison=comparison, model=model)
 
 
 def with_other_terms(selection: SelectedModel) -> SelectedModel:
@@ -242,7 +242,7 @@ def with_other_terms(selection: SelectedModel) -> SelectedModel:
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     is_of_rates = any(laws and laws[0].is_of_rates for laws in task.laws.values())
-    if task.is_nearly_clean or task.solver is not None or is_of_rates or comparison.is_exact(best):
+    if task.is_nearly_clean or task.solver is not None or is_of_rates or comparison.score.is_exact(best):
         return selection
     until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures(best)}
     pairs = [() if name in task.known else propose_pairs(task, name) for name in task.variables]
@@ -254,8 +254,8 @@ def with_other_terms(selection: SelectedModel) -> SelectedModel:
         if task.is_over:  # its rivals could not be compared again
             best = other
             break
-        best = recalibrated(comparison, other, [selection.model])
-    return selection if best is selection.model else replace(selection, model=best)
+        comparison, best = recalibrated(comparison, other, [selection.model])
+    return selection if best is selection.model else replace(selection, comparison=comparison, model=best)
 
 
 def _structures(model: FittedModel) -> tuple[bytes, ...]:
@@ -291,7 +291,7 @@ def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> 
     begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
     if taken:
         yield Note(f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter.")
-    elif programs and selection.comparison.has_room(selection.model):
+    elif programs and selection.comparison.score.has_room(selection.model):
         yield Note(
             f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
             "description shorter."

@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import fit_jointly, reduce_all, search_jointly
 from atoll_coordinator.model.selection.local_search import LocalSearch
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.solver_errors import without_solver_errors
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
@@ -28,7 +29,7 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
         return _as_solved(task, lists, first)
     if task.is_nearly_clean:
         selection = search_jointly(in_stretches(task, first), lists)
-        if selection is None or selection.comparison.is_exact(selection.model):
+        if selection is None or selection.comparison.score.is_exact(selection.model):
             return selection
         exact = without_solver_errors(task, selection.model.fit)
         return (None if exact is None else _as_solved(exact, lists, selection.model.programs)) or selection
@@ -71,7 +72,7 @@ def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
 def _without_needless(selection: SelectedModel) -> SelectedModel:
     """Return a selection whose residuals are those of the integration without constants that it can do without."""
     comparison, model = selection.comparison, selection.model
-    if not comparison.is_exact(model):
+    if not comparison.score.is_exact(model):
         return selection
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
     for equation in range(len(model.programs)):
@@ -92,13 +93,15 @@ def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
         model = comparison.fit_beside(selection.model, selection.model.programs)
         if model is None:
             return selection
-        return replace(selection, comparison=comparison, model=comparison.calibrate(model))
+        comparison, model = comparison.calibrated(model)
+        return replace(selection, comparison=comparison, model=model)
     selections: list[SelectedModel] = []
     for here in _tasks(task):
         fitted = _fitted(here, selection.model.programs, measurements.rows, is_precise=True)
         if fitted is None:
             continue
-        fitted = replace(fitted, model=fitted.comparison.calibrate(fitted.model))
+        comparison, model = fitted.comparison.calibrated(fitted.model)
+        fitted = replace(fitted, comparison=comparison, model=model)
         if fitted.is_like_noise:
             return fitted
         selections.append(fitted)
@@ -201,7 +204,7 @@ def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingT
 
 def _stretch_length(comparison: ModelComparison, model: FittedModel) -> float:
     """Return the nats of all errors, independent within pieces, and of all initial states."""
-    counts, starts = comparison.counts, model.fit.starts.size
+    counts, starts = comparison.score.counts, model.fit.starts.size
     free = np.maximum(counts - starts / len(counts), 1.0)
-    variances = np.maximum(model.fit.squares * counts / free, comparison.least_errors**2)
-    return float(0.5 * counts @ np.log(variances)) + starts * comparison.constant_nats
+    variances = np.maximum(model.fit.squares * counts / free, comparison.score.least_errors**2)
+    return float(0.5 * counts @ np.log(variances)) + starts * comparison.score.constant_nats

@@ -7,12 +7,12 @@ are no longer taken in.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Final
 
 from atoll_coordinator.model.selection.candidates import RankedCandidates
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import combine
 from atoll_coordinator.model.selection.proposals import Proposals
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
@@ -34,7 +34,7 @@ class CandidatePool:
         `is_calibrating`, no better one does: what was measured before is compared with what comes.
         """
         self._is_calibrating = is_calibrating
-        self.comparison: Final = comparison
+        self.comparison = comparison
         self.best = best
         self._task = task
         self._ranked = {name: _alone(task, name, comparison) for name in task.variables if name not in given}
@@ -48,7 +48,9 @@ class CandidatePool:
             return
         begun = combine(self.comparison, self.lists)
         if begun is not None and (self.best is None or begun.nats < self.best.nats):
-            self.best = self.comparison.calibrate(begun) if self._is_calibrating else begun
+            self.best = begun
+            if self._is_calibrating:
+                self.comparison, self.best = self.comparison.calibrated(begun)
 
     def _add_to(self, propose: Proposer, equation: int) -> None:
         """Take in what is proposed for one equation, which has nothing to do with what is for the others."""
@@ -58,7 +60,7 @@ class CandidatePool:
         if task.is_over:
             self.lists[equation] = self.lists[equation] or _found_by_search(task, name)
             return
-        most = math.inf if self.best is None else self.comparison.affordable(self.best, equation)
+        most = math.inf if self.best is None else self.comparison.score.affordable(self.best, equation)
         programs, libraries = propose(task, name, most)
         ranked = self._ranked[name]
         ranked.add(programs, libraries, most)
@@ -70,7 +72,8 @@ class CandidatePool:
         """Nats of the longest equation of the best system that has candidates, 0 without any."""
         programs = [] if self.best is None else self.best.programs
         pairs = zip(self._task.variables, programs, strict=False)
-        return max((self.comparison.length(program) for name, program in pairs if name in self._ranked), default=0.0)
+        sought = [program for name, program in pairs if name in self._ranked]
+        return max(map(self.comparison.score.length, sought), default=0.0)
 
     @property
     def suffices(self) -> bool:
@@ -79,7 +82,7 @@ class CandidatePool:
         One may be where targets are too uncertain for the search to tell a law from others of the same error (bar
         magnets at 5 % of noise), and where an equation is longer than laws usually are.
         """
-        if self.best is None or self.comparison.has_room(self.best):
+        if self.best is None or self.comparison.score.has_room(self.best):
             return False
         if self.longest > SETTINGS.selection.usual_length:
             return False

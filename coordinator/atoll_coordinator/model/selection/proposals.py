@@ -14,7 +14,8 @@ import numpy as np
 
 from atoll_coordinator.model.least_squares import coefficients_of
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.sparse.pursuit import PURSUED, Pursuit
 from atoll_coordinator.model.structure.moves.reductions import reductions
@@ -51,9 +52,9 @@ def propose_like(model: FittedModel, comparison: ModelComparison, task: Modellin
     equation, points = task.variables.index(name), comparison.estimator.measurements
     states = np.concatenate([model.fit.simulated, points.inputs])
     inputs = np.ascontiguousarray(states[[points.variables.index(column) for column in comparison.names]])
-    missed = float(np.sqrt((comparison.squares(model.fit) / points.scales[points.observed] ** 2).max()))
+    missed = float(np.sqrt((comparison.score.squares(model.fit) / points.scales[points.observed] ** 2).max()))
     along = rates_of(model.programs[equation], replace(task.dataset.problem(name), inputs=inputs), missed)
-    most = comparison.affordable(model, equation)
+    most = comparison.score.affordable(model, equation)
     sums = [] if along is None else _sums(task, along, Pursuit(task.columns(name), task.operators(name), most=most))
     return [program for program in sums if task.may_be_shown(program)]
 
@@ -62,14 +63,14 @@ def propose_reduced(
     model: FittedModel, comparison: ModelComparison, task: ModellingTask, equation: int, candidates: Sequence[Program]
 ) -> list[Program]:
     """Return what is left of candidates that are too long to matter where one part goes, those of least error first."""
-    most, own = comparison.affordable(model, equation), model.programs[equation]
-    long = [program for program in candidates if comparison.length(program) >= most][: SETTINGS.effort.beam]
+    most, own = comparison.score.affordable(model, equation), model.programs[equation]
+    long = [program for program in candidates if comparison.score.length(program) >= most][: SETTINGS.effort.beam]
     known = {structure(own), *map(structure, candidates)}
     smaller = (shortened(reduced) for program in long if not task.is_over for reduced in reductions(program))
     tried = {
         structure(program): program
         for program in smaller
-        if structure(program) not in known and comparison.length(program) < most and task.may_be_shown(program)
+        if structure(program) not in known and comparison.score.length(program) < most and task.may_be_shown(program)
     }
     squares = LeastSquares(
         task.dataset.problem(task.variables[equation]), restrictions=comparison.restrictions(equation)

@@ -12,7 +12,8 @@ from itertools import accumulate, pairwise
 from typing import Final
 
 from atoll_coordinator.model.regression.rounding import Estimates, Rounding, find_simple, quadratic_form
-from atoll_coordinator.model.selection.comparison import FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import ModelComparison
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance
 from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
@@ -117,7 +118,7 @@ def _multiplied(system: System, simple: Sequence[SimpleNumber | None]) -> Iterat
 
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:
-    return comparison.inflation(model) * bounded_covariance(model.fit)
+    return comparison.score.inflation(model) * bounded_covariance(model.fit)
 
 
 def _allowed(means: FloatArray, spread: FloatArray, numbers: Mapping[int, float]) -> float:

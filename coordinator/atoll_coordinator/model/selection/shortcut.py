@@ -54,7 +54,7 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
         return None
     if all(task.laws.values()):
         return selection if selection.is_like_noise else None
-    return selection if selection.comparison.is_exact(selection.model) else None
+    return selection if selection.comparison.score.is_exact(selection.model) else None
 
 
 def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
@@ -75,14 +75,15 @@ def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     begun = combine(short.comparison, lists)
     if begun is None:
         return None
-    best = exchange(short.comparison, short.comparison.calibrate(begun), lists)
-    descent = LocalSearch(short.comparison, lambda *_: iter(()), short.comparison.estimator.work)
-    sought = [equation for equation in range(len(lists)) if equation not in short.comparison.fixed]
+    comparison, begun = short.comparison.calibrated(begun)
+    best = exchange(comparison, begun, lists)
+    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
+    sought = [equation for equation in range(len(lists)) if equation not in comparison.fixed]
     for equation in sought:
         best = descent.prune(best, equation)
     for equation in sought:
-        compare_rivals(short.comparison, best, equation, lists[equation])
-    return SelectedModel(short, short.comparison, best, lists)
+        compare_rivals(comparison, best, equation, lists[equation])
+    return SelectedModel(short, comparison, best, lists)
 
 
 def standing_laws(task: ModellingTask, name: str) -> list[Law]:
@@ -104,7 +105,7 @@ def excess_without(task: ModellingTask, name: str) -> float:
     others = without(replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1])), name)
     lists = [_programs(others, variable) for variable in others.variables]
     begun = _begun(others, lists) if all(lists) else None
-    return math.inf if begun is None else begun.comparison.excess(begun.model)
+    return math.inf if begun is None else begun.comparison.score.excess(begun.model)
 
 
 def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:

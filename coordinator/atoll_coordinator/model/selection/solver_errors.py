@@ -17,7 +17,7 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Recording, Smoothing
 from atoll_coordinator.model.regression.rounding import find_simple
-from atoll_coordinator.model.selection.comparison import FittedModel
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.system import System
@@ -119,7 +119,7 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
         for rank in range(min(longest, SETTINGS.effort.beam))
     ]
     begun = best = next(iter(comparison.fit_all(systems, steps)), None)
-    if begun is None or best is None or comparison.is_exact(begun):
+    if begun is None or best is None or comparison.score.is_exact(begun):
         return
     most = SETTINGS.selection.solver_as_good**2 * begun.fit.squares
     while True:
@@ -129,7 +129,7 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
             shorter = [
                 other
                 for other in (*reductions(own), *others)
-                if comparison.length(other) < comparison.length(own) and equation not in comparison.fixed
+                if comparison.score.length(other) < comparison.score.length(own) and equation not in comparison.fixed
             ]
             rounds = ((steps, len(shorter)),)
             models = comparison.narrow_down(best, equation, shorter, rounds, SETTINGS.effort.work, math.inf)
@@ -137,7 +137,7 @@ def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Ite
                 (length, place, model)
                 for place, model in enumerate(models)
                 if np.all(model.squares <= most)
-                and (length := comparison.length(model.programs[equation])) < comparison.length(own)
+                and (length := comparison.score.length(model.programs[equation])) < comparison.score.length(own)
             ]
             best = min(as_good)[2] if as_good else best
         if best is before:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from atoll_coordinator.data.recording import Recording
@@ -11,8 +11,9 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pools import Law, LawsByGroup, may_be_shown
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import variable_program
@@ -143,6 +144,12 @@ class ModellingTask:
         """The one over these, for all that is tried with pieces of this length: nothing is fitted twice."""
         return self.compare(self.compared_measurements, self.variables)
 
+    def with_comparison(self, comparison: ModelComparison) -> "ModellingTask":
+        """Return the task with a `comparison` that is calibrated already."""
+        task = replace(self)
+        task.__dict__["comparison"] = comparison  # as the cached property keeps it
+        return task
+
     def compare(
         self, measurements: Measurements, variables: Sequence[str], *, is_precise: bool = False,
         has_noise: bool = True, measured_rows: int = 0,
@@ -167,7 +174,8 @@ class ModellingTask:
         restrictions = {index: restriction for index, restriction in restrictions.items() if not restriction.are_none}
         return ModelComparison(
             MultipleShooting(measurements, tolerance, self.deadline, measured_rows), self.dataset.names,
-            fixed, self.leading(variables), self.spread, Constraints(restrictions, self.grouped_rows(variables)),
+            frozenset(fixed), tuple(self.leading(variables)), self.spread,
+            Constraints(restrictions, self.grouped_rows(variables)),
         )  # fmt: skip
 
     def restrictions(self, variable: str) -> Restrictions:
@@ -212,4 +220,4 @@ class SelectedModel:
     @property
     def is_like_noise(self) -> bool:
         """Whether the system leaves about as much of every state as its noise."""
-        return self.comparison.excess(self.model) <= SETTINGS.inference.excess
+        return self.comparison.score.excess(self.model) <= SETTINGS.inference.excess

@@ -15,7 +15,7 @@ from atoll_coordinator.service.monitoring.job_views import JobViews
 from atoll_coordinator.service.store.jobs import Viewer
 from atoll_core.errors import RefusedError
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Change, Follow, Following
+from atoll_core.wire.messages.clients import Follow, Following, JobChange
 from atoll_core.wire.messages.views import JobView, Workforce
 
 INTERVAL_S: Final = 0.5
@@ -143,12 +143,12 @@ class Followers:
         self._of_all |= {key} if key[0] is None else set()
         return topic
 
-    def _missed(self, question: Follow, key: _Key, topic: _Topic, now: float) -> Change | None:
+    def _missed(self, question: Follow, key: _Key, topic: _Topic, now: float) -> JobChange | None:
         """Return the status and the events that a client does not have; None when it has all."""
         events = () if question.after is None else self._events.read(question.job, question.after, PAGE, key[1])
         if question.sequence == topic.sequence and not events:
             return None
-        return Change(
+        return JobChange(
             job=question.job,
             sequence=topic.sequence,
             previous=question.sequence,
@@ -178,7 +178,7 @@ class Followers:
         previous, topic.sequence = topic.sequence, next(self._sequences)
         topic.view, topic.workforce = view, workforce
         topic.last = events[-1].number if events else topic.last
-        change = Change(
+        change = JobChange(
             job=name, sequence=topic.sequence, previous=previous, view=view, workforce=workforce, events=events,
             last=topic.last, has_more=len(events) == PAGE,
         )  # fmt: skip

@@ -72,7 +72,7 @@ class Authorization:
             return self._revoked(name)
         return f"the coordinator's roster does not name {name!r} as a worker any more"
 
-    def refuse_request(self, client: str, request: messages.Request) -> str | None:
+    def refuse_request(self, client: str, request: messages.ClientRequest) -> str | None:
         """Return why `client` may not ask this; None: it may. Check `hides` first, which keeps hidden jobs secret."""
         if self.role_bindings is None:
             return None
@@ -98,7 +98,7 @@ class Authorization:
         may = f"only {owner} or an admin may {_CHANGES[type(body)]} it"
         return f"job {body.job} was submitted by {owner}; {may}"
 
-    def hides(self, client: str, request: messages.Request) -> str | None:
+    def hides(self, client: str, request: messages.ClientRequest) -> str | None:
         """Return the id of the job in a request that `client` may not see; None: there is none."""
         viewer, job = self.viewer(client), getattr(request.body, "job", None)
         if viewer is None or job is None or isinstance(request.body, messages.Submit):
@@ -113,7 +113,7 @@ class Authorization:
 
     def may_follow(self, client: str, job: str | None, viewer: Viewer | None) -> bool:
         """Return whether `client` may follow a job, or all events (None) that `viewer` sees."""
-        if self.refuse_request(client, messages.Request(body=messages.Follow(job=job))) is not None:
+        if self.refuse_request(client, messages.ClientRequest(body=messages.Follow(job=job))) is not None:
             return False
         own = self.viewer(client)
         return own == viewer if job is None else own is None or self._jobs.is_seen(job, own)

@@ -48,7 +48,7 @@ class ClientRequests:
         self._coordinator = coordinator
         self._followers = followers
 
-    def answer(self, client: str, request: messages.Request) -> AnswerBody:
+    def answer(self, client: str, request: messages.ClientRequest) -> AnswerBody:
         """Return the answer to a request of `client`.
 
         Raises:
@@ -103,24 +103,24 @@ class ClientRequests:
                 else:
                     self._controller.share(body.job, body.shared)
                     self.check_followers()
-            case messages.Analyse():
+            case messages.AskAnalysis():
                 return self._analyse(client, body, submitter, viewer)
             case messages.SetWorker():
                 self._controller.set_worker(body.worker, body.service, now)
-                return self._workers(messages.Workers(prefix=body.worker, limit=1), viewer)
+                return self._workers(messages.ListWorkers(prefix=body.worker, limit=1), viewer)
             case messages.SetQueue():
                 self._controller.pause_queue(body.paused, now)
-                return self._workers(messages.Workers(limit=1), viewer)
+                return self._workers(messages.ListWorkers(limit=1), viewer)
             case messages.Follow():
                 if self._followers is None:
                     sentence = "nothing can be followed here; ask for the status instead"
                     return messages.Failure(failure="refused", sentence=sentence)
                 return self._followers.follow(client, body, now, viewer) or _unknown(body.job or "of any name")
-            case messages.Jobs():
+            case messages.ListJobs():
                 return self._page(body, viewer)
             case messages.FindJob():
                 return self._find(body.prefix, viewer)
-            case messages.Workers():
+            case messages.ListWorkers():
                 return self._workers(body, viewer)
             case messages.GetQueueDepth():
                 return self._controller.queue_depth()
@@ -152,7 +152,7 @@ class ClientRequests:
         self.uploads.end(body.table, submitter, client)
         return self._status(body.job)
 
-    def _analyse(self, client: str, body: messages.Analyse, user: str | None, viewer: Viewer | None) -> AnswerBody:
+    def _analyse(self, client: str, body: messages.AskAnalysis, user: str | None, viewer: Viewer | None) -> AnswerBody:
         """Answer a question about the result of a job, or say what the answer waits for."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
@@ -199,7 +199,7 @@ class ClientRequests:
         views = [view for archipelago in live.open_archipelagos for view in archipelago.island_views()]
         return messages.IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
 
-    def _workers(self, question: messages.Workers, viewer: Viewer | None) -> messages.WorkerList:
+    def _workers(self, question: messages.ListWorkers, viewer: Viewer | None) -> messages.WorkerList:
         """Return a page of workers, by name, without what they compute for other users."""
         views = self._controller.workers.membership.views(self._now())
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
@@ -220,7 +220,7 @@ class ClientRequests:
             events=log.read(question.job, question.after, question.limit, viewer, of_workers=question.of_workers)
         )
 
-    def _page(self, question: messages.Jobs, viewer: Viewer | None) -> messages.JobList:
+    def _page(self, question: messages.ListJobs, viewer: Viewer | None) -> messages.JobList:
         """Return a page of jobs, newest last, that fits into one answer."""
         page = self._store.job_page(
             question.prefix, is_open=question.is_open, before=question.before, limit=question.limit, viewer=viewer,
@@ -262,7 +262,7 @@ class ClientRequests:
         view = self._controller.shown.view(job, self._now())
         return messages.JobStatus(job=view) if view is not None else _unknown(job)
 
-    def _result(self, job: str) -> messages.Result | messages.Failure:
+    def _result(self, job: str) -> messages.ResultText | messages.Failure:
         view = self._controller.shown.view(job, self._now())
         if view is None:
             return _unknown(job)
@@ -273,7 +273,7 @@ class ClientRequests:
             self._controller.compose(found)
             raise NotYetError(job, is_final=False)
         if found is not None:
-            return messages.Result(json_text=found)
+            return messages.ResultText(json_text=found)
         if view.state == "failed":
             kind: messages.FailureKind = "data" if view.fault == "data" else "internal"
             return messages.Failure(failure=kind, sentence=view.reason or f"job {job} failed")

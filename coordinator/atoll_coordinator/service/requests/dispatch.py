@@ -17,13 +17,13 @@ from atoll_core.logs import fields
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, AnswerBody, Failure, Request
+from atoll_core.wire.messages.clients import Answer, AnswerBody, ClientRequest, Failure
 from atoll_core.wire.messages.epochs import Pull, PullAnswer, PullStates, States
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import Control
 from atoll_core.wire.rejects import Rejects
-from atoll_core.wire.state_pieces import State, split_states
+from atoll_core.wire.state_pieces import IslandState, split_states
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -102,7 +102,7 @@ class RequestDispatcher:
         if not isinstance(pull, PullStates) or pull.job != key.job:
             raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
 
-        def load(island: int) -> State:
+        def load(island: int) -> IslandState:
             state = self._store.state(pull.job, pull.variable, pull.epoch, island)
             if not state.is_whole:
                 raise KeyError(island)
@@ -118,7 +118,7 @@ class RequestDispatcher:
 
     def _answer_client(self, event: Query, client: str) -> AnswerBody:
         try:
-            request = decode(event.payload, Request, MAX_MESSAGE)
+            request = decode(event.payload, ClientRequest, MAX_MESSAGE)
         except RemoteProtocolError as error:
             self._rejects.count(event.key, error)
             return Failure(failure="protocol", sentence=f"the coordinator did not understand the question: {error}")

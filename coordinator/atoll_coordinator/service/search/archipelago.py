@@ -22,7 +22,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.epochs import EpochReport, PullReports, PullStates, States
 from atoll_core.wire.messages.views import IslandView
 from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement, Schedule
-from atoll_core.wire.state_pieces import State
+from atoll_core.wire.state_pieces import IslandState
 
 FORGET_EPOCHS: Final = 16
 """Commits without a new checkpoint, which only say what workers may forget, are published every so many epochs."""
@@ -45,7 +45,7 @@ class Checkpoint:
     term: int
     epoch: int
     search_state: SearchState
-    states: dict[int, State]
+    states: dict[int, IslandState]
 
     @property
     def key(self) -> ArchipelagoKey:

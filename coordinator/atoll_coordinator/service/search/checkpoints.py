@@ -13,7 +13,7 @@ from atoll_core.config import Frozen
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.epochs import PullStates, States
 from atoll_core.wire.messages.workers import Placement, Schedule
-from atoll_core.wire.state_pieces import Assembly, State
+from atoll_core.wire.state_pieces import Assembly, IslandState
 
 FIRST_INTERVAL: Final = 8
 """Epochs before the first checkpoint, when nothing has been measured; a short search ends earlier."""
@@ -147,7 +147,7 @@ class Gathering:
         return sum(assembly.size for assembly in self._assemblies.values())
 
     @property
-    def states(self) -> dict[int, State]:
+    def states(self) -> dict[int, IslandState]:
         """The states that have come, by island."""
         return {island: state for assembly in self._assemblies.values() for island, state in assembly.states.items()}
 

@@ -106,7 +106,7 @@ class JobStore(OpenFile):
         self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = 1,
         viewer: Viewer | None = None, state: str | None = None,
     ) -> tuple[tuple[int, str], ...]:  # fmt: skip
-        """Return numbers and ids of the last submitted jobs, newest first; see `wire.messages.clients.Jobs`.
+        """Return numbers and ids of the last submitted jobs, newest first; see `wire.messages.clients.ListJobs`.
 
         `is_open` leaves out ended jobs, `state` those in other states, `viewer` (None: sees all) those it does not see.
         """

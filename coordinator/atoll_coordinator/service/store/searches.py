@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from atoll_coordinator.service.store.jobs import JobStore, find, require, update
 from atoll_coordinator.service.store.open_file import first_value
 from atoll_coordinator.service.store.schema import ENDED
-from atoll_core.wire.state_pieces import State
+from atoll_core.wire.state_pieces import IslandState
 
 MAX_FAILED: Final = 4
 """The last checkpoints of so many jobs that failed last are kept, to be examined."""
@@ -87,7 +87,7 @@ class SearchStore(JobStore):
             sql.execute("DELETE FROM deaths WHERE worker = ? AND instance = ?", (worker, instance))
 
     def commit_checkpoint(
-        self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, State], elapsed: float
+        self, job: str, variable: str, epoch: int, progress: bytes, states: Mapping[int, IslandState], elapsed: float
     ) -> bool:
         """Store a checkpoint of an archipelago, and the `elapsed` seconds of its job; keep one earlier checkpoint.
 
@@ -133,7 +133,7 @@ class SearchStore(JobStore):
                         whole[variable] = (epoch, progress)
         return whole
 
-    def state(self, job: str, variable: str, epoch: int, island: int) -> State:
+    def state(self, job: str, variable: str, epoch: int, island: int) -> IslandState:
         """Return the state of an island at a checkpoint; raises KeyError when it is not stored."""
         with self._reading() as sql:
             return _state(sql, job, variable, epoch, island)
@@ -178,9 +178,9 @@ def _ensure_archipelago(sql: sqlite3.Connection, job: str, variable: str) -> Non
     sql.execute("INSERT OR IGNORE INTO archipelagos (job, variable) VALUES (?, ?)", (job, variable))
 
 
-def _state(sql: sqlite3.Connection, job: str, variable: str, epoch: int, island: int) -> State:
+def _state(sql: sqlite3.Connection, job: str, variable: str, epoch: int, island: int) -> IslandState:
     query = "SELECT data, digest FROM states WHERE job = ? AND variable = ? AND epoch = ? AND island = ?"
     row = sql.execute(query, (job, variable, epoch, island)).fetchone()
     if row is None:
         raise KeyError(f"{job} {variable} {epoch} {island}")
-    return State(*row)
+    return IslandState(*row)

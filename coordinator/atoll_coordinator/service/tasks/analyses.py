@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from atoll_core.errors import RefusedError
-from atoll_core.wire.messages.clients import Analyse
+from atoll_core.wire.messages.clients import AskAnalysis
 
 WANTED_S: Final = 30.0
 """A question that no client has repeated for so long is dropped: clients ask every second, and try for 10 s."""
@@ -51,7 +51,7 @@ class Analysis:
         return self.answer is None and self.failed is None
 
 
-def key_of(question: Analyse) -> str:
+def key_of(question: AskAnalysis) -> str:
     """Return the key of a question, the same for all users: results of ended jobs do not change."""
     asked = hashlib.sha256(question.question).hexdigest()
     return "\n".join((question.job, question.function, asked, question.table or ""))
@@ -76,7 +76,7 @@ class Analyses:
         """Return the question that a task answers."""
         return self._by_id.get(task)
 
-    def ask(self, question: Analyse, now: float) -> Analysis | None:
+    def ask(self, question: AskAnalysis, now: float) -> Analysis | None:
         """Return a question that was asked before, and record that it is asked again."""
         analysis = self._by_key.get(key_of(question))
         if analysis is not None:

@@ -30,7 +30,7 @@ from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.task_frames import Failure
 from atoll_core.wire.messages import tasks as messages
-from atoll_core.wire.messages.clients import Analyse
+from atoll_core.wire.messages.clients import AskAnalysis
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
 from atoll_core.wire.messages.views import TaskView
 from atoll_core.wire.messages.workers import WorkerStatus
@@ -111,7 +111,7 @@ class TaskController:
         inputs = (self._keep_input(job, *self._prepared[job]), self._input(job, searched.to_bytes()))
         self._add(job, "refine", inputs, seconds, now, config)
 
-    def analyse(self, asked: Analyse, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
+    def analyse(self, asked: AskAnalysis, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
         """Have a question about the `result` (JSON) of a job answered for a `user`.
 
         Raises:

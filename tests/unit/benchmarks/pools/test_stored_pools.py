@@ -19,7 +19,7 @@ LOGISTIC = "corpus logistic 1 1 even exact 1000"
 READ = ("case ", "real ")
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 def test_what_a_coordinator_keeps_is_refined_and_judged(tmp_path, monkeypatch):
     job = job_of(LOGISTIC, Folders())
     prepared, _ = prepare_job(job.table.to_bytes(), job.config)
@@ -60,7 +60,7 @@ def sample() -> list[str]:
     return by_turns[:10]
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("title", sample())
 def test_stored_pools_are_refined_to_the_forms_and_grades_of_the_reference(title):
     before = read_reference(REFERENCE)[title]

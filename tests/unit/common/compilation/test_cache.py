@@ -1,7 +1,6 @@
 """Machine code is found by the text of its sources and compiled once per machine; progress is shown meanwhile."""
 
 import fcntl
-import io
 import shutil
 import subprocess
 import sys
@@ -17,9 +16,7 @@ from atoll_core.compilation.cache import (
     ALL,
     WORKER,
     Report,
-    WarmUpDisplay,
     compile_or_load,
-    count_of,
     kernel_files,
     sentence_of,
     source_digest,
@@ -49,27 +46,16 @@ def kernel_in(package: str, folder: Path) -> Path:
     return next(file for file in kernel_files([package]) if folder in file.parents)
 
 
-def test_editing_a_kernel_that_no_worker_runs_leaves_the_workers_fingerprint_alone(copied: Path) -> None:
+@pytest.mark.parametrize("package", ALL)
+@pytest.mark.parametrize("compiled_in", [False, True])
+def test_the_fingerprint_of_workers_covers_exactly_the_sources_of_their_kernels(
+    copied: Path, package: str, compiled_in: bool
+) -> None:
     fingerprint, everything = source_digest(WORKER), source_digest(ALL)
-    with kernel_in("atoll_coordinator", copied).open("a") as file:
+    edited = copied / package / cache._COMPILED_IN[package][0] if compiled_in else kernel_in(package, copied)
+    with edited.open("a") as file:
         file.write("# edited\n")
-    assert source_digest(WORKER) == fingerprint
-    assert source_digest(ALL) != everything
-
-
-@pytest.mark.parametrize("package", WORKER)
-def test_editing_a_kernel_that_workers_run_changes_their_fingerprint(copied: Path, package: str) -> None:
-    fingerprint = source_digest(WORKER)
-    with kernel_in(package, copied).open("a") as file:
-        file.write("# edited\n")
-    assert source_digest(WORKER) != fingerprint
-
-
-def test_editing_what_kernels_of_the_model_are_made_with_changes_their_digest(copied: Path) -> None:
-    fingerprint, everything = source_digest(WORKER), source_digest(ALL)
-    with (copied / "atoll_coordinator" / "model" / "cholesky.py").open("a") as file:
-        file.write("# edited\n")
-    assert source_digest(WORKER) == fingerprint
+    assert (source_digest(WORKER) != fingerprint) == (package in WORKER)
     assert source_digest(ALL) != everything
 
 
@@ -87,36 +73,6 @@ def test_without_docstrings_kernels_are_compiled_once_more_which_is_told() -> No
         for option in ((), ("-O",), ("-OO",))
     ]
     assert (said[0] == said[1], said[0] == said[2]) == (True, False)
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_a_sentence_gives_back_its_count() -> None:
-    assert count_of(sentence_of(3, 13)) == (3, 13)
-    assert count_of("waiting while another process of this machine compiles the kernels") is None
-
-
-def test_without_a_terminal_the_first_and_the_last_are_written(capsys: pytest.CaptureFixture[str]) -> None:
-    show = WarmUpDisplay()
-    for done in range(4):
-        show(sentence_of(done, 3), "for the worker")
-    show("waiting")
-    first, last = sentence_of(0, 3), sentence_of(3, 3)
-    assert capsys.readouterr().err == f"for the worker: {first}\nfor the worker: {last}\nwaiting\n"
-
-
-def test_on_a_terminal_there_is_a_bar_for_each_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", Terminal())
-    monkeypatch.setenv("TERM", "xterm")
-    show = WarmUpDisplay()
-    for done in range(3):
-        show(sentence_of(done, 2), "for the worker")
-        show(sentence_of(done, 2), "for the coordinator")
-    drawn = sys.stderr.getvalue()  # type: ignore[attr-defined]
-    assert all(text in drawn for text in ("for the worker", "for the coordinator", "50%", "100%"))
 
 
 PACKAGE = "atoll_island_worker"
@@ -173,21 +129,6 @@ def test_another_processor_is_another_first_time(monkeypatch: pytest.MonkeyPatch
     said: list[str] = []
     warm_up(said.append, Exercise())
     monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
-    warm_up(said.append, Exercise())
-    assert len(said) == 4
-
-
-def test_kernels_for_a_chosen_processor_are_ready_on_every_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in an image, which is made on one machine and used on others."""
-    monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64-v3")
-    monkeypatch.setenv("NUMBA_CPU_FEATURES", "")
-    said: list[str] = []
-    warm_up(said.append, Exercise())
-    monkeypatch.setattr(cache.platform, "processor", lambda: "another")
-    monkeypatch.setattr(cache, "_CPU_INFO", Path("/nowhere"))
-    warm_up(said.append, Exercise())
-    assert len(said) == 2
-    monkeypatch.delenv("NUMBA_CPU_FEATURES")
     warm_up(said.append, Exercise())
     assert len(said) == 4
 

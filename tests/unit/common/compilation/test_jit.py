@@ -5,11 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numba
-import numpy as np
 import pytest
-from numba import _dispatcher
-from numba.core import caching, ccallback, dispatcher, registry
 
 from atoll_core.compilation.cache import cache_directory, packages_compiled_into
 from atoll_core.compilation.jit import IS_COMPILED, entry_point, kernel
@@ -80,26 +76,6 @@ def test_each_program_has_a_folder_and_shares_what_both_stand_on() -> None:
     assert len(folders) == 3
 
 
-@pytest.mark.parametrize(
-    ("owner", "names"),
-    [
-        (registry.CPUDispatcher, ("add_overload", "get_call_template", "get_overload", "compile")),
-        (dispatcher, ("_FunctionCompiler",)),
-        (dispatcher._FunctionCompiler, ("_customize_flags",)),
-        (ccallback, ("CFunc",)),
-        (caching, ("CompileResultCacheImpl", "FunctionCache", "_CacheLocator")),
-        (caching.FunctionCache, ("_impl_class", "load_overload", "save_overload")),
-        (caching.CompileResultCacheImpl, ("_locator_classes",)),
-        (_dispatcher, ("compute_fingerprint",)),
-        (caching._CacheLocator, ("get_cache_path", "get_source_stamp", "get_disambiguator", "from_function")),
-    ],
-)
-def test_numba_has_the_internals_that_kernels_are_compiled_with(owner: object, names: tuple[str, ...]) -> None:
-    """They are no public interface: a version of numba that fails here needs changes in
-    `atoll_core.compilation.jit`."""
-    assert [name for name in names if not hasattr(owner, name)] == []
-
-
 @kernel
 def halved(x: float) -> float:
     return 0.5 * x
@@ -107,21 +83,3 @@ def halved(x: float) -> float:
 
 def test_an_entry_point_is_the_kernel_for_those_types():
     assert entry_point(halved, 1.0)(3.0) == halved(3.0) == 1.5
-
-
-@kernel
-def first(values: np.ndarray) -> float:
-    return values[0]
-
-
-@pytest.mark.skipif(not IS_COMPILED, reason="kernels are interpreted")
-def test_an_entry_point_for_types_that_were_there_before_does_not_look_at_types(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """For the arrays of an island that takes 3 ms a kernel, of which a search has twenty and more."""
-    known = entry_point(first, np.ones(3))
-    integers = entry_point(first, np.ones(3, np.int64))
-    assert integers is not known
-    assert (known(np.full(2, 0.5)), integers(np.full(2, 7))) == (0.5, 7)
-    monkeypatch.setattr(numba, "typeof", None)
-    assert entry_point(first, np.zeros(5)) is known

@@ -67,14 +67,6 @@ def test_the_digest_covers_values_and_breaks():
     assert table.digest != table_of([[1.0, 2.0, 3.0]], starts=(0, 1)).digest
 
 
-def test_columns_are_found_by_name():
-    table = table_of([[1.0, 2.0], [3.0, 4.0]])
-    assert table.column("c1").tolist() == [3.0, 4.0]
-    assert table.rows == 2
-    with pytest.raises(KeyError):
-        table.column("c2")
-
-
 @pytest.mark.parametrize(
     ("rows", "text"),
     [
@@ -92,44 +84,10 @@ def test_rows_of_several_files_are_named_with_each_file():
     assert table.places([1, 3]) == "rows 2, 4 (line 3 of a.csv; line 3 of b.csv), 2 in all"
 
 
-def test_rows_of_a_file_without_lines_are_named_by_number():
-    assert table_of(np.zeros((1, 4)), line_of_row=[0, 0, 0, 0]).places([2]) == "row 3"
-
-
 @pytest.mark.parametrize("starts", [(), (1,), (0, 0), (0, 2, 1), (0, 9)])
 def test_starts_that_do_not_fit_are_refused(starts):
     with pytest.raises(DataError, match="trajectories that start at rows"):
         table_of(np.zeros((1, 4)), starts)
-
-
-def test_names_must_be_unique():
-    with pytest.raises(DataError):
-        Table(("x", "x"), ("", ""), np.zeros((2, 1)), (0,), ("a",), np.zeros(1, np.int64), np.zeros(1, np.int64))
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"nothing of ours",
-        encode_arrays({}, {}),
-        encode_arrays(
-            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": []},
-            {"columns": np.zeros(3), "file_of_row": np.zeros(3, np.int64), "line_of_row": np.zeros(3, np.int64)},
-        ),
-        encode_arrays(
-            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": "none"},
-            {"columns": np.zeros((1, 3)), "file_of_row": np.zeros(3, np.int64), "line_of_row": np.zeros(3, np.int64)},
-        ),
-        encode_arrays(
-            {"names": ["x"], "units": [""], "starts": [0], "files": ["a"], "skipped": []},
-            {"columns": np.zeros((1, 3)), "file_of_row": np.full(3, 7), "line_of_row": np.zeros(3, np.int64)},
-        ),
-    ],
-)
-def test_foreign_bytes_are_refused(data):
-    with pytest.raises(RemoteProtocolError):
-        Table.from_bytes(data)
 
 
 HOSTILE = (

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import sympy
 
-from atoll_core.errors import RemoteProtocolError
 from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
 from atoll_core.expression.evaluation import NUMPY, values_and_gradient, values_of
-from atoll_core.expression.operators import ARITY, CONSTANT, OPERATORS, PARTIAL_OPERATORS, VARIABLE
+from atoll_core.expression.operators import ARITY, CONSTANT, OPERATORS, VARIABLE
 from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.export import to_sympy
 from atoll_core.expression.text.parsing import from_infix
@@ -113,21 +112,6 @@ def test_singular_points_are_those_of_the_table(
     for name in by:
         program = derivative(program, NAMES.index(name))
     np.testing.assert_equal(values_of(program, np.array([*point, 0.0])[:, None]), np.array([expected]))
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [("3*x*y", "3*y"), ("y - x", "-1"), ("y", "0"), ("sin(-x)", "-cos(-x)"), ("x**1.5", "1.5*x**0.5")],
-)
-def test_derivatives_have_no_needless_nodes(text: str, expected: str) -> None:
-    assert len(derivative(from_infix(text, NAMES), 0)) == len(from_infix(expected, NAMES))
-
-
-@pytest.mark.parametrize("operator", PARTIAL_OPERATORS, ids=lambda operator: operator.name)
-def test_nothing_sends_what_only_derivatives_are_made_of(operator) -> None:
-    program = Program.of([(VARIABLE, 0, 0, 0.0), (operator.code, 0, 0, 0.0)])
-    with pytest.raises(RemoteProtocolError, match="unknown operator"):
-        Program.from_bytes(program.to_bytes(), 1)
 
 
 @pytest.mark.parametrize("seed", range(30))

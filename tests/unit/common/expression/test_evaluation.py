@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from atoll_core.expression.evaluation import value_of, values_and_gradient, values_of
-from atoll_core.expression.operators import CONSTANT, OPERATORS
-from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.evaluation import values_and_gradient, values_of
+from atoll_core.expression.program import constant_places, with_constants
 from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 
@@ -39,23 +38,5 @@ def test_derivatives_with_respect_to_constants_are_differences():
         assert row == pytest.approx((above - below) / (2.0 * step), rel=1e-6, abs=1e-8)
 
 
-def test_only_the_constants_asked_for_are_differentiated():
-    program = from_infix("2.0*x + 3.0*y", ("x", "y"))
-    second = constant_places(program)[1]
-    assert values_and_gradient(program, inputs(), [second])[1].tolist() == [inputs()[1].tolist()]
-
-
-def test_a_constant_that_is_not_used_has_no_influence():
-    columns = (np.array([1, 0], np.int8), np.zeros(2, np.int16), np.zeros(2, np.int16), np.array([4.0, 0.0]))
-    assert values_and_gradient(Program(*columns), inputs(), [0])[1].tolist() == [[0.0] * 40]
-
-
 def test_the_sine_of_a_large_number_is_no_number():
     assert np.isnan(values_of(from_infix("sin(1e6*x)", ("x", "y")), inputs())).all()
-
-
-@pytest.mark.parametrize(
-    "operator", [operator for operator in OPERATORS if operator.code > CONSTANT], ids=lambda operator: operator.name
-)
-def test_every_operator_has_a_value(operator):
-    assert np.isfinite(value_of(operator.code, 2.0, 3.0))

@@ -1,7 +1,5 @@
 """Slices: where they end, in which order they count, and what counts of each island at a hit."""
 
-import itertools
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -52,8 +50,3 @@ def test_what_counts_at_a_hit_is_what_does_not_come_after_it(
     hit = Position(epoch, generation, hit_island)
     counted = [end for end in ENDS if COMMIT_ORDER.rank(Position(epoch, end, island)) <= COMMIT_ORDER.rank(hit)]
     assert COMMIT_ORDER.needed(hit, island) == max(counted, default=0)
-
-
-def test_no_two_slices_have_the_same_rank() -> None:
-    all_of_them = [Position(*parts) for parts in itertools.product(range(2), ENDS, range(8))]
-    assert len({COMMIT_ORDER.rank(position) for position in all_of_them}) == len(all_of_them)

@@ -26,10 +26,6 @@ ENTRIES = st.lists(
 )
 
 
-def entry(complexity=3, error=1.0, mse=None, program=b"", epoch=0):
-    return FrontEntry(complexity, error, error * error if mse is None else mse, epoch, 0, 0, program)
-
-
 def program(text):
     return from_infix(text, ("x", "y")).to_bytes()
 
@@ -74,46 +70,9 @@ def test_neither_order_nor_repetition_matters(entries, most, random):
 
 @pytest.mark.slow
 @QUICK
-@given(ENTRIES, st.integers(1, 3))
-def test_what_was_kept_stays_when_nothing_new_comes(entries, most):
-    front = merge((), entries)
-    kept = runners_up(front, entries, most)
-    assert runners_up(front, kept, most) == kept
-
-
-@pytest.mark.slow
-@QUICK
 @given(ENTRIES, ENTRIES)
 def test_a_front_is_the_same_however_its_entries_are_merged(some, others):
     assert merge(merge((), some), others) == merge((), (*others, *some))
-
-
-def test_the_next_best_of_each_complexity_come_after_the_front():
-    front = (entry(3, 1.0, program=b"a"),)
-    others = [entry(3, 1.0 + 0.1 * k, program=bytes([1, k, 0, 0, 0, 0])) for k in range(1, 5)]
-    worse_but_larger = entry(5, 1.25, program=bytes([1, 9, 0, 0, 0, 0]))
-    next_best = runners_up(front, (*others, worse_but_larger), 2)
-    assert next_best == (*others[:2], worse_but_larger)
-
-
-def test_a_structure_counts_once_however_far_its_constants_were_fitted():
-    best = entry(3, 1.0, program=program("2.0*x"))
-    less_far = entry(3, 1.2, program=program("1.5*x"))
-    other = entry(3, 1.3, program=program("1.5*y"))
-    assert runners_up((best,), (less_far, other), 3) == (other,)
-    assert runners_up((), (less_far, best), 3) == (best,)
-
-
-def test_a_function_written_differently_counts_once_and_as_the_simpler():
-    simple = entry(5, 1.0, program=program("x*(1.0 - y)"))
-    longer = entry(7, 1.0 + 1e-9, program=program("x - x*y + 0.0"))
-    assert runners_up((), (longer, simple), 3) == (simple,)
-
-
-def test_one_error_that_agrees_is_not_enough():
-    first = entry(3, 1.0, mse=1.5, program=program("x + 1.0"))
-    second = entry(3, 1.0, mse=1.6, program=program("y + 1.0"))
-    assert runners_up((), (first, second), 3) == (first, second)
 
 
 def test_a_structure_is_a_program_without_its_constants():

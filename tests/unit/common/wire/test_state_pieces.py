@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.wire.state_pieces import Assembly, State, split_states
+from atoll_core.wire.state_pieces import Assembly, IslandState, split_states
 
-STATES = {island: State.of(bytes([island]) * (10 + island)) for island in range(4)}
+STATES = {island: IslandState.of(bytes([island]) * (10 + island)) for island in range(4)}
 
 
 @given(st.integers(1, 60), st.lists(st.integers(0, 3), min_size=1, unique=True))

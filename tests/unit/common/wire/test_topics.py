@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire import topics
-from tests.simulation.bus.matching import matches
 
 IDS = st.from_regex(topics.ID, fullmatch=True)
 DIGESTS = st.from_regex(topics.DIGEST, fullmatch=True)
@@ -32,20 +31,6 @@ def test_every_key_that_is_built_is_parsed_back(
     ]
     for key, parsed in pairs:
         assert topics.parse(key) == parsed
-
-
-@pytest.mark.slow
-@given(IDS, IDS, IDS, DIGESTS)
-def test_expressions_receive_the_keys_they_are_meant_for(cluster: str, name: str, peer: str, digest: str) -> None:
-    assert matches(topics.all_jobs(cluster), topics.job(cluster, name, "placement"))
-    assert matches(topics.all_jobs(cluster), topics.job(cluster, name))
-    assert matches(topics.all_blobs(cluster), topics.blob(cluster, digest, 3))
-    assert matches(topics.all_workers(cluster, "status"), topics.worker(cluster, name, "status"))
-    assert not matches(topics.all_workers(cluster, "status"), topics.worker(cluster, name, "report"))
-    assert matches(topics.all_clients(cluster), topics.client(cluster, name))
-    assert matches(topics.ALL_GREETINGS, topics.hello(name))
-    assert not matches(topics.ALL_GREETINGS, topics.HELLO)
-    assert matches(topics.inbox(cluster, peer), topics.mail(cluster, name, peer))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import tracemalloc
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -13,9 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.expression.program import Program
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.wire import codec
 from atoll_core.wire.values import decode_value, encode_value
@@ -94,15 +91,6 @@ def test_a_value_comes_back_to_the_bit(tree: Tree) -> None:
     assert encode_value(back) == data
 
 
-def test_programs_and_configurations_come_back() -> None:
-    config = JobConfig(space=SpaceConfig(operators=("+", "*")))
-    assert decode_value(encode_value(PROGRAM), Program) == PROGRAM
-    assert decode_value(encode_value(config), JobConfig) == config
-    assert (
-        decode_value(encode_value((PROGRAM, config), tuple[Program, JobConfig]), tuple[Program, JobConfig])[1] == config
-    )
-
-
 def test_arrays_may_be_written_to_and_lie_as_they_did() -> None:
     by_columns = np.asfortranarray(np.arange(6.0).reshape(2, 3))
     for array in (np.arange(6.0).reshape(2, 3), by_columns, by_columns[:, ::2]):
@@ -165,30 +153,6 @@ def test_what_is_no_value_of_the_type_is_refused(changed: dict[str, Any]) -> Non
     assert isinstance(decode_value(sent(), Tree), Tree)
     with pytest.raises(RemoteProtocolError, match="bytes do not hold a value of Tree"):
         decode_value(sent(**changed), Tree)
-
-
-@pytest.mark.parametrize(
-    "data", [b"", b"\xc1", b"\xdd\xff\xff\xff\xff", bytes([0x91] * 100), encode_value(PROGRAM)[:-1]]
-)
-def test_malformed_bytes_are_refused(data: bytes) -> None:
-    for kind in (Tree, Program, JobConfig):
-        with pytest.raises(RemoteProtocolError):
-            decode_value(data, kind)
-
-
-def test_too_many_bytes_are_refused_unread() -> None:
-    with pytest.raises(RemoteProtocolError, match="more than the 10 allowed"):
-        decode_value(bytes(11), Tree, 10)
-
-
-def test_memory_is_bounded_by_a_small_multiple_of_what_came() -> None:
-    data = codec.pack([["f8", [0], False, b""]] * 100_000)
-    tracemalloc.start()
-    with pytest.raises(RemoteProtocolError):
-        decode_value(data, Tree)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 100 * len(data)
 
 
 @pytest.mark.parametrize(

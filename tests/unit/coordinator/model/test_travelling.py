@@ -62,7 +62,7 @@ def test_what_comparisons_are_made_of() -> None:
     assert is_back(seen, Measurements)
     assert is_back(model.fit.system, System)
     assert is_back(replace(model.fit.errors, sigmas=np.array([math.inf, math.nan])), ErrorModel)
-    assert is_back(comparison.misfit, TrajectoryMisfit)
+    assert is_back(comparison.score.misfit, TrajectoryMisfit)
     constants = np.stack([model.fit.system.constants, 2.0 * model.fit.system.constants])
     first, other = comparison.places(model.fit.system)[:2]
     assert is_back(model.fit.system.sharing_numbers(constants, [((first, 1.0), (other, 2.0))]))

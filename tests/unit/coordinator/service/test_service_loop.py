@@ -7,7 +7,7 @@ from atoll_coordinator.service.store.store import Store
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Posted, Query
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Jobs, Request
+from atoll_core.wire.messages.clients import ClientRequest, ListJobs
 from atoll_core.wire.security.roles import RoleBindings
 from tests.simulation.bus.network import SimulatedNetwork
 
@@ -28,7 +28,7 @@ def test_an_answer_belongs_to_the_user_who_asked_or_to_the_session(
         service = Service(bus, store, role_bindings=roles)
         for client, session in (("ann-1", "s1"), ("ann-2", "s2"), ("bob-1", "s1")):
             key = topics.client(store.cluster, client)
-            service.step(Query(key, encode(Request(body=Jobs())), None, session))
+            service.step(Query(key, encode(ClientRequest(body=ListJobs())), None, session))
             while posted:
                 service.step(Posted(posted.pop(0)))
         assert answered == parties

@@ -16,7 +16,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.codec import dataset_to_bytes
 from atoll_core.wire.messages.epochs import IslandReport, SliceCounters
-from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, Engine, WarmedUp, WarmUpNote
+from atoll_island_worker.compute.compute_thread import ComputeFailed, ComputeThread, WarmedUp, WarmUpNote
 from atoll_island_worker.session.interface import (
     Abandoned,
     Broken,
@@ -150,15 +150,6 @@ def test_what_breaks_is_said_and_the_thread_goes_on(compute: ComputeThread, resu
     assert isinstance(results.get(timeout=LIMIT_S), EpochComputed)
 
 
-def test_what_is_discarded_is_given_up_without_a_word(compute: ComputeThread, results: "queue.Queue[object]") -> None:
-    compute.run(task(key(7)))
-    compute.discard(key(7).shard)
-    compute.run(task(key(0, term=2)))
-    result = results.get(timeout=LIMIT_S)
-    assert isinstance(result, EpochComputed)
-    assert result.key == key(0, term=2)
-
-
 def test_an_island_stops_where_the_target_was_met(compute: ComputeThread, results: "queue.Queue[object]") -> None:
     FakeIsland.may_go_on.clear()
     compute.run(task(key(7)))
@@ -200,23 +191,4 @@ def test_a_warm_up_that_fails_says_why(results: "queue.Queue[object]", monkeypat
     result = results.get(timeout=LIMIT_S)
     assert isinstance(result, ComputeFailed)
     assert "the disk is full" in result.sentence
-    compute.close()
-
-
-def test_an_error_outside_of_an_epoch_is_reported_when_it_ends_the_thread(
-    compute: ComputeThread, results: "queue.Queue[object]", monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise MemoryError("no room for the dataset")
-
-    monkeypatch.setattr(Engine, "load", fail)
-    compute.load("large", JobConfig(), b"")
-    result = results.get(timeout=LIMIT_S)
-    assert result == ComputeFailed("the compute thread failed: MemoryError: no room for the dataset")
-
-
-def test_closing_ends_the_thread_even_under_way(compute: ComputeThread) -> None:
-    compute.run(task(key(7)))
-    compute.close()
-    assert not compute._thread.is_alive()
     compute.close()

@@ -145,14 +145,6 @@ def test_a_job_of_twice_the_weight_gets_twice_the_time() -> None:
     assert (turns.count("a"), turns.count("b")) == (10, 20)
 
 
-def test_the_queue_knows_which_task_had_the_last_turn() -> None:
-    bench = Bench()
-    queue = queue_of(bench, key(0))
-    assert queue.current is None
-    queue.turn()
-    assert queue.current == key(0)
-
-
 def test_a_job_that_comes_later_does_not_make_up_for_what_the_others_had() -> None:
     bench = Bench()
     queue = queue_of(bench, key(0, job="a"))
@@ -169,12 +161,6 @@ def test_a_hit_ends_every_island_where_it_is_not_needed_any_more() -> None:
     outcomes = emptied(queue_of(bench, *(key(island) for island in range(4)), key(5, epoch=1)))
     assert reached(outcomes) == {(0, 0): 20, (0, 1): 20, (0, 2): 20, (0, 3): 10, (1, 5): None}
     assert len(bench.slices) == 4 + 3
-
-
-def test_a_hit_in_the_first_slice_spares_the_islands_after_it_everything() -> None:
-    bench = Bench(hits={(0, 10, 0)})
-    assert reached(emptied(queue_of(bench, key(0), key(1)))) == {(0, 0): 10, (0, 1): None}
-    assert len(bench.slices) == 1
 
 
 def test_a_hit_elsewhere_lets_the_islands_before_it_catch_up() -> None:
@@ -194,27 +180,6 @@ def test_the_least_hit_counts_in_whatever_order_hits_become_known() -> None:
     queue.stop_at(SHARD, Position(0, 40, 1), COMMIT_ORDER)
     queue.stop_at(SHARD, Position(0, 50, 0), COMMIT_ORDER)
     assert reached(emptied(queue)) == {(0, 0): 30, (0, 1): 20}
-
-
-def test_epochs_before_a_hit_are_finished() -> None:
-    queue = queue_of(Bench(), key(0), key(1, epoch=1))
-    queue.stop_at(SHARD, Position(1, 10, 3), COMMIT_ORDER)
-    assert reached(emptied(queue)) == {(0, 0): 50, (1, 1): 10}
-
-
-def test_a_task_that_comes_when_it_is_not_needed_is_given_up() -> None:
-    queue = queue_of(Bench())
-    queue.stop_at(SHARD, Position(1, 10, 3), COMMIT_ORDER)
-    for late in (key(0, epoch=2), key(4, epoch=1)):
-        assert queue.add(EpochTask(late, {}, is_last=False, commit_order=COMMIT_ORDER)) == [Abandoned(late)]
-    assert queue.is_idle
-
-
-def test_a_hit_of_another_term_or_variable_ends_nothing() -> None:
-    queue = queue_of(Bench(), key(0))
-    for other in (ShardKey("job", "y", 1), ShardKey("job", "x", 2), ShardKey("other", "x", 1)):
-        assert queue.stop_at(other, Position(0, 10, 0), COMMIT_ORDER) == []
-    assert reached(emptied(queue)) == {(0, 0): 50}
 
 
 def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
@@ -264,22 +229,6 @@ def test_of_a_held_epoch_there_is_nothing_but_its_snapshot() -> None:
     assert bench.slices == []
 
 
-def test_a_held_epoch_whose_immigrants_are_malformed_is_refused() -> None:
-    bench = Bench()
-    queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(
-        EpochTask(key(7, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_at_barrier=True)
-    )
-    assert emptied(queue) == [Rejected(key(7, 4), "malformed")]
-
-
-def test_the_tasks_of_a_discarded_job_are_discarded_with_it() -> None:
-    queue = queue_of(Bench(), key(0, job="a"), key(1, job="a"), key(0, job="b"))
-    queue.turn()
-    queue.discard_job("a")
-    assert [outcome.key.job for outcome in emptied(queue) if not isinstance(outcome, Snapshot)] == ["b"]
-
-
 def test_users_share_a_worker_evenly_whatever_number_of_jobs_of_whatever_priority_they_have() -> None:
     bench = Bench()
     queue = RunQueue(bench.begin, lambda: bench.now)
@@ -308,18 +257,6 @@ def test_who_had_nothing_to_do_saves_nothing_up() -> None:
     for _ in range(10):
         queue.turn()
     assert [job for job, *_ in bench.slices].count("b") == 5
-
-
-def test_a_user_whose_last_job_is_discarded_is_forgotten_but_for_the_time_spent() -> None:
-    bench = Bench()
-    queue = RunQueue(bench.begin, lambda: bench.now)
-    for number in range(100):
-        queue.share(f"j{number}", 1.0, f"u{number}")
-        add_all(queue, key(0, job=f"j{number}"))
-        queue.turn()
-        queue.discard_job(f"j{number}")
-    assert (queue._users, queue._charged_users, queue._charged, queue._weights) == ({}, {}, {}, {})
-    assert sum(queue.seconds.values()) == 100.0
 
 
 def add_all(queue: RunQueue, *keys: TaskKey) -> None:

@@ -51,10 +51,6 @@ def test_a_greeting_names_us_and_carries_the_fingerprint_once_there_is_one() -> 
     assert (second.fingerprint, second.instance) == ("f", first.instance)
 
 
-def test_every_process_is_another_instance() -> None:
-    assert ConnectionBench().connection.instance != ConnectionBench().connection.instance
-
-
 def test_a_worker_is_accepted_only_after_a_greeting_with_a_fingerprint() -> None:
     bench = ConnectionBench()
     assert bench.connection.handle_answer("", welcome()) is None
@@ -118,14 +114,6 @@ def test_a_placement_of_a_former_coordinator_is_refused() -> None:
     bench.connection.handle_answer("", welcome(incarnation=2))
     with pytest.raises(RemoteProtocolError, match="incarnation 2 has taken over"):
         bench.connection.incarnation_heard(1)
-
-
-def test_a_late_welcome_voids_nothing_that_a_later_coordinator_has_placed() -> None:
-    bench = ConnectionBench()
-    bench.connection.handle_answer("", welcome(incarnation=2), 0)
-    bench.connection.incarnation_heard(4)
-    assert bench.connection.handle_answer("", welcome(incarnation=3), 1) is None
-    assert bench.connection.handle_answer("", welcome(incarnation=4), 1) == Reset(4)
 
 
 def test_a_restart_of_the_coordinator_is_waited_for_longer_than_its_first_answer() -> None:

@@ -111,14 +111,6 @@ def test_a_trainer_that_is_not_finite_is_left_out():
     assert judge(arena.coevolution, 0, rows) == math.inf
 
 
-def test_the_present_predictor_stays_when_others_are_only_as_good():
-    arena = Arena().begin()
-    arena.coevolution.predictors[:] = arena.coevolution.predictors[0]
-    arena.coevolution.best[0] = 3
-    assert not judge_all(arena.coevolution, 0)
-    assert arena.coevolution.best[0] == 3
-
-
 @pytest.mark.slow
 @QUICK
 @given(st.integers(0, 2**32 - 1))
@@ -202,14 +194,6 @@ def test_the_counted_share_of_coevolution_stays_below_its_cap(options, effort):
         spent, total = int(arena.counters[COEVOLUTION]), int(arena.counters.sum())
         assert spent <= max(effort * total + renewal_costs, TRAINERS * ROWS)
     assert clock > 0
-
-
-def test_without_effort_predictors_never_move():
-    arena = Arena().begin()
-    before = arena.coevolution.predictors.copy()
-    arena.evolve(20, 0.0)
-    np.testing.assert_array_equal(arena.coevolution.predictors, before)
-    assert arena.counters[COEVOLUTION] == TRAINERS * ROWS
 
 
 def test_the_population_is_measured_on_the_best_predictor_s_rows():

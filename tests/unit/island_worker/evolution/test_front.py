@@ -60,15 +60,6 @@ def test_nothing_that_was_offered_is_better_than_what_was_kept(entries):
     assert front.least_error() == (min(finite) if finite else None)
 
 
-@pytest.mark.slow
-@QUICK
-@given(ENTRIES)
-def test_a_saved_front_is_the_same(entries):
-    front, other = front_of(entries)[0], Front()
-    other.replace(front.entries)
-    assert other.entries == front.entries
-
-
 class Arena:
     """A front, and a way to offer it expressions, on 100 rows of a problem."""
 
@@ -171,12 +162,6 @@ def test_pruning_changes_nothing_where_nothing_can_go():
     assert arena.front.entries == before
 
 
-def test_the_paper_s_preset_prunes_nothing():
-    arena = Arena(lambda x, y: x * y, steps=0)
-    arena.offer("x*y + x - x")
-    assert arena.offering.prune(1e-9, arena.counters, (0, 10, 0)) == []
-
-
 def noisy(x, y):
     """Return values that no equation meets: the seventh digit decides nothing, the first does."""
     return 3.0 * x - 2.0 * x * y + 0.3 * np.sin(1e3 * (x + 7.0 * y))
@@ -212,14 +197,6 @@ def test_runners_up_are_measured_on_all_rows_and_no_two_are_one_function():
     sizes = [entry.complexity for entry in near]
     assert max(sizes.count(size) for size in sizes) <= 4
     assert all(entry.error >= arena.front.error_at(entry.complexity) for entry in near)
-
-
-def test_with_runners_up_the_front_is_no_worse():
-    with_them, without = Arena(noisy, runners_up=3), Arena(noisy)
-    assert offered(with_them, BESIDE)
-    assert not offered(without, BESIDE)
-    for entry in without.front.entries:
-        assert with_them.front.error_at(entry.complexity) <= entry.error * (1.0 + 1e-9)
 
 
 def test_what_comes_to_be_a_runner_up_is_reported_once():

@@ -1,9 +1,8 @@
 """How a first population takes in the guesses, and how an equation keeps to its variables and operators."""
 
 import numpy as np
-import pytest
 
-from atoll_core.config import EvolutionConfig, MigrationConfig, PredictorConfig, PriorConfig, SpaceConfig
+from atoll_core.config import EvolutionConfig, PredictorConfig, PriorConfig, SpaceConfig
 from atoll_core.expression.operators import BY_NAME, CONSTANT, VARIABLE
 from atoll_core.expression.program import Program
 from atoll_core.search.seeding import Stream, stream_key
@@ -94,15 +93,6 @@ def test_the_same_guess_gives_the_same_answer_in_any_strides_and_from_a_checkpoi
     assert fresh.report() == again.report() == whole.reports[1]
 
 
-def test_without_fitting_every_island_takes_the_guess_as_it_is():
-    plain = EvolutionConfig(islands=2, population=16, constant_fit_steps=0, linear_terms=0, scaled_constants=False)
-    config = with_prior(FORM, evolution=plain, migration=MigrationConfig(generations=10))
-    for number in range(2):
-        island = Island(problem_of(), config, number)
-        island.advance(1)
-        assert constants_of(island._lists, 0)[:3] == [2.0, 3.0, 1.0]
-
-
 def test_a_guess_without_a_finite_value_does_no_harm():
     config = with_prior("x/(y - y)", "sin(1e9*x)")
     result = search(problem_of(), config, epochs=1)
@@ -158,17 +148,3 @@ def test_an_equation_keeps_to_its_operators():
     for block in island.emigrants().values():
         _, arrays = decode_arrays(block)
         assert set(np.unique(arrays["code"][:, 7:])) <= allowed
-
-
-def test_a_guess_over_allowed_variables_is_placed_over_just_those():
-    setup = IslandSetup(problem_of(), with_prior("2*y", space=NARROW), 0)
-    leaves = [node for node in parse_guesses(setup)[0] if node.code == VARIABLE]
-    assert [node.left for node in leaves] == [0]
-    assert setup.names == ("y",)
-
-
-@pytest.mark.parametrize("names", [("x",), ("y", "x"), ("x", "y")])
-def test_allowing_all_variables_is_the_general_case(names):
-    config = with_prior(space={"variables_of": {"x": names}})
-    same = search(problem_of(), config, epochs=1) == search(problem_of(), with_prior(), epochs=1)
-    assert same == (len(names) == 2)

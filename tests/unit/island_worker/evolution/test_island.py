@@ -19,7 +19,7 @@ from atoll_core.config import (
     SpaceConfig,
 )
 from atoll_core.data.dataset import Problem, Target
-from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.errors import RemoteProtocolError
 from atoll_core.expression.program import Program
 from atoll_core.expression.simplification import complexity
 from atoll_core.wire.codec import decode_arrays, encode_arrays
@@ -229,21 +229,6 @@ def test_an_island_that_refused_immigrants_is_unchanged():
     assert advance(islands[0]) == run().reports[2]
 
 
-def test_methods_out_of_turn_are_our_own_mistake():
-    island = Island(PROBLEM, CONFIG, 0)
-    with pytest.raises(LocalProtocolError):
-        island.immigrate({})
-    island.advance(10)
-    with pytest.raises(LocalProtocolError):
-        island.to_bytes()
-
-
-@pytest.mark.parametrize("field", ["predictors", "space"])
-def test_what_must_be_resolved_beforehand_is_named(field):
-    with pytest.raises(LocalProtocolError, match="not resolved"):
-        Island(PROBLEM, config_of(**{field: getattr(JobConfig(), field)}), 0)
-
-
 @pytest.mark.parametrize("loss", ["mae", "rmse"])
 def test_every_addition_was_measured_on_all_rows(loss):
     config = config_of(evolution=EvolutionConfig(islands=2, population=16, loss=loss))
@@ -315,13 +300,6 @@ def test_an_epoch_that_is_given_up_can_be_reported():
     assert (given_up.generations, given_up.hit) == (10, None)
     assert given_up.additions == tuple(entry for entry in report.additions if entry.generation <= 10)
     assert given_up.counters == report.counters[:1]
-
-
-def test_few_rows_switch_predictors_off():
-    report = run(problem=problem_of(rows=16)).reports[0]
-    assert evaluations(report)["coevolution"] == 0
-    assert 0 < evaluations(report)["offspring"] <= (30 + 1) * 16 * 16
-    assert evaluations(report)["offspring"] % 16 == 0
 
 
 def test_an_island_that_meets_the_target_stops_there():

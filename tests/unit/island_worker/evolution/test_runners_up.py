@@ -16,14 +16,6 @@ def entry(complexity, error, code):
 FRONT = (entry(3, 1.0, 1), entry(5, 0.5, 2))
 
 
-def test_only_what_is_new_is_returned():
-    kept = RunnersUp(2)
-    first, second = entry(3, 1.1, 3), entry(3, 1.2, 4)
-    assert kept.take(FRONT, (*FRONT, second), FRONT) == [second]
-    assert kept.take(FRONT, (first, second), FRONT) == [first]
-    assert kept.entries == (first, second)
-
-
 def test_a_member_that_a_better_one_displaced_is_kept_but_was_reported():
     kept = RunnersUp(2)
     better = entry(3, 0.9, 5)
@@ -52,9 +44,3 @@ def test_a_complexity_without_room_has_the_error_of_its_last_as_limit():
     assert kept.limit(3) == 1.2
     assert math.isinf(kept.limit(5))
     assert math.isinf(kept.limit(4))
-
-
-def test_without_runners_up_nothing_is_remembered():
-    assert RunnersUp(0).known.size == 0
-    kept = RunnersUp(0)
-    assert kept.take(FRONT, FRONT, ()) == []

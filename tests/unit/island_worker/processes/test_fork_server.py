@@ -43,12 +43,6 @@ def test_libraries_are_loaded_without_a_thread_and_compiling_is_left_to_the_work
     assert list(tmp_path.rglob("*.nb?")) == []
 
 
-@pytest.mark.slow
-def test_a_trouble_is_left_to_the_workers_to_say(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    assert loaded(tmp_path / "file") == ["1", "atoll_island_worker.evolution.island", "True"]
-
-
 def test_a_system_that_starts_no_more_processes_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse() -> int:
         raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")

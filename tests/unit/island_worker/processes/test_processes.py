@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from atoll_island_worker import processes as restart_policy
-from atoll_island_worker.processes import ExitReasons, start_process, supervise, worst
+from atoll_island_worker.processes import ExitReasons, start_process, supervise
 from tests.programs import all_gone, is_gone, until
 
 LIMIT_S = 30.0
@@ -188,11 +188,6 @@ def test_the_worst_exit_code_is_ours(codes: list[str], expected: int) -> None:
     before = signal.getsignal(signal.SIGTERM)
     assert _ended(*codes) == expected
     assert signal.getsignal(signal.SIGTERM) == before
-
-
-@pytest.mark.parametrize(("codes", "expected"), [([], 0), ([0, 0], 0), ([0, 3, 2], 3), ([-9, 0], 1), ([130, 1], 130)])
-def test_worst(codes: list[int], expected: int) -> None:
-    assert worst(codes) == expected
 
 
 def test_a_fork_ends_with_the_code_of_its_work_and_never_returns() -> None:

@@ -27,17 +27,9 @@ def test_a_steady_life_makes_pauses_short_again() -> None:
     assert lived((20.0, 1), (20.0, 1), (60.0, -9), (20.0, 1)) == [1.0, 2.0, 1.0, 2.0]
 
 
-def test_five_deaths_within_a_minute_are_enough() -> None:
-    assert lived(*[(0.5, -9)] * 5) == [1.0, 2.0, 4.0, 8.0, None]
-
-
 @pytest.mark.parametrize("code", [0, 2, 3, 130])
 def test_who_ends_in_order_or_is_refused_is_not_started_again(code: int) -> None:
     assert lived((5.0, code)) == [None]
-
-
-def test_a_name_that_is_not_free_yet_is_tried_again() -> None:
-    assert lived((5.0, -9), (0.1, 2)) == [1.0, 2.0]
 
 
 def test_nobody_is_started_again_who_was_told_to_end() -> None:

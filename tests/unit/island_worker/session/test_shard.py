@@ -5,24 +5,9 @@ import pytest
 from atoll_core.errors import LocalProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.workers import Placement
-from atoll_island_worker.session.shard import ISLAND_TRANSITIONS, LocalIsland, Shard
+from atoll_island_worker.session.shard import Shard
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
-
-STEPS = ("restore", "begin", "emigrate", "complete", "end", "reject", "reach barrier")
-
-
-@pytest.mark.parametrize("state", list(ISLAND_TRANSITIONS))
-@pytest.mark.parametrize("step", STEPS)
-def test_an_island_takes_the_steps_of_the_table_and_no_others(state: str, step: str) -> None:
-    island = LocalIsland(0, state=state)  # type: ignore[arg-type]
-    following = ISLAND_TRANSITIONS[state].get(step)  # type: ignore[index, call-overload]
-    if following is None:
-        with pytest.raises(LocalProtocolError, match=f"cannot {step} while {state}"):
-            island.step(step)  # type: ignore[arg-type]
-    else:
-        island.step(step)  # type: ignore[arg-type]
-        assert island.state == following
 
 
 def test_a_share_has_the_islands_that_the_placement_gives_its_worker() -> None:

@@ -5,12 +5,12 @@ from collections.abc import Iterator
 import pytest
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import (
     Addition,
     Block,
-    Finished,
     HitStatement,
+    IslandFinished,
     IslandReport,
     Migrants,
     NewerTerm,
@@ -23,7 +23,7 @@ from atoll_core.wire.messages.epochs import (
     States,
 )
 from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement, Schedule
-from atoll_core.wire.state_pieces import State, split_states
+from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import (
     Abandoned,
     AskPeer,
@@ -49,7 +49,6 @@ from atoll_island_worker.session.interface import (
     ShardKey,
     Snapshot,
     StatesCame,
-    StopAt,
     TaskKey,
     Tick,
 )
@@ -99,26 +98,18 @@ def computed(task: TaskKey, emigrants: dict[int, bytes], *senders: int, hit: int
     return EpochComputed(task, report(task.island, hit), emigrants, frozenset(senders))
 
 
-def stopped(task: TaskKey, generations: int) -> EpochComputed:
-    return EpochComputed(task, report(task.island, generations=generations), {}, frozenset())
-
-
 def mail(epoch: int, *blocks: tuple[int, int, bytes], term: int = 1, sender: str = "peer") -> Mailed:
     wire_blocks = tuple(Block(source=source, destination=to, data=data) for source, to, data in blocks)
     return Mailed(sender, Migrants(job="job", variable="x", term=term, epoch=epoch, blocks=wire_blocks))
 
 
-def finished(island: int, epoch: int, term: int = 1, generation: int = 20) -> Finished:
-    return Finished(job="job", variable="x", term=term, epoch=epoch, generation=generation, island=island)
+def finished(island: int, epoch: int, term: int = 1, generation: int = 20) -> IslandFinished:
+    return IslandFinished(job="job", variable="x", term=term, epoch=epoch, generation=generation, island=island)
 
 
 def begun(session: Session, *workers: str, **fields: int) -> list[object]:
     session.handle(placed(*workers, **fields))  # type: ignore[arg-type]
     return list(session.handle(JobReady("job")))
-
-
-def stops(actions: list[object]) -> list[Position]:
-    return [action.hit for action in actions if isinstance(action, StopAt)]
 
 
 def reported(actions: list[object]) -> list[tuple[int, list[int]]]:
@@ -141,11 +132,6 @@ def test_a_placement_fetches_the_job_and_computing_waits_for_it(session: Session
     assert session.state() == "computing"
 
 
-def test_a_second_variable_does_not_fetch_the_job_again(session: Session) -> None:
-    session.handle(placed("me"))
-    assert session.handle(placed("me", variable="y")) == []
-
-
 def test_a_job_that_loads_is_fetched_again_when_it_was_placed_elsewhere_in_between(session: Session) -> None:
     session.handle(placed("me"))
     session.handle(
@@ -155,18 +141,6 @@ def test_a_job_that_loads_is_fetched_again_when_it_was_placed_elsewhere_in_betwe
     assert tasks(session.handle(JobReady("job"))) == [key(0, 0, term=3)]
 
 
-def test_a_loaded_job_is_not_fetched_again_when_it_was_placed_elsewhere_in_between(session: Session) -> None:
-    begun(session, "me")
-    session.handle(placed("other", term=2))
-    assert tasks(session.handle(placed("me", term=3))) == [key(0, 0, term=3)]
-
-
-def test_a_placement_elsewhere_is_not_ours(session: Session) -> None:
-    assert session.handle(placed("other", "peer")) == []
-    assert session.assignment_statuses() == ()
-    assert session.state() == "ready"
-
-
 def test_the_same_or_an_older_placement_changes_nothing(session: Session) -> None:
     begun(session, "me", "peer", term=3)
     assert session.handle(placed("me", "peer", term=3)) == []
@@ -174,48 +148,7 @@ def test_the_same_or_an_older_placement_changes_nothing(session: Session) -> Non
     assert session.assignment_statuses()[0].term == 3
 
 
-def test_a_higher_term_discards_what_was_computed_and_begins_anew(session: Session) -> None:
-    begun(session, "me", "peer")
-    actions = session.handle(placed("me", "peer", term=2))
-    assert tasks(actions) == [key(0, 0, term=2)]
-    assert actions[1:] == [Discard(ShardKey("job", "x", 1))]
-
-
-def test_what_was_computed_under_a_former_term_is_dropped(session: Session) -> None:
-    begun(session, "me", "peer")
-    session.handle(placed("me", "peer", term=2))
-    assert session.handle(computed(key(0, 0), {1: b"a"}, 1)) == []
-
-
 # -------------------------------------------------------------------------------------------- an epoch
-
-
-def test_every_island_that_can_begin_is_on_the_agenda(session: Session) -> None:
-    session.handle(placed("me", "me", variable="y"))
-    session.handle(placed("me", "peer", variable="x"))
-    begun = tasks(list(session.handle(JobReady("job"))))
-    assert begun == [key(0, 0, variable="y"), key(1, 0, variable="y"), key(0, 0)]
-
-
-def test_a_finished_epoch_is_reported_and_its_emigrants_are_sent(session: Session) -> None:
-    begun(session, "me", "me", "peer")
-    actions = session.handle(computed(key(0, 0), {0: b"own", 1: b"near", 2: b"far"}, 1, 2))
-    (sent,) = [action for action in actions if isinstance(action, Send)]
-    assert isinstance(sent.body, Migrants)
-    assert (sent.peer, sent.body.blocks) == ("peer", (Block(source=0, destination=2, data=b"far"),))
-    assert not [action for action in actions if isinstance(action, SendReport)]
-    actions = session.handle(computed(key(1, 0), {0: b"back"}, 2))
-    assert reported(actions) == [(0, [0, 1])]
-
-
-def test_an_island_waits_for_exactly_the_senders_it_was_told(session: Session) -> None:
-    begun(session, "me", "peer", "peer")
-    assert tasks(session.handle(computed(key(0, 0), {0: b"own"}, 1, 2))) == []
-    assert session.state() == "waiting"
-    assert tasks(session.handle(mail(0, (1, 0, b"one")))) == []
-    (action,) = session.handle(mail(0, (2, 0, b"two")))
-    assert isinstance(action, RunTask)
-    assert action.task.blocks == {0: b"own", 1: b"one", 2: b"two"}
 
 
 def test_mail_may_come_before_the_island_is_ready_for_it_and_twice(session: Session) -> None:
@@ -237,29 +170,11 @@ def committed(epoch: int, next_one: int, last: int, holds: bool = False, reporte
     return Commit(job="job", variable="x", term=1, epoch=epoch, schedule=schedule, reported=reported)
 
 
-def test_no_island_runs_beyond_the_second_checkpoint_after_the_commit(session: Session) -> None:
-    begun(session, "me")
-    epoch = 0
-    while tasks(list(session.handle(computed(key(0, epoch), {0: b"own"})))):
-        epoch += 1
-    assert epoch == 4
-    assert tasks(list(session.handle(committed(2, 4, 9)))) == [key(0, 5)]
-
-
 def test_a_commit_beyond_what_was_reported_is_refused(session: Session) -> None:
     begun(session, "me")
     for commit in (committed(5, 7, 9), committed(0, 2, 4, reported=5)):
         with pytest.raises(RemoteProtocolError, match="commit"):
             session.handle(commit)
-
-
-def test_the_last_epoch_is_marked_and_ends_the_island(session: Session) -> None:
-    actions = begun(session, "me", epochs=1)
-    (action,) = actions
-    assert isinstance(action, RunTask)
-    assert action.task.is_last
-    assert reported(list(session.handle(computed(key(0, 0), {})))) == [(0, [0])]
-    assert session.state() == "ready"
 
 
 # ------------------------------------------------------------------------------------------------- hits
@@ -272,59 +187,6 @@ def test_a_hit_is_stated_to_every_other_worker_in_place_of_emigrants(session: Se
         Send("peer", finished(0, 0)),
         Send("other", finished(0, 0)),
     ]
-
-
-def test_a_hit_elsewhere_stops_what_is_computed_here(session: Session) -> None:
-    begun(session, "me", "peer", "peer")
-    assert stops(list(session.handle(Mailed("peer", finished(2, 0, generation=70))))) == [Position(0, 70, 2)]
-    assert stops(list(session.handle(Mailed("peer", finished(1, 0, generation=80))))) == []
-    actions = session.handle(stopped(key(0, 0), 70))
-    assert reported(actions) == [(0, [0])]
-    assert tasks(actions) == []
-    assert session.state() == "ready"
-
-
-def test_epochs_before_a_hit_are_finished_and_go_on(session: Session) -> None:
-    begun(session, "me", "me", "peer")
-    session.handle(computed(key(0, 0), {}, 2))
-    session.handle(Mailed("peer", finished(2, 1)))
-    session.handle(mail(0, (2, 0, b"a"), (2, 1, b"b")))
-    assert tasks(list(session.handle(computed(key(1, 0), {}, 2)))) == [key(1, 1)]
-    assert reported(list(session.handle(stopped(key(0, 1), 20)))) == []
-    assert reported(list(session.handle(stopped(key(1, 1), 30)))) == [(1, [0, 1])]
-    assert session.state() == "ready"
-
-
-def test_what_comes_after_the_first_slice_that_met_the_target_is_not_begun_or_waited_for(session: Session) -> None:
-    begun(session, "me", "peer", "me")
-    session.handle(computed(key(0, 0), {}, 1))
-    session.handle(computed(key(2, 0), {}, 1))
-    session.handle(Mailed("peer", finished(1, 1, generation=10)))
-    assert [local.state for local in session._shards["job", "x"].islands.values()] == ["waiting", "stopped"]
-    assert tasks(list(session.handle(mail(0, (1, 0, b"a"))))) == [key(0, 1)]
-    assert reported(list(session.handle(stopped(key(0, 1), 10)))) == [(1, [0])]
-
-
-def test_a_task_that_is_not_needed_ends_its_island_and_lets_the_others_report(session: Session) -> None:
-    begun(session, "me", "peer", "me")
-    session.handle(Mailed("peer", finished(1, 0, generation=10)))
-    assert reported(list(session.handle(stopped(key(0, 0), 10)))) == []
-    assert reported(list(session.handle(Abandoned(key(2, 0))))) == [(0, [0])]
-    assert session.assignment_statuses()[0].reported == 1
-
-
-def test_a_hit_that_comes_before_its_placement_counts(session: Session) -> None:
-    session.handle(Mailed("peer", finished(1, 0)))
-    assert stops(list(session.handle(placed("me", "peer")))) == [Position(0, 20, 1)]
-
-
-def test_an_island_beyond_an_earlier_hit_stops_and_reports_no_more(session: Session) -> None:
-    begun(session, "me", "peer")
-    session.handle(mail(0, (1, 0, b"a")))
-    session.handle(computed(key(0, 0), {}, 1))
-    session.handle(Mailed("peer", finished(1, 0)))
-    assert reported(list(session.handle(Abandoned(key(0, 1))))) == []
-    assert session.state() == "ready"
 
 
 # ------------------------------------------------------------------------------------------------ pulls
@@ -352,23 +214,6 @@ def test_a_pull_is_answered_with_what_was_sent(session: Session) -> None:
     assert answer.body.migrants == Migrants(
         job="job", variable="x", term=1, epoch=0, blocks=(Block(source=0, destination=2, data=b"far"),)
     )
-
-
-def test_a_pull_is_answered_with_any_hit_of_ours(session: Session) -> None:
-    begun(session, "me", "peer", "me", "peer")
-    session.handle(Mailed("peer", finished(3, 0, generation=90)))
-    session.handle(computed(key(0, 0), {}, hit=20))
-    question = PullMigrants(job="job", variable="x", term=1, epoch=0, destination=1, sources=(2,))
-    (answer,) = session.handle(PullAsked("handle", question))
-    assert answer == Respond("handle", Sent(migrants=None, finished=(finished(0, 0),)))
-
-
-def test_a_pull_of_what_is_not_computed_yet_is_answered_so(session: Session) -> None:
-    begun(session, "me", "peer")
-    question = PullMigrants(job="job", variable="x", term=1, epoch=0, destination=1, sources=(0,))
-    assert session.handle(PullAsked("h", question)) == [Respond("h", NotYet())]
-    reports = PullReports(job="job", variable="x", term=1, first=0, last=5)
-    assert session.handle(PullAsked("h", reports)) == [Respond("h", NotYet())]
 
 
 def test_reports_can_be_pulled_until_all_islands_have_reported_them(session: Session) -> None:
@@ -408,16 +253,6 @@ def test_a_pull_under_another_term_is_answered_with_ours(session: Session) -> No
     assert session.handle(PullAsked("h", question)) == [Respond("h", NewerTerm(job="job", variable="x", term=4))]
 
 
-def test_an_answer_counts_as_mail_from_the_one_who_was_asked(session: Session) -> None:
-    begun(session, "me", "peer")
-    session.handle(computed(key(0, 0), {}, 1))
-    body = mail(0, (1, 0, b"a")).body
-    assert isinstance(body, Migrants)
-    with pytest.raises(RemoteProtocolError, match="placed elsewhere"):
-        session.handle(PullAnswered("other", Sent(migrants=body)))
-    assert tasks(list(session.handle(PullAnswered("peer", Sent(migrants=body))))) == [key(0, 1)]
-
-
 def test_news_of_a_higher_term_fetch_the_placement(session: Session) -> None:
     begun(session, "me", "peer")
     news = NewerTerm(job="job", variable="x", term=2)
@@ -445,12 +280,6 @@ def test_mail_that_cannot_be_is_refused_and_changes_nothing(session: Session, ev
         session.handle(event)
     session.handle(computed(key(0, 0), {}, 1))
     assert tasks(list(session.handle(mail(0, (1, 0, b"true"))))) == [key(0, 1)]
-
-
-def test_mail_of_a_former_term_is_dropped(session: Session) -> None:
-    begun(session, "me", "peer", term=2)
-    session.handle(computed(key(0, 0, term=2), {}, 1))
-    assert session.handle(mail(0, (1, 0, b"old"), term=1)) == []
 
 
 def test_mail_that_comes_before_its_placement_is_kept_and_the_placement_fetched_once(session: Session) -> None:
@@ -508,14 +337,6 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
 # ----------------------------------------------------------------------------------------------- ending
 
 
-def test_closing_one_variable_keeps_the_others(session: Session) -> None:
-    begun(session, "me")
-    session.handle(placed("me", variable="y"))
-    assert session.handle(Close(job="job", variable="x", term=1)) == [Discard(ShardKey("job", "x", 1))]
-    assert [assignment_status.variable for assignment_status in session.assignment_statuses()] == ["y"]
-    assert session.wants("job")
-
-
 def test_a_close_of_a_lower_term_that_arrives_late_closes_nothing(session: Session) -> None:
     begun(session, "me")
     session.handle(placed("me", term=2))
@@ -551,7 +372,7 @@ def pull_states(epoch: int, *islands: int, term: int = 1, offset: int = 0) -> Pu
 
 def states(**of: bytes) -> States:
     """Return whole states, given by island as i0=b"...", i1=b"..."."""
-    by_island = {int(name[1:]): State.of(data) for name, data in of.items()}
+    by_island = {int(name[1:]): IslandState.of(data) for name, data in of.items()}
     return States(pieces=split_states(list(by_island), 0, by_island.__getitem__))
 
 
@@ -561,16 +382,6 @@ def to_the_first_checkpoint(session: Session) -> list[object]:
     session.handle(computed(key(1, 0), {1: b"b"}))
     session.handle(computed(key(0, 1), {0: b"a"}))
     return list(session.handle(computed(key(1, 1), {1: b"b"})))
-
-
-def test_snapshots_are_wanted_at_checkpoints_only(session: Session) -> None:
-    actions = begun(session, "me")
-    wanted = []
-    for epoch in range(5):
-        (action,) = [action for action in actions if isinstance(action, RunTask)]
-        wanted.append(action.task.takes_snapshot)
-        actions = list(session.handle(computed(key(0, epoch), {0: b"own"})))
-    assert wanted == [False, False, True, False, True]
 
 
 def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durable(session: Session) -> None:
@@ -591,12 +402,6 @@ def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durab
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
 
 
-def test_a_snapshot_of_a_former_term_is_dropped(session: Session) -> None:
-    to_the_first_checkpoint(session)
-    session.handle(placed("me", "me", term=2))
-    assert session.handle(Snapshot(key(0, 2), b"state", is_at_barrier=False)) == []
-
-
 def test_islands_at_a_barrier_take_a_snapshot_and_wait_for_another_placement(session: Session) -> None:
     begun(session, "me")
     session.handle(computed(key(0, 0), {0: b"own"}))
@@ -610,19 +415,6 @@ def test_islands_at_a_barrier_take_a_snapshot_and_wait_for_another_placement(ses
     assert session.state() == "waiting"
     actions = session.handle(placed("me", term=2, epoch=3))
     assert FetchStates(pull_states(3, 0, term=2)) in actions
-
-
-def test_a_hit_ends_held_islands(session: Session) -> None:
-    begun(session, "me", "peer")
-    for epoch in range(2):
-        session.handle(mail(epoch, (1, 0, b"in")))
-        session.handle(computed(key(0, epoch), {1: b"out"}, 1))
-    session.handle(committed(2, 3, 3, holds=True))
-    session.handle(mail(2, (1, 0, b"in")))
-    session.handle(computed(key(0, 2), {1: b"out"}, 1))
-    session.handle(Snapshot(key(0, 3), b"state", is_at_barrier=True))
-    session.handle(Mailed("peer", finished(1, 2)))
-    assert session.state() == "ready"
 
 
 def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Session) -> None:
@@ -639,15 +431,6 @@ def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Sessio
     assert (action.task.key, action.task.state, action.task.blocks) == (key(2, 6, term=5), b"two", None)
 
 
-def test_states_that_did_not_come_are_asked_for_again_at_the_next_tick(session: Session) -> None:
-    actions = session.handle(placed("me", term=2, epoch=6))
-    asked = FetchStates(pull_states(6, 0, term=2))
-    assert asked in actions
-    assert session.handle(Tick(1.0)) == []
-    assert session.handle(StatesCame(asked.body, None)) == []
-    assert session.handle(Tick(2.0)) == [asked]
-
-
 def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Session) -> None:
     session.handle(placed("me", term=2, epoch=6))
     asked = pull_states(6, 0, term=2)
@@ -657,30 +440,12 @@ def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Sessio
     assert session.handle(Tick(1.0)) == [FetchStates(asked)]
 
 
-def test_states_of_a_former_term_are_dropped(session: Session) -> None:
-    session.handle(placed("me", term=2, epoch=6))
-    session.handle(placed("me", term=3, epoch=8))
-    session.handle(JobReady("job"))
-    assert session.handle(StatesCame(pull_states(6, 0, term=2), states(i0=b"old"))) == []
-
-
 def test_a_state_that_does_not_fit_fails_the_job(session: Session) -> None:
     session.handle(placed("me", term=2, epoch=6))
     session.handle(JobReady("job"))
     session.handle(StatesCame(pull_states(6, 0, term=2), states(i0=b"odd")))
     session.handle(Rejected(key(0, 6, term=2), "the state of an island does not fit its job"))
     assert "does not fit" in session.failures()[0].sentence
-
-
-def test_a_term_that_begins_at_a_checkpoint_goes_on_like_any_other(session: Session) -> None:
-    session.handle(placed("me", "peer", term=2, epoch=6))
-    session.handle(JobReady("job"))
-    session.handle(StatesCame(pull_states(6, 0, term=2), states(i0=b"six")))
-    session.handle(mail(5, (1, 0, b"late"), term=2))
-    session.handle(mail(6, (1, 0, b"in"), term=2))
-    actions = session.handle(computed(key(0, 6, term=2), {1: b"out"}, 1))
-    assert tasks(actions) == [key(0, 7, term=2)]
-    assert reported(actions) == [(6, [0])]
 
 
 def test_a_reset_keeps_what_the_new_incarnation_has_placed_already(session: Session) -> None:

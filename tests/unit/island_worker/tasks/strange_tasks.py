@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from atoll.tasks.functions import FUNCTIONS, TaskHandler
-from atoll.tasks.team import Team
+from atoll.tasks.process import Team
 from atoll_coordinator.model.batches import FUNCTIONS as BATCHES
 from atoll_core.logs import fields
 

@@ -12,7 +12,7 @@ import queue
 import signal
 import sys
 
-from atoll_core.task_frames import Ended, Failed, Finished, Run, Said
+from atoll_core.task_frames import Ended, Failed, ProcessMessage, Run, TaskFinished
 from atoll_island_worker.processes import Forked
 from atoll_island_worker.tasks import task_process
 from atoll_island_worker.tasks.task_process import TaskServer
@@ -31,8 +31,8 @@ def work(server: TaskServer | None, function: str, inputs: tuple[bytes, ...]) ->
     process.send(Run("t", function, inputs))
     while True:
         item = said.get(timeout=100.0)
-        assert isinstance(item, Said)
-        if isinstance(item.message, Finished | Failed | Ended):
+        assert isinstance(item, ProcessMessage)
+        if isinstance(item.message, TaskFinished | Failed | Ended):
             sys.stdout.write(f"{item.message}\n")
             process.stop()
             return 0

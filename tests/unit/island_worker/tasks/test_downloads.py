@@ -53,11 +53,3 @@ def test_a_cache_keeps_what_was_used_last() -> None:
     assert cache.get("a") == b"aaaa"
     cache.add("c", b"cccc")
     assert ("b" in cache, cache.digests) == (False, ("a", "c"))
-
-
-def test_a_cache_keeps_what_is_larger_than_it_until_the_next_comes() -> None:
-    cache = ByteCache(10)
-    cache.add("large", bytes(100))
-    assert cache.get("large") == bytes(100)
-    cache.add("small", b"1")
-    assert cache.digests == ("small",)

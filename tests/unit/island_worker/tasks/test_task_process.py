@@ -17,18 +17,18 @@ from atoll_core.logs import JsonLines, TextLines
 from atoll_core.task_frames import (
     OTHER_VERSION,
     Ask,
-    Batch,
+    BatchComputed,
     Begun,
-    Computed,
     Ended,
     Failed,
-    Finished,
     FromProcess,
     Give,
     Load,
+    ProcessMessage,
     Run,
-    Said,
     Take,
+    TaskBatch,
+    TaskFinished,
 )
 from atoll_island_worker.tasks import task_process as module
 from atoll_island_worker.tasks.task_process import IDLE_S, Interpreters, TaskProcess, cause_of
@@ -43,7 +43,7 @@ class Worker:
 
     def __init__(self) -> None:
         self.now = 0.0
-        self.said: queue.SimpleQueue[Said] = queue.SimpleQueue()
+        self.said: queue.SimpleQueue[ProcessMessage] = queue.SimpleQueue()
         self.process = TaskProcess(clock=lambda: self.now)
         self.process.attach(self.said.put)  # type: ignore[arg-type]
 
@@ -61,7 +61,7 @@ class Worker:
 
     def result(self, function: str, *inputs: bytes) -> bytes:
         made = self.run(function, *inputs)
-        assert isinstance(made, Finished), made
+        assert isinstance(made, TaskFinished), made
         return made.result
 
 
@@ -121,11 +121,11 @@ def test_a_process_that_dies_says_how_and_another_follows(
     life = worker.begin(function, number)
     assert worker.hear() == Begun("t")
     said = worker.said.get(timeout=LIMIT_S)
-    assert said == Said(life, Ended(failure, f"its process {words}"))  # type: ignore[arg-type]
+    assert said == ProcessMessage(life, Ended(failure, f"its process {words}"))  # type: ignore[arg-type]
     until(lambda: not worker.process.is_started)
     assert worker.begin("pid") == life + 1
     assert worker.hear() == Begun("t")
-    assert isinstance(worker.hear(), Finished)
+    assert isinstance(worker.hear(), TaskFinished)
 
 
 def test_what_is_stopped_in_the_middle_ends_and_says_nothing_more(worker: Worker, tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def test_signals_that_ask_for_an_end_are_for_the_worker(worker: Worker, tmp_path
         os.kill(pid, number)
     (tmp_path / "until").touch()
     assert worker.hear() == Begun("t")
-    assert isinstance(worker.hear(), Finished)
+    assert isinstance(worker.hear(), TaskFinished)
     assert int(worker.result("pid")) == pid
 
 
@@ -198,7 +198,7 @@ def test_a_question_for_batches_is_answered_once_the_task_has_ended(worker: Work
     (tmp_path / "until").touch()
     heard = [worker.hear(), worker.hear()]
     assert Give(2, None) in heard
-    assert any(isinstance(one, Finished) for one in heard)
+    assert any(isinstance(one, TaskFinished) for one in heard)
 
 
 @pytest.mark.slow
@@ -207,15 +207,15 @@ def test_another_s_process_computes_batches_of_a_task_and_may_die_with_one(worke
     """Two workers as their runners have it: questions, batches and results go to and fro between their processes."""
     helper = Worker()
     helper.process.send(Run("h", "pid", ()))
-    while not isinstance(first := helper.hear(), Finished):
+    while not isinstance(first := helper.hear(), TaskFinished):
         pass
-    helper.process.send(Batch(0, "strange: made slowly", "", b"", b""))  # loads what it needs
-    assert isinstance(helper.hear(), Computed)
+    helper.process.send(TaskBatch(0, "strange: made slowly", "", b"", b""))  # loads what it needs
+    assert isinstance(helper.hear(), BatchComputed)
     worker.begin("shared", b"a context: ")
     assert worker.hear() == Begun("t")
     worker.process.send(Ask(0))
     given = 0
-    while not isinstance(said := worker.hear(), Finished):
+    while not isinstance(said := worker.hear(), TaskFinished):
         assert isinstance(said, Give)
         if said.batch is None:
             continue
@@ -224,7 +224,7 @@ def test_another_s_process_computes_batches_of_a_task_and_may_die_with_one(worke
             os.kill(int(first.result), signal.SIGKILL)
         helper.process.send(said.batch)
         answer = helper.hear()
-        if isinstance(answer, Computed):
+        if isinstance(answer, BatchComputed):
             worker.process.send(Take(answer.number, answer.result))
             worker.process.send(Ask(given))
         else:
@@ -257,7 +257,7 @@ def test_a_machine_without_processes_to_spare_is_an_answer_too() -> None:
     process = TaskProcess(Nowhere())
     process.attach(said.append)
     assert process.send(Run("t", "pid", ())) == 1
-    assert said == [Said(1, Ended("crash", "no process could be started for it: no room"))]
+    assert said == [ProcessMessage(1, Ended("crash", "no process could be started for it: no room"))]
     assert not process.is_started
 
 
@@ -271,7 +271,7 @@ def test_a_machine_without_threads_to_spare_is_an_answer_too(worker: Worker, mon
     ended = worker.hear()
     assert isinstance(ended, Ended)
     assert "can't start new thread" in ended.why
-    assert isinstance(worker.run("pid"), Finished)
+    assert isinstance(worker.run("pid"), TaskFinished)
 
 
 @pytest.mark.parametrize(

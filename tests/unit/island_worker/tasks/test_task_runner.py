@@ -7,19 +7,18 @@ import pytest
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.task_frames import (
     Ask,
-    Batch,
+    BatchComputed,
     Begun,
-    Computed,
     Ended,
     Failed,
-    Finished,
     FromProcess,
     Give,
-    Load,
+    ProcessMessage,
     Progressed,
     Run,
-    Said,
     Take,
+    TaskBatch,
+    TaskFinished,
     ToProcess,
 )
 from atoll_core.wire.bus.interface import Query
@@ -39,7 +38,7 @@ from atoll_core.wire.messages.tasks import (
     TaskInput,
 )
 from atoll_island_worker.connection import PendingRequest
-from atoll_island_worker.tasks.task_runner import TASK_TRANSITIONS, TaskRunner
+from atoll_island_worker.tasks.task_runner import TaskRunner
 
 A, B = "a" * 64, "b" * 64
 SMALL = b"small"
@@ -90,7 +89,7 @@ class Process:
         self.is_started = False
 
     def send(self, message: ToProcess) -> int:
-        if isinstance(message, Run | Batch) and not self.is_started:
+        if isinstance(message, Run | TaskBatch) and not self.is_started:
             self.is_started, self.life = True, self.life + 1
         self.said.append(message)
         return self.life
@@ -118,7 +117,7 @@ class Scene:
 
     def say(self, message: FromProcess, life: int | None = None) -> bool:
         """Let the process say something."""
-        return self.runner.process_said(Said(self.process.life if life is None else life, message))
+        return self.runner.process_said(ProcessMessage(self.process.life if life is None else life, message))
 
     def answer(self, task: str, data: bytes, index: int, payload: bytes | None) -> None:
         self.runner.answered(PendingRequest("input", task, index, digest(data)), payload)
@@ -143,10 +142,6 @@ def scene() -> Scene:
     return Scene()
 
 
-def test_every_state_can_be_released() -> None:
-    assert all("release" in row for row in TASK_TRANSITIONS.values())
-
-
 def test_a_lease_with_its_inputs_runs_and_its_result_is_pushed_and_kept(scene: Scene) -> None:
     assert scene.runner.is_idle
     scene.runner.handle(lease())
@@ -154,7 +149,7 @@ def test_a_lease_with_its_inputs_runs_and_its_result_is_pushed_and_kept(scene: S
     assert (scene.states(), scene.runner.is_idle) == ({A: "waiting"}, False)
     assert scene.say(Begun(A))
     assert scene.states() == {A: "running"}
-    assert scene.say(Finished(A, b"made"))
+    assert scene.say(TaskFinished(A, b"made"))
     (chunk,) = scene.requests.reports
     assert (chunk.data, chunk.digest, chunk.size) == (b"made", digest(b"made"), 4)  # type: ignore[union-attr]
     assert scene.states() == {A: "done"}
@@ -174,13 +169,13 @@ def test_the_heartbeat_says_how_far_a_task_is(scene: Scene) -> None:
 
 def test_a_result_goes_in_chunks_also_an_empty_one(scene: Scene) -> None:
     scene.running()
-    scene.say(Finished(A, LARGE))
+    scene.say(TaskFinished(A, LARGE))
     assert [(one.offset, len(one.data)) for one in scene.requests.reports] == [(0, CHUNK_SIZE), (CHUNK_SIZE, 1)]  # type: ignore[union-attr]
     assert b"".join(one.data for one in scene.requests.reports) == LARGE  # type: ignore[union-attr]
     scene.runner.handle(Release(task=A))
     scene.requests.reports.clear()
     scene.running(B)
-    scene.say(Finished(B, b""))
+    scene.say(TaskFinished(B, b""))
     assert [(one.size, one.data) for one in scene.requests.reports] == [(0, b"")]  # type: ignore[union-attr]
 
 
@@ -215,44 +210,12 @@ def test_what_does_not_come_or_is_something_else_is_fetched_again(scene: Scene) 
     assert len(scene.process.told(Run)) == 1
 
 
-def test_inputs_larger_than_the_cache_reach_the_process_too(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene.runner._cache, "_limit", CHUNK_SIZE)
-    other = b"z" * CHUNK_SIZE
-    scene.runner.handle(lease(A, LARGE, other))
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    scene.answer(A, LARGE, 1, b"y")
-    scene.answer(A, other, 0, other)
-    assert [run.inputs for run in scene.process.told(Run)] == [(LARGE, other)]
-
-
-def test_inputs_and_contexts_share_one_cache(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Docs say how much a worker keeps, in all."""
-    monkeypatch.setattr(scene.runner._cache, "_limit", 2 * CHUNK_SIZE)
-    scene.runner.handle(lease(A, LARGE))
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    scene.answer(A, LARGE, 1, b"y")
-    scene.runner.handle(Release(task=A))
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    scene.give_batch(context=b"c" * CHUNK_SIZE)
-    scene.requests.inputs.clear()
-    scene.runner.handle(lease(A, LARGE))
-    assert scene.requests.inputs == [(A, digest(LARGE), 0), (A, digest(LARGE), 1)], "the context took its room"
-
-
-def test_what_comes_for_a_task_that_was_released_changes_nothing(scene: Scene) -> None:
-    scene.runner.handle(lease(A, LARGE))
-    scene.runner.handle(Release(task=A))
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    scene.runner.fetch(A)
-    assert (scene.process.said, scene.runner.is_idle) == ([], True)
-
-
 def test_a_lease_that_is_said_twice_is_one_task_and_pushes_what_is_there(scene: Scene) -> None:
     scene.runner.handle(lease())
     scene.runner.handle(lease())
     assert len(scene.process.told(Run)) == 1
     scene.say(Begun(A))
-    scene.say(Finished(A, b"made"))
+    scene.say(TaskFinished(A, b"made"))
     scene.runner.handle(lease(term=2))
     assert len(scene.requests.reports) == 2
     assert scene.requests.reports[0] == scene.requests.reports[1]
@@ -271,21 +234,13 @@ def test_a_failure_is_said_again_until_a_new_term_has_it_tried_again(scene: Scen
     assert scene.requests.reports[-1] == failed.model_copy(update={"term": 2})
 
 
-def test_a_lease_of_another_term_is_that_of_what_runs(scene: Scene) -> None:
-    scene.running()
-    scene.runner.handle(lease(term=4, function="refine"))
-    assert scene.process.said == []
-    scene.say(Failed(A, "memory", "memory ran out"))
-    assert scene.requests.reports == [TaskFailed(task=A, term=4, failure="memory", sentence="memory ran out")]
-
-
 def test_the_release_of_what_runs_ends_its_process(scene: Scene) -> None:
     scene.running()
     scene.runner.handle(Release(task=B))
     assert scene.process.is_started
     scene.runner.handle(Release(task=A))
     assert not scene.process.is_started
-    assert not scene.say(Finished(A, b"late"))
+    assert not scene.say(TaskFinished(A, b"late"))
     assert scene.requests.reports == []
 
 
@@ -294,11 +249,11 @@ def test_what_a_process_said_that_was_stopped_is_not_taken_for_the_next_one_s(sc
     scene.runner.handle(Release(task=A))
     scene.runner.handle(lease(term=2, function="refine"))
     first = scene.process.life - 1
-    for late in (Begun(A), Finished(A, b"late"), Failed(A, "error", "late"), Ended("crash", "late")):
+    for late in (Begun(A), TaskFinished(A, b"late"), Failed(A, "error", "late"), Ended("crash", "late")):
         assert not scene.say(late, first)
     assert (scene.states(), scene.requests.reports) == ({A: "waiting"}, [])
     scene.say(Begun(A))
-    scene.say(Finished(A, b"made"))
+    scene.say(TaskFinished(A, b"made"))
     assert scene.states() == {A: "done"}
 
 
@@ -310,7 +265,7 @@ def test_tasks_run_one_after_the_other_and_the_end_of_one_ends_no_other(scene: S
     assert [run.task for run in scene.process.told(Run)] == [B]
     scene.say(Begun(B))
     scene.runner.handle(lease(A, term=2))
-    scene.say(Finished(B, b"made"))
+    scene.say(TaskFinished(B, b"made"))
     assert [run.task for run in scene.process.told(Run)] == [A]
     assert scene.process.loaded == []  # there is something else to do
     scene.say(Ended("crash", "its process ended"))
@@ -336,12 +291,6 @@ def test_another_store_s_coordinator_leaves_nothing(scene: Scene) -> None:
     assert (scene.runner.is_idle, scene.process.is_started) == (True, False)
 
 
-def test_the_end_of_a_worker_ends_its_process(scene: Scene) -> None:
-    scene.running()
-    scene.runner.close()
-    assert not scene.process.is_started
-
-
 # -------------------------------------------------------------------------------------------------- who helps
 
 
@@ -351,24 +300,15 @@ def test_a_helper_pulls_batch_after_batch_and_names_the_contexts_it_has(scene: S
     assert scene.requests.pulls == [("w1", PullBatch(task=B))]
     assert scene.states() == {B: "helping"}
     scene.give_batch()
-    assert scene.process.told(Batch) == [Batch(7, "f", digest(b"a context"), b"a context", b"i")]
-    scene.say(Computed(6, b"of another"))
-    scene.say(Computed(7, b"made"))
+    assert scene.process.told(TaskBatch) == [TaskBatch(7, "f", digest(b"a context"), b"a context", b"i")]
+    scene.say(BatchComputed(6, b"of another"))
+    scene.say(BatchComputed(7, b"made"))
     pull = PullBatch(task=B, result=BatchResult(number=7, result=b"made"), contexts=(digest(b"a context"),))
     assert scene.requests.pulls[1:] == [("w1", pull)]
     scene.give_batch(8, known=True)
-    assert [batch.context for batch in scene.process.told(Batch)] == [b"a context"]
-    scene.say(Computed(8, None))
+    assert [batch.context for batch in scene.process.told(TaskBatch)] == [b"a context"]
+    scene.say(BatchComputed(8, None))
     assert scene.requests.pulls[-1][1].result == BatchResult(number=8, result=None)
-
-
-@pytest.mark.parametrize("answer", [None, encode(PullAnswer(body=NoTask()))])
-def test_helping_ends_where_there_is_no_task(scene: Scene, answer: bytes | None) -> None:
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    scene.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=NotYet())))
-    assert len(scene.requests.pulls) == 2
-    scene.runner.answered(PendingRequest("batch", B), answer)
-    assert scene.runner.is_idle
 
 
 def test_helping_ends_with_what_cannot_be_read_so_that_it_begins_again(scene: Scene) -> None:
@@ -383,24 +323,17 @@ def test_helping_ends_with_what_cannot_be_read_so_that_it_begins_again(scene: Sc
     assert scene.process.said == []
 
 
-def test_a_context_is_known_by_its_own_digest_whatever_who_gives_it_says(scene: Scene) -> None:
-    scene.runner.handle(Help(task=B, job="k", worker="peer"))
-    given = GivenBatch(number=7, function="f", digest=digest(b"anothers"), context=b"false", item=b"i")
-    with pytest.raises(RemoteProtocolError, match="which is not here"):
-        scene.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=given)))
-
-
 def test_its_own_task_goes_before_helping(scene: Scene) -> None:
     scene.runner.handle(Help(task=B, job="j", worker="w1"))
     scene.give_batch()
     scene.runner.handle(lease(A))
     assert scene.states() == {A: "waiting"}
-    scene.say(Computed(7, b"made"))
+    scene.say(BatchComputed(7, b"made"))
     assert len(scene.requests.pulls) == 1
     scene.runner.handle(Help(task=B, job="j", worker="w1"))  # late
     assert scene.states() == {A: "waiting"}
     scene.say(Begun(A))
-    scene.say(Finished(A, b"made"))
+    scene.say(TaskFinished(A, b"made"))
     scene.runner.handle(Help(task=B, job="j", worker="w1"))
     assert scene.states() == {A: "done", B: "helping"}
 
@@ -412,14 +345,6 @@ def test_a_batch_that_ends_the_process_ends_helping(scene: Scene) -> None:
     assert scene.states() == {B: "helping"}
     assert not scene.say(Ended("crash", "its process ended"))
     assert scene.runner.is_idle
-
-
-def test_a_release_ends_helping(scene: Scene) -> None:
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    scene.runner.handle(Release(task=B))
-    assert scene.runner.is_idle
-    scene.give_batch()
-    assert scene.process.said == []
 
 
 # ------------------------------------------------------------------------------------------- who has the task
@@ -434,7 +359,7 @@ def test_helpers_get_batches_of_what_runs_and_hand_in_results(scene: Scene) -> N
     scene.runner.batch_asked(query(1), PullBatch(task=A, contexts=(digest(b"a context"),)))
     (ask,) = scene.process.told(Ask)
     assert ask.contexts == {digest(b"a context")}
-    scene.say(Give(ask.token, Batch(7, "f", digest(b"c"), b"c", b"i")))
+    scene.say(Give(ask.token, TaskBatch(7, "f", digest(b"c"), b"c", b"i")))
     ((asked, given),) = scene.replies
     assert asked == query(1)
     assert given == GivenBatch(number=7, function="f", digest=digest(b"c"), context=b"c", item=b"i")
@@ -452,7 +377,7 @@ def test_who_asks_for_batches_of_what_does_not_run_is_told(scene: Scene) -> None
 
 
 @pytest.mark.parametrize(
-    "end", [Finished(A, b"made"), Failed(A, "error", "it broke"), Ended("crash", "its process ended"), None]
+    "end", [TaskFinished(A, b"made"), Failed(A, "error", "it broke"), Ended("crash", "its process ended"), None]
 )
 def test_the_end_of_a_task_answers_its_helpers(scene: Scene, end: FromProcess | None) -> None:
     scene.running()
@@ -465,9 +390,3 @@ def test_the_end_of_a_task_answers_its_helpers(scene: Scene, end: FromProcess | 
     assert scene.replies == [(query(1), NoTask())]
     scene.say(Give(ask.token, None))
     assert len(scene.replies) == 1
-
-
-def test_nothing_else_is_loaded_than_what_most_likely_follows(scene: Scene) -> None:
-    scene.running(A, "refine")
-    scene.say(Finished(A, b"made"))
-    assert (scene.process.loaded, scene.process.told(Load)) == ([], [])

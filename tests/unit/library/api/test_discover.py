@@ -2,17 +2,21 @@
 
 import argparse
 import contextlib
+import os
+import sys
 from collections.abc import Iterator
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from atoll.api import discover
+from atoll.api import discover as session
 from atoll.api.discover import config_of
 from atoll.cli.options import build_parser, parse
 from atoll.cli.request import config_of as configure
-from atoll_core.errors import RefusedError, UsageError
+from atoll_core.errors import AtollError, RefusedError, UsageError
 from atoll_core.wire.messages.views import JobView
 from tests.unit.library.model.results import result
 
@@ -141,14 +145,6 @@ def test_an_interrupt_ends_the_job_and_keeps_the_best_so_far(
     assert capsys.readouterr().err == ""
 
 
-def test_who_sees_the_progress_learns_how_the_data_were_read(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(Client(result({"x": "-x"}))))
-    discover.discover({"t": [0, 1], "x": ["1,5", "2"], "by": ["A", "B"]}, connect="tcp/h:1", progress=True)
-    assert "read as arrays by name; decimal commas in x; text left out: by" in capsys.readouterr().err
-
-
 def test_a_priority_goes_with_the_job_and_a_wrong_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     client = Client(None)
     monkeypatch.setattr(discover, "connected", lambda *_: contextlib.nullcontext(client))
@@ -172,3 +168,76 @@ def test_who_is_interrupted_while_a_job_is_handed_in_learns_its_id(monkeypatch: 
         discover.submit({"t": [0.0, 1.0], "x": [1.0, 2.0]}, connect="tcp/h:1")
     (note,) = caught.value.__notes__
     assert note.endswith(f"coordinator status {client.given[0]} --connect tcp/h:1")
+
+
+class Service:
+    """Stands for a process with its workers."""
+
+    def __init__(self, workers: int) -> None:
+        self.endpoint = f"tcp/{workers}"
+        self.is_alive = True
+        self.reason = ""
+
+    def close(self) -> None:
+        self.is_alive = False
+
+
+@pytest.fixture(autouse=True)
+def services(monkeypatch: pytest.MonkeyPatch) -> dict[int, Service]:
+    kept: dict[int, Service] = {}
+    monkeypatch.setattr(session, "LocalService", Service)
+    monkeypatch.setattr(session, "_services", kept)
+    return kept
+
+
+def test_another_number_of_workers_does_not_end_the_service_of_a_call(services: dict[int, Service]) -> None:
+    assert session.local_address(1) == "tcp/1"
+    assert session.local_address(2) == "tcp/2"
+    assert session.local_address(None) == session.local_address(1) == "tcp/1"
+    assert all(service.is_alive for service in services.values())
+    running = [*services.values()]
+    session.close()
+    assert not any(service.is_alive for service in running)
+    assert services == {}
+
+
+def test_a_service_that_has_ended_is_told_and_replaced(services: dict[int, Service]) -> None:
+    address = session.local_address(3)
+    session.check_service(address)
+    services[3].is_alive = False
+    with pytest.raises(AtollError, match="has ended: it was killed; the next call"):
+        session.check_service(address)
+    services[3].reason = "a child was lost"
+    with pytest.raises(AtollError, match="has ended: a child was lost"):
+        session.check_service(address)
+    assert session.local_address() == f"tcp/{session.usable_cores(os.environ)[0]}"
+    session.check_service(address)
+
+
+@pytest.mark.parametrize("workers", [0, -1, 1.5, "a", 100_000])
+def test_a_number_of_workers_that_cannot_be_is_refused(workers: object, services: dict[int, Service]) -> None:
+    with pytest.raises(UsageError, match="whole number"):
+        session.local_address(workers)  # type: ignore[arg-type]
+    assert not services
+
+
+class Handle:
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+
+    def update(self, what: str) -> None:
+        self.shown.append(what)
+
+
+@pytest.fixture
+def handle(monkeypatch: pytest.MonkeyPatch) -> Handle:
+    """The output of a kernel, as `IPython.display.display` returns it."""
+    handle, module = Handle(), ModuleType("IPython.display")
+    module.HTML = str  # type: ignore[attr-defined]
+    module.display = lambda *_, **__: handle  # type: ignore[attr-defined]
+    parent = ModuleType("IPython")
+    parent.display = module  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "IPython", parent)
+    monkeypatch.setitem(sys.modules, "IPython.display", module)
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    return handle

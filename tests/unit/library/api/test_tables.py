@@ -1,17 +1,19 @@
 """Tables are made of what Python users hold; what does not fit is refused in a sentence."""
 
 import io
+import pickle
 from pathlib import Path
 
 import numpy as np
 import polars
 import pytest
 
-from atoll.api.tables import numbers_of, table_of
+from atoll.api.discover import config_of, submit
+from atoll.api.tables import in_python, numbers_of, python_words, table_of
 from atoll_coordinator.data.columns.examination import examine
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.data.table import Table
-from atoll_core.errors import DataError
+from atoll_core.errors import DataError, Field, UsageError
 
 COLUMNS = {"t [s]": [0.0, 1.0, 2.0], "x": np.array([1, 2, 3])}
 
@@ -194,32 +196,6 @@ def _written(path: Path) -> object:
     return path / "a.csv"
 
 
-def _pandas(_: Path) -> object:
-    import pandas
-
-    return pandas.DataFrame(PEOPLE)
-
-
-ENTRANCES = {
-    "a file": _written,
-    "arrays by name": lambda _: PEOPLE,
-    "object arrays": lambda _: {name: np.array(values, dtype=object) for name, values in PEOPLE.items()},
-    "polars": lambda _: polars.DataFrame(PEOPLE, strict=False),
-    "pandas": _pandas,
-    "records": lambda _: [dict(zip(PEOPLE, row, strict=True)) for row in zip(*PEOPLE.values(), strict=True)],
-}
-
-
-@pytest.mark.parametrize("entrance", ENTRANCES)
-def test_every_entrance_has_one_reader(entrance: str, tmp_path: Path) -> None:
-    """A column of text such as 0,60653 was left out of frames without a word, and read of files."""
-    table = table_of(ENTRANCES[entrance](tmp_path), DataConfig(trajectory="run"))
-    assert (table.names, table.units, table.skipped) == (("t", "x", "run"), ("h", "", ""), ("remark",))
-    assert str(table.column("x").tolist()) == "[0.60653, 0.7, 1.25, nan]"
-    assert (table.column("run").tolist(), table.labels) == ([1.0, 1.0, 2.0, 2.0], {"run": ("a", "b")})
-    assert table.read_as.endswith("; decimal commas in x; text left out: remark")
-
-
 def test_what_was_left_out_is_a_warning_of_the_result() -> None:
     rows = np.arange(12.0)
     data = {"t": rows, "x": rows**2, "remark": ["a"] * 12, "empty": [None] * 12, "k": [1, 2]}
@@ -330,3 +306,61 @@ def test_a_dict_of_frames_is_refused_by_their_names() -> None:
     sheets = {"Info": pandas.DataFrame({"a": [1]}), "Data": pandas.DataFrame({"t": [0, 1], "x": [1, 2]})}
     with pytest.raises(DataError, match=r"data is a dict of frames \(Info, Data\); give the one that holds"):
         table_of(sheets, DataConfig())
+
+
+@pytest.mark.parametrize(
+    ("sentence", "expected"),
+    [
+        ("--max-size must be above 0", "max_size must be above 0"),
+        ("leave --order 2 out", "leave order=2 out"),
+        ("make it an input with --inputs u", "make it an input with inputs='u'"),
+        ("name it with --time, or use --target COLUMN", "name it with time, or use target='COLUMN'"),
+        (
+            "or mark trajectories (--trajectory COLUMN or blank rows)",
+            "or mark trajectories (trajectory='COLUMN' or blank rows)",
+        ),
+        ("if so, add --hold u, since", "if so, add hold='u', since"),
+        ("(--states x,y,n keeps it)", "(states='x,y,n' keeps it)"),
+        ("(--states 'x,packet no.' keeps it)", "(states='x,packet no.' keeps it)"),
+        ("--inputs if only other states have noise", "inputs if only other states have noise"),
+        ("check --tls-ca", "check tls['ca']"),
+        ("a - b -- c", "a - b -- c"),
+    ],
+)
+def test_options_become_arguments(sentence: str, expected: str) -> None:
+    assert in_python(sentence) == expected
+
+
+def test_an_error_has_words_for_python_and_for_the_command_line() -> None:
+    error = pickle.loads(pickle.dumps(UsageError("there is no time", python="give t", command="give --until")))
+    assert (str(error), error.on_command_line) == ("there is no time; give t", "there is no time; give --until")
+    error = pickle.loads(pickle.dumps(UsageError("%s must be 5 %% of %s", Field("max_time"), Field("order", 2))))
+    assert (str(error), error.on_command_line) == (
+        "max_time must be 5 % of order=2",
+        "--max-time must be 5 % of --order 2",
+    )
+    assert error.fields == ("max_time", "order")
+    with pytest.raises(DataError, match=r"^name it with time$") as raised, python_words():
+        raise DataError("name it with --time")
+    assert raised.value.on_command_line == "name it with --time"
+
+
+def test_errors_keep_their_kind() -> None:
+    with pytest.raises(DataError, match=r"^name it with time$"), python_words():
+        raise DataError("name it with --time")
+    with pytest.raises(UsageError, match=r"^seed must be a whole number"):
+        config_of({"seed": "x"})
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"connect": 3}, "connect must be an address such as 'tcp/HOST:7447', but 3"),
+        ({"connect": "tls/h:1", "tls": "x"}, "tls must have the files ca, cert, key"),
+        ({"connect": "tls/h:1", "tls": {"key": 1, "foo": 2}}, "tls must have the files ca, cert, key"),
+        ({"connect": "tls/h:1"}, "needs certificates; give tls..ca.., tls..cert.., tls..key.."),
+    ],
+)
+def test_addresses_and_files_that_are_none_are_refused(options: dict, sentence: str) -> None:
+    with pytest.raises(UsageError, match=sentence):
+        submit({"t": [0.0, 1.0], "x": [1.0, 2.0]}, **options)

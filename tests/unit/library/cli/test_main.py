@@ -74,7 +74,7 @@ def test_an_unexpected_error_is_one_sentence_that_names_the_log(
     sentence = capsys.readouterr().err
     assert sentence.startswith("coordinator: an unexpected error (ZeroDivisionError)")
     (log,) = (tmp_path / "atoll").iterdir()
-    assert f"please report it with {log}, which has the details" in sentence
+    assert f"please report it, with the details in {log}" in sentence
     assert "deep inside" in log.read_text()
 
 
@@ -85,7 +85,7 @@ def test_of_a_result_that_reads_like_none_an_edit_may_be_the_cause(
     monkeypatch.delenv("ATOLL_DEBUG", raising=False)
     monkeypatch.setattr(entry, "_dispatch", lambda _: {}["program"])
     assert main(["analyse", "r"]) == 1
-    assert capsys.readouterr().err.endswith("; if the result was edited, give it as it was written\n")
+    assert capsys.readouterr().err.endswith("use the original file\n")
 
 
 def test_an_unexpected_error_is_raised_when_debugging(

@@ -15,7 +15,7 @@ from atoll.cli.options import VERBS
 from atoll_coordinator.service.store.store import Store
 from atoll_core.wire.bus.interface import Event, Reply
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Answer, Request
+from atoll_core.wire.messages.clients import Answer, ClientRequest
 from atoll_core.wire.messages.handshake import GreetingAnswer, Welcome
 from tests.unit.coordinator.service.requests.test_users import Lab
 
@@ -61,7 +61,7 @@ class Line:
             welcome = Welcome(realm="r1", incarnation=1, protocol=1, version="0.1.0", engine=1)
             answer = encode(GreetingAnswer(body=welcome))
         else:
-            asked = decode(payload, Request)
+            asked = decode(payload, ClientRequest)
             answer = encode(Answer.model_validate({"body": self._lab.ask(self._user, asked.body)}))
         self._events.append(Reply(self.asked, answer))
         return self.asked

@@ -12,32 +12,32 @@ from atoll_core.errors import AtollError, DataError, RefusedError, UnreachableEr
 from atoll_core.wire.bus.interface import Event, Message, Reply
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import (
-    Analyse,
     AnalysisAnswer,
     Answer,
+    AskAnalysis,
     Cancel,
+    ClientRequest,
     Failure,
     FailureKind,
     GetResult,
     JobFound,
     JobList,
-    Jobs,
     JobStatus,
-    Request,
-    Result,
+    ListJobs,
+    ListWorkers,
+    ResultText,
     Status,
     Submit,
     Upload,
     Uploaded,
     WorkerList,
-    Workers,
 )
 from atoll_core.wire.messages.handshake import GreetingAnswer, Refusal, Welcome
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from tests.views import job_view
 
-Body = Upload | Submit | Jobs | Status | Workers | GetResult | Cancel | Analyse
-AnswerBody = Uploaded | JobList | JobStatus | WorkerList | Result | Failure | AnalysisAnswer
+Body = Upload | Submit | ListJobs | Status | ListWorkers | GetResult | Cancel | AskAnalysis
+AnswerBody = Uploaded | JobList | JobStatus | WorkerList | ResultText | Failure | AnalysisAnswer
 WELCOME = Welcome(realm="r1", incarnation=1, protocol=1, version="0.1.0", engine=1)
 
 
@@ -69,7 +69,7 @@ def client_with(handle: Callable[[Body], AnswerBody | None]) -> tuple[Client, An
     def answer(key: str, payload: bytes) -> bytes | None:
         if key.startswith("atoll/hello/client-"):
             return encode(GreetingAnswer(body=WELCOME))
-        body = handle(decode(payload, Request).body)
+        body = handle(decode(payload, ClientRequest).body)
         return None if body is None else encode(Answer(body=body))
 
     bus = AnsweringBus(answer)
@@ -174,7 +174,7 @@ def test_a_job_is_submitted_under_the_clients_id() -> None:
 
 
 def test_a_result_is_the_contents_of_result_json() -> None:
-    client, _ = client_with(lambda body: Result(json_text=json.dumps({"schema": 1})))
+    client, _ = client_with(lambda body: ResultText(json_text=json.dumps({"schema": 1})))
     assert client.result("j1") == {"schema": 1}
 
 
@@ -236,11 +236,11 @@ def test_the_beginning_of_an_id_is_looked_up_by_the_coordinator() -> None:
 
 
 def test_jobs_are_listed_page_by_page() -> None:
-    asked: list[Jobs] = []
+    asked: list[ListJobs] = []
     ids = [f"j{number}" for number in range(7)]
 
     def handle(body: Body) -> AnswerBody:
-        assert isinstance(body, Jobs)
+        assert isinstance(body, ListJobs)
         asked.append(body)
         end = len(ids) if body.before is None else body.before
         start = max(0, end - min(body.limit, 3))
@@ -267,7 +267,7 @@ def test_an_analysis_is_asked_for_until_it_is_there_and_fetched_part_by_part() -
     said: list[str] = []
 
     def handle(body: Body) -> AnswerBody:
-        assert isinstance(body, Analyse)
+        assert isinstance(body, AskAnalysis)
         asked.append(body.index)
         return answers.pop(0)
 

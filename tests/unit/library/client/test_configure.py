@@ -15,14 +15,6 @@ def config_of(line: str) -> JobConfig:
     return configure(parse(["run", "data.csv", *line.split()]))
 
 
-def test_without_options_the_job_is_the_default_preset() -> None:
-    assert config_of("") == PRESETS["default"]
-
-
-def test_the_paper_preset_is_the_paper_preset() -> None:
-    assert config_of("--preset paper") == PRESETS["paper"]
-
-
 @pytest.mark.parametrize(
     ("line", "group", "key", "value"),
     [
@@ -81,14 +73,6 @@ def test_a_job_file_has_the_keys_of_the_configuration_and_options_override_it(tm
     config = config_of(f"--config {file} --islands 5")
     assert (config.seed, config.data.states) == (4, ("x", "y"))
     assert (config.evolution.islands, config.evolution.population) == (5, 32)
-
-
-def test_a_job_file_may_choose_the_preset_it_changes(tmp_path: Path) -> None:
-    file = tmp_path / "job.toml"
-    file.write_text('preset = "paper"\n[predictors]\nenabled = false\n')
-    config = config_of(f"--config {file}")
-    assert config.evolution == PRESETS["paper"].evolution
-    assert (config.predictors.enabled, config.predictors.rows) == (False, 16)
 
 
 def test_a_job_file_may_hold_what_is_known_beforehand(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from atoll.client.follower import PATIENCE_S, Follower, phase
 from atoll_core.errors import UnreachableError
-from atoll_core.wire.messages.clients import Change, Following
+from atoll_core.wire.messages.clients import Following, JobChange
 from atoll_core.wire.messages.views import JobView, VariableView, WorkerView, Workforce
 from tests.views import job_view
 
@@ -30,7 +30,7 @@ class ScriptedClient:
             raise view
         return Following(lease_s=30.0, change=self._change(view, sequence))
 
-    def next_change(self, limit_s: float) -> Change | None:
+    def next_change(self, limit_s: float) -> JobChange | None:
         self._now += limit_s
         view = self._views[0]
         if view is self._last or isinstance(view, Exception):
@@ -41,10 +41,10 @@ class ScriptedClient:
     def now(self) -> float:
         return self._now
 
-    def _change(self, view: JobView, previous: int) -> Change:
+    def _change(self, view: JobView, previous: int) -> JobChange:
         self._told, self._last = previous + 1, view
         workforce = Workforce.of([worker_of()])
-        return Change(job="j1", sequence=self._told, previous=previous, view=view, workforce=workforce)
+        return JobChange(job="j1", sequence=self._told, previous=previous, view=view, workforce=workforce)
 
 
 class Recorder:

@@ -5,10 +5,10 @@ import threading
 
 import pytest
 
-from atoll.tasks import team as module
-from atoll.tasks.team import HOLD_S, NOTED_S, Team, compute
+from atoll.tasks import process as module
+from atoll.tasks.process import NOTED_S, Team, compute
 from atoll_coordinator.model.batches import CANCELLED, FUNCTIONS
-from atoll_core.task_frames import Ask, Batch, FromProcess, Give, Progressed
+from atoll_core.task_frames import Ask, FromProcess, Give, Progressed, TaskBatch
 
 LIMIT_S = 60.0
 TASK = "t" * 64
@@ -37,7 +37,7 @@ class Said:
             self.gave.append(message)
             self.changed.notify_all()
 
-    def answer_to(self, token: int) -> Batch | None:
+    def answer_to(self, token: int) -> TaskBatch | None:
         with self.changed:
             assert self.changed.wait_for(lambda: any(one.token == token for one in self.gave), LIMIT_S)
             return next(one.batch for one in self.gave if one.token == token)
@@ -203,41 +203,11 @@ def test_what_breaks_in_a_batch_breaks_the_call_here_and_is_none_elsewhere(
     team = Team(said)
     with pytest.raises(ValueError, match="planted"):
         team.map("test: made", CONTEXT, ITEMS)
-    assert compute(Batch(1, "test: made", DIGEST, CONTEXT, b"")) is None
+    assert compute(TaskBatch(1, "test: made", DIGEST, CONTEXT, b"")) is None
     assert "a batch broke" in caplog.text
     team.ask(Ask(1))
     team.end()
     assert said.answer_to(1) is None  # the call that broke has no batches to give any more
-
-
-def test_numbers_of_another_process_fit_nowhere(said: Said, monkeypatch: pytest.MonkeyPatch) -> None:
-    gate, entered = threading.Event(), threading.Event()
-    here_gated(monkeypatch, gate, entered)
-    former, team = Team(lambda message: None), Team(said)
-    assert former._numbers != team._numbers
-    mapping = Mapping(team, ITEMS)
-    assert entered.wait(LIMIT_S)
-    for number in range(former._numbers, former._numbers + len(ITEMS)):
-        team.take(number, b"of another process")
-    team.take(team._calls[0].first, b"of nobody who was given it")
-    gate.set()
-    assert mapping.ended() == EXPECTED
-
-
-def test_a_question_waits_a_while_and_is_answered_then(said: Said) -> None:
-    clock = Clock()
-    team = Team(said, clock)
-    team.ask(Ask(1))
-    clock.now += HOLD_S / 2.0
-    team.ask(Ask(2))
-    team.expire()
-    assert said.gave == []
-    clock.now += HOLD_S / 2.0
-    team.expire()
-    assert said.gave == [Give(1, None)]
-    assert team.workers == 1
-    clock.now += 3.0 * HOLD_S
-    assert team.workers == 0  # nobody has asked for long
 
 
 def test_the_end_of_a_task_answers_who_waits(said: Said) -> None:
@@ -247,6 +217,23 @@ def test_the_end_of_a_task_answers_who_waits(said: Said) -> None:
     team.end()
     assert said.gave == [Give(1, None), Give(2, None)]
     assert team.workers == 0
+
+
+def test_the_worker_is_told_how_many_candidates_were_compared_now_and_then() -> None:
+    told: list[FromProcess] = []
+    clock = Clock()
+    team = Team(told.append, clock)
+    for task in (TASK, "u" * 64):
+        team.begin(task, 1)
+        told.clear()
+        for _ in range(5):
+            team.note(2)
+        assert told == [], "a heartbeat has no use for more"
+        clock.now += NOTED_S
+        team.note(1)
+        team.note(1)
+        assert told == [Progressed(task, 11)]
+        assert team.counts["compared"] == 12
 
 
 def test_what_has_not_come_in_time_is_cancelled(said: Said, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,20 +256,3 @@ def test_batches_that_are_too_large_for_a_message_are_computed_here(
     team.ask(Ask(1))
     assert team.map("test: made", CONTEXT, ITEMS) == EXPECTED
     assert said.gave == []
-
-
-def test_the_worker_is_told_how_many_candidates_were_compared_now_and_then() -> None:
-    told: list[FromProcess] = []
-    clock = Clock()
-    team = Team(told.append, clock)
-    for task in (TASK, "u" * 64):
-        team.begin(task, 1)
-        told.clear()
-        for _ in range(5):
-            team.note(2)
-        assert told == [], "a heartbeat has no use for more"
-        clock.now += NOTED_S
-        team.note(1)
-        team.note(1)
-        assert told == [Progressed(task, 11)]
-        assert team.counts["compared"] == 12

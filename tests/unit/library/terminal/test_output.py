@@ -6,15 +6,11 @@ import pytest
 
 from atoll.terminal.output import (
     as_json,
-    clipped,
-    count,
-    duration,
     note,
     say,
     shortened,
     table,
 )
-from tests.unit.common.test_command_line import Full
 
 
 @pytest.mark.parametrize(
@@ -33,22 +29,6 @@ def test_constants_are_rounded_and_names_are_not(expression: str, short: str) ->
     assert shortened(expression) == short
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0.04, "0.0 s"), (59.94, "59.9 s"), (185.0, "3:05"), (7800.0, "2:10:00")]
-)
-def test_durations(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
-
-
-def test_counts_have_three_digits() -> None:
-    assert [count(number) for number in (None, 0, 999, 4_260_000)] == ["-", "0", "999", "4.26e+06"]
-
-
-def test_long_texts_are_clipped_with_a_sign() -> None:
-    assert clipped("abcdef", 4) == "abc…"
-    assert clipped("abcd", 4) == "abcd"
-
-
 def test_a_table_is_aligned_and_has_no_trailing_blanks() -> None:
     assert table(("ID", "STATE"), [("abcdef", "done"), ("x", "-")]) == "ID      STATE\nabcdef  done\nx       -"
 
@@ -65,11 +45,6 @@ def test_rows_of_numbers_stand_on_one_line_and_stay_the_same():
     assert '"times": [1.0, 2.5e-07, null]' in text
     assert "    [1, 2]," in text
     assert "3" in next(line for line in text.splitlines() if '"a"' in line)
-
-
-def test_notes_that_cannot_be_written_stop_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stderr", Full())
-    note("progress")
 
 
 STEERING = "a\x1b]0;owned\x07\x9b2J\r\u202eb\x7f"

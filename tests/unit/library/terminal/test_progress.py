@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from atoll.terminal.progress import LiveDisplay, PlainDisplay, headline, plain_lines, row, standing
+from atoll.terminal.progress import LiveDisplay, PlainDisplay, headline, plain_lines, standing
 from atoll_core.wire.messages.views import JobView, TaskView, VariableView, WorkerView, Workforce
 from tests.views import job_view
 
@@ -38,11 +38,6 @@ def worker(**changes: object) -> WorkerView:
 HINT = "island-worker --connect tcp/here:7447"
 
 
-def test_a_row_has_epoch_error_size_and_best_equation() -> None:
-    assert row(X) == ("dx/dt", "3", "3.1e-14", "10", "3*x - x**2 - 2*x*y", "converged")
-    assert row(Y) == ("dy/dt", "0", "-", "-", "-", "")
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -55,11 +50,6 @@ def test_a_row_has_epoch_error_size_and_best_equation() -> None:
 )
 def test_the_standing_of_an_equation_is_a_word_or_two(changes: dict[str, object], words: str) -> None:
     assert standing(X.model_copy(update={"converged": False, "finished": False, "why": None} | changes)) == words
-
-
-def test_the_headline_has_state_time_workers_and_speed() -> None:
-    line = headline(job(), Workforce.of([worker()]), HINT)
-    assert line == "job a1b2c3d4 running, 4.2 s, 2 workers, 4.26e+06 point evaluations, 5.5e+07/s"
 
 
 def test_the_headline_says_how_many_candidates_refining_has_compared() -> None:
@@ -97,20 +87,6 @@ def test_the_plain_display_writes_on_changes_and_otherwise_only_now_and_then() -
     assert len(written) == 4
     display.show(job(state="done"), Workforce.of([worker()]), 5.2)
     assert len(written) == 6
-
-
-def test_the_live_display_shows_the_same_contents(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With expressions holding square brackets, which must not be taken for markup."""
-    screen = io.StringIO()
-    monkeypatch.setattr("sys.stderr", screen)
-    monkeypatch.setenv("COLUMNS", "120")
-    odd = Y.model_copy(update={"lhs": "d[y]/dt"})
-    with LiveDisplay(HINT) as display:
-        display.show(job(variables=(X, odd)), Workforce.of([worker()]), 0.0)
-        display.print_note("worker [w1] ended")
-    text = screen.getvalue()
-    for words in ("job a1b2c3d4 running", "3*x - x**2 - 2*x*y", "d[y]/dt", "worker [w1] ended", "converged"):
-        assert words in text
 
 
 @pytest.mark.parametrize(("no_color", "is_coloured"), [(None, True), ("", True), ("1", False)])

@@ -1,4 +1,4 @@
-from atoll.text.process import process_lines
+from atoll.text.render import process_lines
 from atoll_coordinator.result.result import Result
 from tests.unit.library.model.results import result
 

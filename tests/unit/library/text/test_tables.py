@@ -5,15 +5,13 @@ from typing import Any
 import pytest
 
 from atoll.model.equations import plus_minus, r2_text
-from atoll.text.tables import (
+from atoll.text.render import (
     MOST_LINES,
     candidates_table,
-    columns,
     constants_line,
     constants_table,
     correlation_lines,
     noise_lines,
-    percent,
     simulation_table,
     summary,
     together_line,
@@ -67,18 +65,6 @@ def test_a_value_has_the_digits_that_its_error_leaves(value: float, error: float
 )
 def test_r2_is_never_rounded_up_to_one(value: float | None, text: str) -> None:
     assert r2_text(value) == text
-
-
-def test_shares_are_percent() -> None:
-    assert [percent(share) for share in (0.0512, 0.25, 1.0, None)] == ["5.1 %", "25 %", "100 %", "?"]
-
-
-def test_columns_are_aligned_and_nothing_trails() -> None:
-    assert columns(("a", "bb", "c"), [("100", "2", ""), ("1", "20", "x")], " ") == [
-        "   a  bb  c",
-        " 100   2",
-        "   1  20  x",
-    ]
 
 
 def test_constants_stand_in_a_line_with_their_errors() -> None:

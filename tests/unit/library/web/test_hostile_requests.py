@@ -13,8 +13,8 @@ from atoll.web.description import describe
 from atoll.web.server import build_application
 from atoll_core.data.table import Table
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.clients import Jobs
-from atoll_core.wire.messages.clients import Request as Question
+from atoll_core.wire.messages.clients import ClientRequest as Question
+from atoll_core.wire.messages.clients import ListJobs
 from tests.http import LOCAL as LOCAL_HOST
 from tests.http import ask, ask_async
 from tests.unit.library.web.made import READERS, TOKEN, Asked, AtHand, application
@@ -259,6 +259,6 @@ def test_a_message_is_asked_of_the_coordinator_as_its_sender() -> None:
     ann, bob = Asked(job_view(job="b")), Asked()
     gateways = {digest_of(name * 16): AtHand(client) for name, client in (("a", ann), ("b", bob))}
     app = build_application(Access(gateways, None, LOCAL_HOSTS), READERS)  # type: ignore[arg-type]
-    question = Question(body=Jobs())
+    question = Question(body=ListJobs())
     ask(app, "POST", "/api/v1/messages", encode(question), authorization="Bearer " + "b" * 16)
     assert (ann.calls, bob.calls) == ([], [("exchange", question)])

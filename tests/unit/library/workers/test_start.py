@@ -1,14 +1,19 @@
 """What `start_on` refuses before anything is sent to a cluster."""
 
 import builtins
+import sys
+import threading
+from collections.abc import Mapping, Sequence
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
 from atoll.workers import start_on
-from atoll.workers.start import _options
-from atoll_core.errors import UsageError
+from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerProgram, _options, ending, limited
+from atoll_core.errors import AtollError, UnreachableError, UsageError
+from atoll_island_worker.cli import _parse
+from tests.programs import until
 
 ADDRESS = "tcp/127.0.0.1:7447"
 RAY = ModuleType("ray")
@@ -77,3 +82,82 @@ def test_what_a_program_is_told_is_plain() -> None:
     assert (options.connect, options.wait_s, options.grace_s, options.tls) == ("tls/lab:7447", 5.0, 2.5, files)
     kinds = {type(value) for value in (options.connect, options.wait_s, options.grace_s, *options.tls.values())}
     assert kinds <= {getattr(builtins, name) for name in ("str", "float")}
+
+
+OPTIONS = ProgramOptions("tls/lab:7447", 7.0, 3.0, {"ca": "a.pem", "cert": "c.pem", "key": "k.pem"})
+
+
+class Machines(Handle):
+    def __init__(self, **machines: MachineWorkers) -> None:
+        self.found = machines
+        self.is_closed = False
+
+    def machines(self) -> Mapping[str, MachineWorkers]:
+        return self.found
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def test_the_command_is_one_that_the_program_understands(monkeypatch: pytest.MonkeyPatch) -> None:
+    commands: list[Sequence[str]] = []
+    monkeypatch.setattr("subprocess.Popen", lambda command, **_: commands.append(command))
+    WorkerProgram(OPTIONS, 4)
+    (command,) = commands
+    assert list(command[:3]) == [sys.executable, "-m", "atoll_island_worker"]
+    read = _parse(command[3:])
+    assert (read.connect, read.processes, read.wait, read.grace) == ("tls/lab:7447", 4, 7.0, 3.0)
+    assert (read.tls_ca, read.tls_cert, read.tls_key) == ("a.pem", "c.pem", "k.pem")
+    assert read.supervise
+    assert read.parent
+    assert read.name is None
+
+
+def test_the_end_of_a_program_is_seen() -> None:
+    made = WorkerProgram(ProgramOptions("tcp/127.0.0.1:9", 0.0, 0.0), 1)
+    until(lambda: made.exit_code() is not None)
+    assert made.exit_code() == 3
+    made.drain()
+
+
+def test_a_handle_says_which_machine_has_lost_its_workers_and_why() -> None:
+    Machines(first=MachineWorkers(2, None)).check()
+    with pytest.raises(AtollError) as raised:
+        Machines(first=MachineWorkers(2, None), second=MachineWorkers(1, 2)).check()
+    assert str(raised.value) == (
+        "the island workers of second have ended with exit code 2 (bad options, or refused by the coordinator); the "
+        "log of that machine's process in the cluster says more"
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "sentence"),
+    [
+        (0, "ended with exit code 0 (the coordinator ended, or they were told to end)"),
+        (1, "ended with exit code 1"),
+        (3, "ended with exit code 3 (the coordinator could not be reached)"),
+        (-9, "ended by signal 9"),
+    ],
+)
+def test_endings_are_said(code: int, sentence: str) -> None:
+    assert ending(code) == sentence
+
+
+def test_the_end_of_a_block_ends_the_workers() -> None:
+    with Machines() as handle:
+        assert not handle.is_closed
+    assert handle.is_closed
+
+
+def test_what_a_call_returns_or_raises_comes_through() -> None:
+    assert limited(lambda: 3, 60.0, "it has not answered") == 3
+    assert limited(lambda: None, 60.0, "it has not answered") is None
+    with pytest.raises(ZeroDivisionError):
+        limited(lambda: 1 // 0, 60.0, "it has not answered")
+
+
+def test_a_call_that_takes_longer_is_left() -> None:
+    end = threading.Event()
+    with pytest.raises(UnreachableError, match=r"it has not answered within 0.01 s; a machine of it may hang"):
+        limited(end.wait, 0.01, "it has not answered")
+    end.set()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from atoll_core.compilation.jit import IS_COMPILED, kernel
+from atoll_core.compilation.jit import kernel
 from atoll_core.expression.kernels.elementary import (
     strict_cos,
     strict_exp,
@@ -14,9 +14,9 @@ from atoll_core.expression.kernels.elementary import (
     strict_sin,
     strict_tanh,
 )
-from atoll_core.expression.kernels.functions import LEFT, RIGHT, apply_function, functions_address, left_partial_code
+from atoll_core.expression.kernels.functions import LEFT, RIGHT, apply_function, functions_address
 from atoll_core.expression.kernels.lanes import LANES, place
-from atoll_core.expression.operators import ABS, COS, EXP, LOG, OPERATORS, POW, SIN, TANH
+from atoll_core.expression.operators import ABS, COS, EXP, LOG, POW, SIN, TANH
 
 AWKWARD = [0.0, -0.0, 1.0, -1.0, 0.5, 3.0, -2.0, 1e-300, 5e-324, 1e200, 1e5, -1.1e5, math.inf, -math.inf, math.nan]
 FUNCTIONS = {
@@ -68,17 +68,3 @@ def test_every_lane_has_the_bits_of_the_function_of_one_number(operator):
 def test_awkward_numbers_have_no_influence_on_their_neighbours(operator):
     for turn in range(len(AWKWARD)):
         assert_lanes(operator, np.resize(AWKWARD, LANES), np.resize(np.roll(AWKWARD, turn), LANES))
-
-
-def test_partial_derivatives_have_codes_of_their_own():
-    codes = [start + operator.code for start in (0, LEFT, RIGHT) for operator in OPERATORS]
-    assert len(set(codes)) == len(codes)
-
-
-def test_the_partial_derivative_of_a_function_may_be_another_one():
-    assert [left_partial_code(code) for code in (SIN, COS, ABS, POW)] == [COS, SIN, LEFT + ABS, LEFT + POW]
-
-
-def test_compiled_functions_have_an_address_and_interpreted_ones_have_none():
-    assert (functions_address() != 0) == IS_COMPILED
-    assert functions_address() == functions_address()

@@ -115,14 +115,6 @@ def test_the_shortest_writing_is_found(text):
     assert shortened(CASES[text]) == CASES[text]
 
 
-@pytest.mark.parametrize("text", CASES)
-def test_values_stay_wherever_there_were_any(text):
-    program = from_infix(text, NAMES)
-    before, after = values_of(program, ROWS), values_of(shortest(program), ROWS)
-    defined = np.isfinite(before)
-    assert after[defined] == pytest.approx(before[defined], rel=1e-9, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("text", "shown"),
     [

@@ -34,23 +34,6 @@ def test_what_we_accept_zenoh_accepts(text: str) -> None:
     assert str(zenoh.KeyExpr(text)) == text
 
 
-@pytest.mark.parametrize(
-    ("expression", "key", "expected"),
-    [
-        ("a/b", "a/b", True),
-        ("a/*", "a/b", True),
-        ("a/*", "a", False),
-        ("a/*", "a/b/c", False),
-        ("a/**", "a", True),
-        ("**/c", "a/b/c", True),
-        ("a/**/c/*", "a/c/c/d", True),
-        ("*", "@a", False),
-    ],
-)
-def test_examples(expression: str, key: str, expected: bool) -> None:
-    assert matches(expression, key) is expected
-
-
 def test_a_payload_beyond_the_limit_is_our_own_error() -> None:
     check_payload("a", bytes(10))
     with pytest.raises(LocalProtocolError, match="more than"):

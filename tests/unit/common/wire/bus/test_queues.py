@@ -3,14 +3,7 @@
 import threading
 
 from atoll_core.wire.bus.interface import Message, Posted, Query, Reply
-from atoll_core.wire.bus.queues import INBOX_BYTES, Inbox, Outbox, Timers
-
-
-def test_events_come_in_the_order_in_which_they_were_added() -> None:
-    inbox = Inbox()
-    for number in range(3):
-        inbox.add(Posted(number))
-    assert [inbox.take(0.0) for _ in range(4)] == [Posted(0), Posted(1), Posted(2), None]
+from atoll_core.wire.bus.queues import INBOX_BYTES, Inbox, Outbox
 
 
 def test_a_flood_of_messages_is_dropped_but_nothing_else() -> None:
@@ -37,24 +30,6 @@ def test_after_a_flood_there_is_room_again() -> None:
         while inbox.take(0.0) is not None:
             count += 1
         assert count == 3
-
-
-def test_alarms_ring_in_order_and_only_when_due() -> None:
-    timers = Timers()
-    timers.add(2.0, "two")
-    timers.add(1.0, "one")
-    assert timers.pop_due(0.9) is None
-    assert [timers.pop_due(2.0) for _ in range(3)] == ["one", "two", None]
-    assert timers.next_time() == float("inf")
-
-
-def test_an_alarm_set_again_rings_only_at_its_new_time() -> None:
-    timers = Timers()
-    timers.add(1.0, "one")
-    timers.add(3.0, "one")
-    assert timers.next_time() == 3.0
-    timers.add(0.5, "one")
-    assert [timers.pop_due(3.0) for _ in range(2)] == ["one", None]
 
 
 LIMIT_S = 30.0

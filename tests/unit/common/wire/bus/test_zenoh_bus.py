@@ -66,34 +66,12 @@ def test_a_client_waits_for_a_coordinator_that_comes_later() -> None:
             assert buses[0].endpoint == address
 
 
-def test_a_name_is_as_good_as_a_number(router: ZenohBus) -> None:
-    with open_client(router.endpoint.replace("127.0.0.1", "localhost"), wait_s=5.0):
-        pass
-
-
-def test_a_port_in_use_is_a_usage_error_with_advice(router: ZenohBus) -> None:
-    with pytest.raises(UsageError, match=r"in use .* choose another with --listen"):
-        open_router(router.endpoint)
-
-
 @pytest.mark.parametrize(
     ("path", "value"), [("transport/no_such_thing", 1), ("transport/unicast/max_sessions", "many")]
 )
 def test_a_setting_that_zenoh_does_not_know_is_a_usage_error(path: str, value: object) -> None:
     with pytest.raises(UsageError, match=path):
         open_router("tcp/127.0.0.1:0", {path: value})
-
-
-@pytest.mark.slow
-def test_settings_reach_zenoh(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zenoh_bus, "_ATTEMPT_MS", 500)
-    one_session = {"transport/unicast/max_sessions": 1}
-    with (
-        open_router("tcp/127.0.0.1:0", one_session) as narrow,
-        open_client(narrow.endpoint, wait_s=5.0),
-        pytest.raises(UnreachableError),
-    ):
-        open_client(narrow.endpoint)
 
 
 def test_a_flood_loses_nothing(router: ZenohBus) -> None:
@@ -266,11 +244,6 @@ def test_a_client_with_several_addresses_finds_whoever_listens_and_goes_over_to_
                 assert [first(client, Link), first(client, Link)] == [Link(False), Link(True)]
         finally:
             other.close()
-
-
-def test_none_of_several_addresses_is_said_with_all_of_them() -> None:
-    with pytest.raises(UnreachableError, match=r"no coordinator answers at tcp/127\.0\.0\.1:9,tcp/127\.0\.0\.1:10"):
-        open_client("tcp/127.0.0.1:9,tcp/127.0.0.1:10")
 
 
 def test_the_owner_sends_no_answer_itself(router: ZenohBus, monkeypatch: pytest.MonkeyPatch) -> None:

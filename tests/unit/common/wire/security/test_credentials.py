@@ -16,10 +16,6 @@ def test_good_files_tell_whose_they_are(lab: Lab) -> None:
     assert hosts == ("lab.example", "localhost", "127.0.0.1", "::1")
 
 
-def test_a_coordinator_may_dial_a_router_elsewhere(lab: Lab) -> None:
-    assert load(*lab.files("coordinator"), use="connect").name == "coordinator"
-
-
 def test_options_go_before_the_environment_and_all_three_are_needed(lab: Lab) -> None:
     variables = dict(zip(("ATOLL_TLS_CA", "ATOLL_TLS_CERT", "ATOLL_TLS_KEY"), map(str, lab.files("ann")), strict=True))
     credentials = credentials_of({"tls_ca": None, "tls_cert": None}, variables, "connect")

@@ -23,7 +23,7 @@ from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.model.refinement import Alternative, Refinement
 from atoll_coordinator.model.selection import joint_search, piece_lengths
 from atoll_coordinator.model.selection.candidates import collect_candidates, form
-from atoll_coordinator.model.selection.comparison import FittedModel
+from atoll_coordinator.model.selection.score import FittedModel, Score
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Dataset, Target
@@ -569,7 +569,7 @@ def test_constants_keep_few_digits_beside_a_simple_number_that_costs_something(m
     """It is singled out by the covariance, which is larger where errors go together."""
     known = Known(("x",), lambda _, z: [0.31472926535 - 0.5 * z[0]])
     comparison = compare(known, measurements(known, ([2.0], [-1.0]), TIMES, noise=1e-5, seed=seed), 1e-8)
-    monkeypatch.setattr(comparison, "inflation", lambda _: 30.0)
+    monkeypatch.setattr(Score, "inflation", lambda *_: 30.0)
     near = comparison.fit_model([known.parsed("0.3 - 0.5*x")])
     shown = _show(comparison, near, near.programs)
     program = shown.rounded.programs[0]

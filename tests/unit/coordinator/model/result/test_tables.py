@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.text.tables import noise_lines
+from atoll.text.render import noise_lines
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.recording import ExcludedRow, Recording, Smoothing, Trajectory

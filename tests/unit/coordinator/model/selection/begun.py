@@ -22,4 +22,4 @@ def selected(known, text, noise=0.0, config=DEFAULT, starts=STARTS):
     task = ModellingTask(prepared.dataset, prepared.recording, config, candidates)
     comparison = task.compare(task.compared_measurements, task.variables)
     model = comparison.fit_model([candidates["h"].front[0].program])
-    return SelectedModel(task, comparison, comparison.calibrate(model))
+    return SelectedModel(task, *comparison.calibrated(model))

@@ -15,7 +15,6 @@ from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.expression.program import structure
-from atoll_core.expression.writing.expansion import form_of
 from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, table
 
@@ -54,19 +53,6 @@ def test_rivals_are_other_functions_and_no_better():
     assert nats == sorted(nats)
     assert nats[0] > chosen.model.nats
     assert len(forms) <= SETTINGS.effort.beam
-
-
-def test_the_same_form_with_other_constants_is_no_rival(monkeypatch):
-    """However it is written, and although its constants make it differ from the one that is shown."""
-    chosen = selection()
-    copies = [SWING.parsed(text) for text in ("-2*(x + 0.2*y)", "-0.3*(7*x + y)")]
-    chosen.comparison.narrow_down(chosen.model, 1, copies, ((12, 20),))
-    monkeypatch.setattr(chosen.comparison, "distinct", lambda models, _: list(models))
-    monkeypatch.setattr(alternatives, "differ", lambda *_: True)
-    forms = [form_of(alternative.model.programs[1]) for alternative in ranked_by(chosen).alternatives[1]]
-    assert forms
-    assert form_of(SWING.parsed(TRUTH)) not in forms
-    assert len(set(forms)) == len(forms)
 
 
 def test_without_time_nothing_is_validated(monkeypatch):

@@ -1,5 +1,7 @@
 """Candidates of one variable, ranked by its trajectories alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -84,10 +86,10 @@ def test_what_is_proposed_later_is_ranked_among_what_was_there(alone):
 def test_what_is_too_long_to_matter_is_no_candidate(alone):
     comparison, problem = alone
     candidates = RankedCandidates(comparison, problem)
-    most = comparison.length(SWING.parsed("-2.5*x - 0.1*y"))
+    most = comparison.score.length(SWING.parsed("-2.5*x - 0.1*y"))
     written_long = "-2.5*x*x/x"
     candidates.add(programs("-2.5*x - 0.1*y", "0.5*y", written_long), libraries([0, 1], ARITHMETIC), most)
-    assert all(comparison.length(program) < most for program in candidates.programs)
+    assert all(comparison.score.length(program) < most for program in candidates.programs)
     assert {structure(program) for program in candidates.programs} >= {
         structure(program) for program in programs("0.5*y", "-2.5*x")
     }
@@ -117,8 +119,7 @@ def test_sums_of_libraries_are_written_in_one_call_of_batches(alone):
     here = RankedCandidates(comparison, problem)
     here.add(*given, most=1000.0)
     batches = Counted()
-    comparison.spread = Spread(batches)
-    there = RankedCandidates(comparison, problem)
+    there = RankedCandidates(replace(comparison, spread=Spread(batches)), problem)
     there.add(*given, most=1000.0)
     assert batches.asked.count("writings") == 1  # a single program is written here
     assert list(map(Program.to_bytes, there.programs)) == list(map(Program.to_bytes, here.programs))

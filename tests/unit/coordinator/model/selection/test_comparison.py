@@ -15,9 +15,10 @@ from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection import comparison
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.comparison import Constraints, FittedModel, ModelComparison
+from atoll_coordinator.model.selection.comparison import Constraints, ModelComparison
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.joint_search import exchange
+from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
@@ -188,7 +189,7 @@ def narrowed(fitting: ModelComparison, until: float = math.inf) -> tuple[list[by
     near = fitting.fit_model([RIVALS[0], OTHER])
     models = fitting.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4), (10, 3)), until)
     models += fitting.fit_all([(program, OTHER) for program in RIVALS], 6, (5,))
-    calibrated = fitting.calibrate(models[0])
+    fitting, calibrated = fitting.calibrated(models[0])
     models += [calibrated, *fitting.narrow_down(calibrated, 1, [*RIVALS, OTHER], ((2, 9),), until)]
     models += fitting.fit_all([(program, OTHER) for program in RIVALS])
     return [bits(model) for model in models], fitting.estimator.work
@@ -251,10 +252,10 @@ def test_batches_of_groups_and_bounds_change_no_bit():
 
 
 def test_noise_is_not_exact_and_its_absence_is():
-    assert not lotka().is_exact(lotka().fit_model([TRUTH, OTHER]))
+    assert not lotka().score.is_exact(lotka().fit_model([TRUTH, OTHER]))
     comparison = compare(LOTKA, measurements(LOTKA, STARTS, TIMES), 1e-10)
-    assert comparison.is_exact(comparison.fit_model([TRUTH, OTHER]))
-    assert not comparison.is_exact(comparison.fit_model([RIVALS[0], OTHER]))
+    assert comparison.score.is_exact(comparison.fit_model([TRUTH, OTHER]))
+    assert not comparison.score.is_exact(comparison.fit_model([RIVALS[0], OTHER]))
 
 
 def test_the_covariance_is_that_of_least_squares():
@@ -286,10 +287,15 @@ def test_a_constant_beside_redundant_ones_keeps_its_variance():
     assert np.isinf(variances).tolist() == [True, True, *[False] * (len(variances) - 2)]
 
 
-def calibrated(comparison: ModelComparison, *programs: Program) -> FittedModel:
+def calibrated(comparison: ModelComparison, *programs: Program) -> tuple[ModelComparison, FittedModel]:
     model = comparison.fit_model(list(programs), 40)
     assert model is not None
-    return comparison.calibrate(model)
+    return comparison.calibrated(model)
+
+
+def has_room(comparison: ModelComparison, *programs: Program) -> bool:
+    comparison, model = calibrated(comparison, *programs)
+    return comparison.score.has_room(model)
 
 
 def long_lotka(noise: float, seed: int = 0) -> ModelComparison:
@@ -299,18 +305,18 @@ def long_lotka(noise: float, seed: int = 0) -> ModelComparison:
 @pytest.mark.parametrize("seed", [1, 3])
 def test_where_noise_alone_is_left_no_longer_system_is_worth_looking_for(seed):
     comparison = long_lotka(NOISE, seed)
-    assert not comparison.has_room(calibrated(comparison, TRUTH, OTHER))
+    assert not has_room(comparison, TRUTH, OTHER)
 
 
 def test_what_is_left_beyond_noise_gives_room_for_a_longer_system():
     comparison = long_lotka(NOISE, 1)
-    assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+    assert has_room(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER)
 
 
 def test_without_noise_only_errors_of_integration_leave_no_room():
     comparison = long_lotka(0.0)
-    assert not comparison.has_room(calibrated(comparison, TRUTH, OTHER))
-    assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+    assert not has_room(comparison, TRUTH, OTHER)
+    assert has_room(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER)
 
 
 @pytest.mark.parametrize("size", [1.2e-4, 3e-4])
@@ -321,8 +327,8 @@ def test_of_a_nearly_clean_state_beside_a_noisy_one_noise_leaves_no_room(size):
     exact = measurements(LOTKA, STARTS, 0.05 * np.arange(150.0)).measured[0]
     measured = np.stack([exact + rows.scales[0] * errors, rows.measured[1]])
     comparison = compare(LOTKA, replace(rows, measured=measured, noise=clean), 1e-10)
-    assert not comparison.has_room(calibrated(comparison, TRUTH, OTHER))
-    assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+    assert not has_room(comparison, TRUTH, OTHER)
+    assert has_room(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER)
 
 
 @pytest.mark.parametrize("taken", [1e-5, 1e-2])
@@ -333,7 +339,7 @@ def test_what_a_clean_state_is_missed_by_leaves_room_whatever_noise_the_smoother
     measured = rows.measured + np.array([missed, np.zeros(rows.rows)])
     noise = taken * rows.scales[rows.observed]
     comparison = compare(LOTKA, replace(rows, measured=measured, noise=noise), 1e-10)
-    assert comparison.has_room(calibrated(comparison, TRUTH, OTHER))
+    assert has_room(comparison, TRUTH, OTHER)
 
 
 def test_outliers_leave_no_room():
@@ -342,10 +348,10 @@ def test_outliers_leave_no_room():
     measured = rows.measured.copy()
     measured[1, [40, 260]] += 8.0 * rows.noise[1]
     comparison = compare(LOTKA, replace(rows, measured=measured), 1e-10)
-    model = calibrated(comparison, TRUTH, OTHER)
+    comparison, model = calibrated(comparison, TRUTH, OTHER)
     assert model.fit.squares[1] > 1.25 * rows.noise[1] ** 2
-    assert not comparison.has_room(model)
-    assert comparison.has_room(calibrated(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER))
+    assert not comparison.score.has_room(model)
+    assert has_room(comparison, LOTKA.parsed("1.1*x - 0.9*x*y"), OTHER)
 
 
 def test_what_is_missed_in_a_few_rows_is_no_outlier():
@@ -355,7 +361,7 @@ def test_what_is_missed_in_a_few_rows_is_no_outlier():
     measured[1, 40:55] += 3.5 * rows.noise[1]
     measured[1, 260:275] += 3.5 * rows.noise[1]
     comparison = compare(LOTKA, replace(rows, measured=measured), 1e-10)
-    assert comparison.has_room(calibrated(comparison, TRUTH, OTHER))
+    assert has_room(comparison, TRUTH, OTHER)
 
 
 def test_an_absent_species_must_stay_absent():
@@ -382,8 +388,8 @@ def test_what_the_equations_miss_is_not_taken_for_errors_that_go_together():
     comparison = task.compare(task.measurements(states), states)
     names = preparation.dataset.names
     programs = [from_infix(text, names) for text in ("hare*(0.5 - 0.025*lynx)", "0.025*lynx*(hare - 33.0)")]
-    comparison.calibrate(comparison.fit_model(programs))
-    assert comparison.errors is None
+    comparison, _ = comparison.calibrated(comparison.fit_model(programs))
+    assert comparison.score.errors is None
 
 
 def drifting(true, length=300):
@@ -399,28 +405,32 @@ def drifting(true, length=300):
 
 def test_errors_of_a_sensor_are_held_for_all_systems():
     comparison, begun = drifting("-0.4*x")
-    assert comparison.excess(begun) <= 1.25 < np.sqrt(begun.fit.squares[0]) / comparison.estimator.measurements.noise[0]
-    model = comparison.calibrate(begun)
-    assert comparison.errors is not None
-    assert comparison.errors.shares[0] > 0.5
-    assert model.fit.errors.decays.tolist() == comparison.errors.decays.tolist()
-    white = comparison.whitened(model.fit)[0]
+    assert (
+        comparison.score.excess(begun)
+        <= 1.25
+        < np.sqrt(begun.fit.squares[0]) / comparison.estimator.measurements.noise[0]
+    )
+    comparison, model = comparison.calibrated(begun)
+    assert comparison.score.errors is not None
+    assert comparison.score.errors.shares[0] > 0.5
+    assert model.fit.errors.decays.tolist() == comparison.score.errors.decays.tolist()
+    white = comparison.score.whitened(model.fit)[0]
     assert abs(float(white[1:] @ white[:-1]) / float(white @ white)) < 0.15
-    assert not comparison.has_room(model)
+    assert not comparison.score.has_room(model)
     longer = comparison.fit_exchanged(model, 0, DECAY.parsed("0.01 - 0.4*x"), 40)
-    assert longer.fit.errors.shares.tolist() == comparison.errors.shares.tolist()
+    assert longer.fit.errors.shares.tolist() == comparison.score.errors.shares.tolist()
     assert longer.nats > model.nats + 4.0
-    assert comparison.inflation(model) == pytest.approx(1.0, abs=0.1)
+    assert comparison.score.inflation(model) == pytest.approx(1.0, abs=0.1)
     anew = comparison.fit_model([DECAY.parsed("-0.4*x")])
-    assert anew.fit.errors.shares.tolist() == comparison.errors.shares.tolist()
+    assert anew.fit.errors.shares.tolist() == comparison.score.errors.shares.tolist()
     assert anew.nats == pytest.approx(model.nats, abs=0.01)
 
 
 def test_what_a_law_misses_is_no_error_of_a_sensor():
     comparison, wrong = drifting("1.0 - 0.4*x*x")
-    model = comparison.calibrate(wrong)
-    assert comparison.errors is None
-    assert comparison.excess(model) > 1.25
+    comparison, model = comparison.calibrated(wrong)
+    assert comparison.score.errors is None
+    assert comparison.score.excess(model) > 1.25
 
 
 @pytest.mark.parametrize("begun", [(TRUTH, OTHER), (RIVALS[1], LOTKA.parsed("1.0*y - 0.5*y*y"))])
@@ -428,7 +438,7 @@ def test_equations_exchanged_as_if_the_best_stayed_the_same_are_those_exchanged_
     ends = []
     for spread in (Spread(), Spread(ScatteredBatches(3))):
         comparison = lotka(spread=spread)
-        model = comparison.calibrate(comparison.fit_model(begun))
+        comparison, model = comparison.calibrated(comparison.fit_model(begun))
         best = exchange(comparison, model, [[TRUTH, *RIVALS], [OTHER, LOTKA.parsed("1.0*y - 0.5*y*y")]])
         ends.append(
             (

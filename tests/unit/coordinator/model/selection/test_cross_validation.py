@@ -75,7 +75,7 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
         seen.append(fold.left_out)
         return squared_errors(fitting, fold)
 
-    monkeypatch.setattr(FOLDS, "_compute", left)
+    monkeypatch.setattr(FOLDS, "compute", left)
     validation.of(model(comparison, "y", "-1.9*x - 0.2*y"))
     assert len(seen) == SETTINGS.effort.beam
     assert sorted(owner for fold in seen for owner in fold) == list(range(25))
@@ -84,7 +84,7 @@ def test_many_trajectories_are_left_out_several_at_a_time(monkeypatch):
 def test_what_cannot_be_simulated_foretells_nothing(monkeypatch):
     rows = swinging()
     validation = Validation(rows)
-    monkeypatch.setattr(FOLDS, "_compute", lambda *_: ())
+    monkeypatch.setattr(FOLDS, "compute", lambda *_: ())
     fitted = validation.of(model(rows, "y", "-1.9*x - 0.2*y"))
     assert fitted.misfit == np.inf
     assert fitted.r2 == (-np.inf, -np.inf)
@@ -103,7 +103,7 @@ def test_nothing_is_foretold_after_the_time_is_over(monkeypatch, fold):
         now[0] = 2.0 if len(seen) == fold else now[0]
         return made
 
-    monkeypatch.setattr(FOLDS, "_compute", left)
+    monkeypatch.setattr(FOLDS, "compute", left)
     now[0] = 0.0 if fold else 2.0
     assert validation.of(fitted) is None
     assert len([made for made in seen if made]) == fold

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.selection import elimination
 from atoll_coordinator.model.selection.elimination import eliminated
 from atoll_coordinator.model.structure.term_libraries import fractions, libraries, product_of
 from atoll_core.data.dataset import Problem, Target
@@ -38,17 +37,6 @@ def test_elimination_goes_past_the_truth():
     assert sorted(best.fit.system.values.tolist()) == pytest.approx([-1.5, -0.7, -0.2], abs=0.06)
     text = DUFFING.text(best.programs[0])
     assert (text.count("x"), text.count("y")) == (2, 1) or (text.count("x"), text.count("y")) == (4, 1)
-
-
-def test_where_a_sum_cannot_be_simulated_the_smallest_term_goes(monkeypatch):
-    alone, problem = duffing(0.02)
-    monkeypatch.setattr(alone, "fit_model", lambda *_: None)
-    seen = []
-    monkeypatch.setattr(
-        elimination, "_fitted", lambda columns, target: seen.append(len(columns)) or [1.0] * len(columns)
-    )
-    assert eliminated(alone, problem, [1.0, X, Y]) == []
-    assert seen == [3, 2, 1]
 
 
 def test_columns_that_repeat_each_other_are_no_trouble():

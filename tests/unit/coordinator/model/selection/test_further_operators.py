@@ -24,7 +24,7 @@ def remarks(selection):
 def test_a_function_that_makes_the_description_shorter_is_taken_and_named(noise):
     found = with_further_operators(selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", noise))
     assert TANK.text(found.model.programs[0]).count("sqrt") == 1
-    assert found.comparison.is_exact(found.model) == (noise == 0.0)
+    assert found.comparison.score.is_exact(found.model) == (noise == 0.0)
     (sentence,) = remarks(found)
     assert "with sqrt the description is shorter" in sentence
     assert isinstance(sentence, Note)
@@ -33,7 +33,7 @@ def test_a_function_that_makes_the_description_shorter_is_taken_and_named(noise)
 @pytest.mark.parametrize("begun", ["0.4 - 0.9*h", "0.3 - 0.1*h*h"])
 def test_a_law_is_taken_whatever_errors_the_equation_before_it_left(begun):
     found = with_further_operators(selected(TANK, begun))
-    assert found.comparison.is_exact(found.model), TANK.text(found.model.programs[0])
+    assert found.comparison.score.is_exact(found.model), TANK.text(found.model.programs[0])
 
 
 def test_operators_that_are_named_are_kept_to():

@@ -8,8 +8,8 @@ import pytest
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pools import Law
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.model_selection import with_other_terms
+from atoll_coordinator.model.selection.score import Score
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.expression.text.infix import to_infix
@@ -28,7 +28,7 @@ def selected(texts, noise, config=CONFIG, **options):
     candidates = {name: CandidateSet() for name in SWING.states}
     task = ModellingTask(prepared.dataset, prepared.recording, config, candidates, **options)
     model = task.comparison.fit_model([from_infix(text, SWING.names) for text in texts])
-    return SelectedModel(task, task.comparison, task.comparison.calibrate(model))
+    return SelectedModel(task, *task.comparison.calibrated(model))
 
 
 def terms(selection):
@@ -47,7 +47,7 @@ def test_each_equation_gains_and_loses_terms_as_the_trajectories_have_it(texts):
 
 def test_a_missing_term_is_found_where_the_residuals_seem_to_leave_no_room(monkeypatch):
     before = selected(("y", "-2.1*x"), noise=0.2)
-    monkeypatch.setattr(ModelComparison, "room", lambda *_: 0.0)
+    monkeypatch.setattr(Score, "room", lambda *_: 0.0)
     assert terms(with_other_terms(before)) == [{"y"}, {"x", "y"}]
 
 

@@ -10,6 +10,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.selection.candidates import collect_candidates
 from atoll_coordinator.model.selection.pool import CandidatePool
+from atoll_coordinator.model.selection.score import Score
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig, SpaceConfig
@@ -55,7 +56,7 @@ def test_beside_a_system_that_leaves_noise_alone_only_what_is_short_is_taken_in(
     pool.add(proposer(LONG, asked))
     assert all(math.isfinite(most) for most in asked[2:])
     assert pool.lists == before
-    assert not pool.comparison.has_room(pool.best)
+    assert not pool.comparison.score.has_room(pool.best)
 
 
 def test_a_system_that_is_longer_than_laws_are_ends_no_stage(monkeypatch):
@@ -64,7 +65,7 @@ def test_a_system_that_is_longer_than_laws_are_ends_no_stage(monkeypatch):
     candidates = collect_candidates(measured.dataset, CONFIG, pools(measured, a=("b",), b=("-a",)))
     exact = ModellingTask(measured.dataset, measured.recording, CONFIG, candidates)
     pool = CandidatePool(exact, exact.comparison, {})
-    monkeypatch.setattr(pool.comparison, "has_room", lambda _: False)
+    monkeypatch.setattr(Score, "has_room", lambda *_: False)
     pool.add(proposer(LONG))
     assert pool.longest > SETTINGS.selection.usual_length
     assert not pool.suffices

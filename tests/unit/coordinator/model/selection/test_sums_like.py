@@ -21,7 +21,7 @@ def test_a_law_takes_the_place_of_what_is_about_the_same(noise):
     assert "h**2" in text
     assert found.model.nats < selection.model.nats - 20.0
     if not noise:
-        assert found.comparison.is_exact(found.model)
+        assert found.comparison.score.is_exact(found.model)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])

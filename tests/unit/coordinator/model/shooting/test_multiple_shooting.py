@@ -382,7 +382,7 @@ def test_segments_of_groups_are_joined_with_the_constants_of_each():
 def test_a_fit_ends_where_it_cannot_come_to_its_goal():
     """A decay has no constants with which it gives a growth, and those with which it gives the least are far away."""
     rows = measurements(DECAY, ([4.0],), 0.1 * np.arange(60.0), noise=0.02)
-    start, misfit = system(DECAY, "-0.3*x"), compare(DECAY, rows).misfit
+    start, misfit = system(DECAY, "-0.3*x"), compare(DECAY, rows).score.misfit
     far = system(DECAY, "-0.1*x*x*x")
 
     def ended(begun, most):

@@ -85,9 +85,13 @@ def clients(tasks: Tasks) -> Iterator[ClientRequests]:
         yield ClientRequests(controller, store, Authorization(None, store), deletion, lambda: Now.s)
 
 
-def chunk(data: bytes = TABLE, **changes: object) -> messages.Request:
+def ask(clients: ClientRequests, body: messages.RequestBody, client: str = "ann") -> messages.AnswerBody:
+    return clients.answer(client, messages.ClientRequest(body=body))
+
+
+def chunk(data: bytes = TABLE, **changes: object) -> messages.ClientRequest:
     fields = {"blob": BLOB, "size": len(TABLE), "index": 0, "sha256": hashlib.sha256(data).hexdigest(), "data": data}
-    return messages.Request(body=messages.Upload.model_validate({**fields, **changes}))
+    return messages.ClientRequest(body=messages.Upload.model_validate({**fields, **changes}))
 
 
 def failure(answer: object) -> messages.Failure:
@@ -96,12 +100,12 @@ def failure(answer: object) -> messages.Failure:
 
 
 def test_the_depth_of_the_queue_counts_a_job_that_was_submitted(clients: ClientRequests) -> None:
-    empty = clients.answer("c", messages.Request(body=messages.GetQueueDepth()))
+    empty = ask(clients, messages.GetQueueDepth(), "c")
     assert isinstance(empty, messages.QueueDepth)
     assert empty.workers_wanted == 0
-    clients.answer("c", messages.Request(body=messages.Upload(blob=BLOB, size=len(TABLE), sha256=BLOB, data=TABLE)))
-    clients.answer("c", messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    depth = clients.answer("c", messages.Request(body=messages.GetQueueDepth()))
+    ask(clients, messages.Upload(blob=BLOB, size=len(TABLE), sha256=BLOB, data=TABLE), "c")
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB), "c")
+    depth = ask(clients, messages.GetQueueDepth(), "c")
     assert isinstance(depth, messages.QueueDepth)
     assert (depth.queued + depth.preparing, depth.workers_wanted) == (1, JobConfig().evolution.islands)
 
@@ -116,7 +120,7 @@ def test_the_depth_of_the_queue_counts_a_job_that_was_submitted(clients: ClientR
     ],
 )
 def test_chunks_that_are_not_what_they_claim_are_refused(
-    clients: ClientRequests, upload: messages.Request, said: str
+    clients: ClientRequests, upload: messages.ClientRequest, said: str
 ) -> None:
     assert said in failure(clients.answer("ann", upload)).sentence
 
@@ -129,21 +133,16 @@ def test_uploads_that_were_given_up_make_room_and_those_that_go_on_do_not(
     clients.answer("bob", chunk())
     for _ in range(3):  # ann needs the room that bob takes, who goes on with his
         Now.s += uploads_module.LEASE_S - 1.0
-        clients.answer("bob", messages.Request(body=messages.Upload(blob=BLOB, size=len(TABLE))))
-        assert (
-            "in 10 minutes"
-            in failure(clients.answer("ann", messages.Request(body=messages.Upload(blob=other, size=4)))).sentence
-        )
+        ask(clients, messages.Upload(blob=BLOB, size=len(TABLE)), "bob")
+        assert "in 10 minutes" in failure(ask(clients, messages.Upload(blob=other, size=4))).sentence
         clients.uploads.expire()
         assert clients._store.has_blob(BLOB)
     Now.s += uploads_module.LEASE_S + 1.0
-    assert clients.answer("ann", messages.Request(body=messages.Upload(blob=other, size=4))) == messages.Uploaded(
-        blob=other, missing=(0,)
-    )
+    assert ask(clients, messages.Upload(blob=other, size=4)) == messages.Uploaded(blob=other, missing=(0,))
     assert not clients._store.has_blob(BLOB)
     assert clients.answer("ann", chunk()) == messages.Uploaded(blob=BLOB, missing=())
-    clients.answer("ann", messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    sentence = failure(clients.answer("ann", messages.Request(body=messages.Upload(blob=other, size=4)))).sentence
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+    sentence = failure(ask(clients, messages.Upload(blob=other, size=4))).sentence
     assert "coordinator delete ID" in sentence
 
 
@@ -167,35 +166,31 @@ def test_an_upload_that_is_never_submitted_is_deleted_after_its_lease(clients: C
         Now.s += uploads_module.LEASE_S / 3 + 1.0
     clients.uploads.expire()
     assert not clients._store.has_blob(BLOB)
-    answer = failure(
-        clients.answer("ann", messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    )
+    answer = failure(ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
     assert answer.failure == "no-table"
 
 
 def test_an_ended_job_is_deleted_and_a_live_one_refused(clients: ClientRequests) -> None:
     clients.answer("ann", chunk())
-    clients.answer("ann", messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    assert "cancel it" in failure(clients.answer("ann", messages.Request(body=messages.Delete(job="j")))).sentence
-    clients.answer("ann", messages.Request(body=messages.Cancel(job="j")))
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+    assert "cancel it" in failure(ask(clients, messages.Delete(job="j"))).sentence
+    ask(clients, messages.Cancel(job="j"))
     for _ in range(2):
-        assert clients.answer("ann", messages.Request(body=messages.Delete(job="j"))) == messages.Deleted(job="j")
-    assert clients.answer("ann", messages.Request(body=messages.Jobs())) == messages.JobList(jobs=())
+        assert ask(clients, messages.Delete(job="j")) == messages.Deleted(job="j")
+    assert ask(clients, messages.ListJobs()) == messages.JobList(jobs=())
     assert not clients._store.has_blob(BLOB)
 
 
 def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, tasks: Tasks) -> None:
     clients.answer("ann", chunk())
-    answer = clients.answer(
-        "ann", messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB))
-    )
+    answer = ask(clients, messages.Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB))
     assert isinstance(answer, messages.JobStatus)
     assert (answer.job.state, answer.job.seed) == ("preparing", 3)
     assert tasks.prepared == [("j", BLOB)]
-    listed = clients.answer("ann", messages.Request(body=messages.Jobs()))
+    listed = ask(clients, messages.ListJobs())
     assert isinstance(listed, messages.JobList)
     assert [view.job for view in listed.jobs] == ["j"]
-    assert failure(clients.answer("ann", messages.Request(body=messages.GetResult(job="j")))).failure == "too-early"
+    assert failure(ask(clients, messages.GetResult(job="j"))).failure == "too-early"
 
 
 def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
@@ -204,32 +199,24 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
     clients._controller.queue.limits = Limits(total=Total(running=1))
     clients.answer("ann", chunk())
     for name in ("a", "b"):
-        answer = clients.answer(
-            "ann", messages.Request(body=messages.Submit(job=name, name="", config=JobConfig(), table=BLOB))
-        )
+        answer = ask(clients, messages.Submit(job=name, name="", config=JobConfig(), table=BLOB))
     assert isinstance(answer, messages.JobStatus)
     assert (answer.job.state, answer.job.reason) == ("queued", "waits for its turn (it is next; 1 job is under way)")
-    cancelled = clients.answer("ann", messages.Request(body=messages.Cancel(job="a")))
+    cancelled = ask(clients, messages.Cancel(job="a"))
     assert isinstance(cancelled, messages.JobStatus)
     assert cancelled.job.state == "cancelled"
     assert ("b", BLOB) in tasks.prepared
     assert ("cancel", "a") in tasks.calls  # it may be at work still
-    assert (
-        "before its search began"
-        in failure(clients.answer("ann", messages.Request(body=messages.GetResult(job="a")))).sentence
-    )
+    assert "before its search began" in failure(ask(clients, messages.GetResult(job="a"))).sentence
 
 
 def test_the_table_of_a_job_is_given_to_whoever_sees_the_job(clients: ClientRequests) -> None:
     clients.answer("ann", chunk())
-    clients.answer("ann", messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    answer = clients.answer("ann", messages.Request(body=messages.GetTable(job="j")))
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+    answer = ask(clients, messages.GetTable(job="j"))
     assert answer == messages.TableChunk(job="j", index=0, size=len(TABLE), digest=BLOB, data=TABLE)
-    assert (
-        "has no part 1"
-        in failure(clients.answer("ann", messages.Request(body=messages.GetTable(job="j", index=1)))).sentence
-    )
-    assert failure(clients.answer("ann", messages.Request(body=messages.GetTable(job="none")))).failure == "unknown-job"
+    assert "has no part 1" in failure(ask(clients, messages.GetTable(job="j", index=1))).sentence
+    assert failure(ask(clients, messages.GetTable(job="none"))).failure == "unknown-job"
 
 
 @pytest.mark.parametrize("is_deleted", [False, True])
@@ -238,10 +225,10 @@ def test_the_dataset_of_a_job_that_ended_while_it_was_prepared_is_not_kept(
 ) -> None:
     """Nobody would ever delete it."""
     clients.answer("ann", chunk())
-    clients.answer("ann", messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    clients.answer("ann", messages.Request(body=messages.Cancel(job="j")))
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+    ask(clients, messages.Cancel(job="j"))
     if is_deleted:
-        clients.answer("ann", messages.Request(body=messages.Delete(job="j")))
+        ask(clients, messages.Delete(job="j"))
     controller, store = clients._controller, clients._store
     before = store.blob_bytes()
     store.keep_prepared("j", b"its dataset", b"the rest")
@@ -266,24 +253,23 @@ def test_twenty_thousand_jobs_are_listed_in_pages_and_found_by_the_beginnings_of
             controller, store, Authorization(None, store), JobDeletion(controller, store), lambda: 5.0
         )
 
-        def listed(question: messages.Jobs) -> list[str]:
+        def listed(question: messages.ListJobs) -> list[str]:
             answer = decode(
-                encode(messages.Answer(body=clients.answer("ann", messages.Request(body=question)))), messages.Answer
+                encode(messages.Answer(body=ask(clients, question))),
+                messages.Answer,
             ).body
             assert isinstance(answer, messages.JobList)
             rest = () if answer.before is None else listed(question.model_copy(update={"before": answer.before}))
             return [*rest, *(view.job for view in answer.jobs)]
 
         def find(prefix: str) -> object:
-            return clients.answer("ann", messages.Request(body=messages.FindJob(prefix=prefix)))
+            return ask(clients, messages.FindJob(prefix=prefix))
 
-        assert listed(messages.Jobs(prefix="job-19")) == [row[0] for row in rows[19_000:]]
-        assert listed(messages.Jobs(is_open=True)) == [row[0] for row in rows[::100]]
-        assert listed(messages.Jobs(prefix="job-1999")) == [row[0] for row in rows[19_990:]]
+        assert listed(messages.ListJobs(prefix="job-19")) == [row[0] for row in rows[19_000:]]
+        assert listed(messages.ListJobs(is_open=True)) == [row[0] for row in rows[::100]]
+        assert listed(messages.ListJobs(prefix="job-1999")) == [row[0] for row in rows[19_990:]]
         assert find("job-12345") == find("job-12345") == messages.JobFound(job="job-12345")
-        assert isinstance(
-            clients.answer("ann", messages.Request(body=messages.Status(job="job-12344"))), messages.JobStatus
-        )
+        assert isinstance(ask(clients, messages.Status(job="job-12344")), messages.JobStatus)
         assert "1000 and more jobs begin with 'job' (job-19995, job-19996" in failure(find("job")).sentence
         assert "and many more" in failure(find("job")).sentence
         assert "no job 'other'; the last that came are job-19995" in failure(find("other")).sentence
@@ -294,13 +280,11 @@ def test_a_page_of_jobs_is_no_larger_than_an_answer_bears(
 ) -> None:
     clients.answer("ann", chunk())
     for name in "abc":
-        clients.answer(
-            "ann", messages.Request(body=messages.Submit(job=name, name="n" * 200, config=JobConfig(), table=BLOB))
-        )
+        ask(clients, messages.Submit(job=name, name="n" * 200, config=JobConfig(), table=BLOB))
     monkeypatch.setattr(clients_module, "MAX_PAGE_BYTES", 700)
     seen, before = [], None
     for _ in range(3):
-        page = clients.answer("ann", messages.Request(body=messages.Jobs(before=before)))
+        page = ask(clients, messages.ListJobs(before=before))
         assert isinstance(page, messages.JobList)
         seen += [view.job for view in page.jobs]
         before = page.before
@@ -334,7 +318,7 @@ def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
     clients.answer("ann", chunk())
     with monkeypatch.context() as full:
         full.setattr(Store, "update_job", is_full)
-        request = messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+        request = messages.ClientRequest(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
         assert "full" in failure(clients.answer("ann", request)).sentence
     assert tasks.prepared == []
     clients._controller.tick(6.0)
@@ -348,10 +332,10 @@ def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(
         raise StoreError("the disk is full")
 
     clients.answer("ann", chunk())
-    clients.answer("ann", messages.Request(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
     monkeypatch.setattr(Store, "update_job", is_full)
     with pytest.raises(StoreError, match="full"):
-        clients.answer("ann", messages.Request(body=messages.Cancel(job="j")))
+        ask(clients, messages.Cancel(job="j"))
 
 
 # ---------------------------------------------------------------------------------------- a disk nearly full

@@ -13,7 +13,7 @@ from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError
-from atoll_core.wire.messages.clients import Cancel, Delete, Request, Submit
+from atoll_core.wire.messages.clients import Cancel, ClientRequest, Delete, Submit
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.security.roles import RoleBindings
 from tests.blobs import put_blob
@@ -170,7 +170,11 @@ def test_a_job_is_ended_by_its_submitter_or_an_admin(store: Store, body: Delete 
     add(store, "a", "10")
     may = Authorization(RoleBindings({"ann": "submitter", "bob": "submitter", "eve": "admin"}), store)
     assert (
-        may.refuse_request("bob-1", Request(body=body))
+        may.refuse_request("bob-1", ClientRequest(body=body))
         == f"job a was submitted by ann; only ann or an admin may {verb} it"
     )
-    assert may.refuse_request("ann-1", Request(body=body)) is may.refuse_request("eve-1", Request(body=body)) is None
+    assert (
+        may.refuse_request("ann-1", ClientRequest(body=body))
+        is may.refuse_request("eve-1", ClientRequest(body=body))
+        is None
+    )

@@ -22,7 +22,16 @@ from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, JobConfig
 from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import clients as messages
-from atoll_core.wire.messages.clients import Change, Deleted, EventList, Failure, Following, JobList, JobStatus, Request
+from atoll_core.wire.messages.clients import (
+    ClientRequest,
+    Deleted,
+    EventList,
+    Failure,
+    Following,
+    JobChange,
+    JobList,
+    JobStatus,
+)
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.views import CoordinatorView, Counters, UserView, Workforce
@@ -47,10 +56,10 @@ class Lab:
         self.controller.recover(NOW)
         self.authorization = Authorization(roles, store)
         deletion = JobDeletion(self.controller, store, retention)
-        self.told: list[tuple[str, Change]] = []
+        self.told: list[tuple[str, JobChange]] = []
         self.followers = Followers(
             1, self.controller.shown, self.controller.events, lambda now: Workforce(),
-            lambda client, payload: self.told.append((client, decode(payload, Change))),
+            lambda client, payload: self.told.append((client, decode(payload, JobChange))),
         )  # fmt: skip
         self.controller.changed = self.followers.touch
         self.controller.events.told = lambda kind, job: self.followers.touch(job)
@@ -66,7 +75,7 @@ class Lab:
         )
 
     def ask(self, user: str, body: object) -> object:
-        return self.clients.answer(f"{user}-1", Request.model_validate({"body": body}))
+        return self.clients.answer(f"{user}-1", ClientRequest.model_validate({"body": body}))
 
     def upload(self, user: str, table: bytes) -> object:
         digest = hashlib.sha256(table).hexdigest()
@@ -89,7 +98,7 @@ class Lab:
         return {(client, event.job) for client, change in told for event in change.events}
 
     def seen(self, user: str) -> list[str]:
-        answer = self.ask(user, messages.Jobs())
+        answer = self.ask(user, messages.ListJobs())
         assert isinstance(answer, JobList)
         return [view.job for view in answer.jobs]
 
@@ -118,7 +127,7 @@ def view(answer: object) -> messages.JobView:
 
 def check_hidden(lab: Lab, job: str, user: str) -> None:
     """Check that every question of a user about a job is answered as one about a job that there is not."""
-    (union,) = (get_args(field.annotation) for field in [Request.model_fields["body"]])
+    (union,) = (get_args(field.annotation) for field in [ClientRequest.model_fields["body"]])
     asked = 0
     for kind in union:
         if "job" not in kind.model_fields or kind is messages.Submit:
@@ -230,7 +239,7 @@ def test_events_and_lists_of_workers_say_nothing_of_others_jobs(lab: Lab) -> Non
 def test_submitters_are_told_how_many_jobs_of_their_own_wait_and_admins_of_all(lab: Lab) -> None:
     ann, bob, nobody = (UserView(user=user, queued=2) for user in ("ann", "bob", None))
     lab.users = (ann, bob, nobody)
-    seen = {user: lab.ask(user, messages.Workers()).coordinator.users for user in ("ann", "eve")}
+    seen = {user: lab.ask(user, messages.ListWorkers()).coordinator.users for user in ("ann", "eve")}
     assert seen == {"ann": (ann,), "eve": lab.users}
 
 
@@ -312,7 +321,7 @@ def test_a_question_is_not_about_a_table_that_another_session_uploaded(
     lab.fail("mine")
     monkeypatch.setattr(lab.authorization, "submitter", lambda client: None)
     lab.upload("ann", b"private")
-    question = messages.Analyse(
+    question = messages.AskAnalysis(
         job="mine", function="analyse", question=b"q", table=hashlib.sha256(b"private").hexdigest()
     )  # fmt: skip
     monkeypatch.setattr(lab.authorization, "hides", lambda client, request: None)
@@ -382,7 +391,7 @@ def test_jobs_from_before_a_roster_are_those_of_admins(lab: Lab) -> None:
         before.submit("x", job)
     before.ask("x", messages.Cancel(job="ended"))
     before.ask("x", messages.Share(job="open"))
-    jobs = lab.ask("ann", messages.Jobs())
+    jobs = lab.ask("ann", messages.ListJobs())
     assert isinstance(jobs, JobList)
     assert [job.job for job in jobs.jobs] == ["open"], "what was shared stays so"
     for job in ("old", "ended"):
@@ -392,7 +401,7 @@ def test_jobs_from_before_a_roster_are_those_of_admins(lab: Lab) -> None:
     events = lab.ask("ann", messages.GetEvents())
     assert isinstance(events, EventList)
     assert "old" not in {event.job for event in events.events}
-    admins = lab.ask("eve", messages.Jobs())
+    admins = lab.ask("eve", messages.ListJobs())
     assert isinstance(admins, JobList)
     assert {job.job for job in admins.jobs} == {"old", "open", "ended"}
     assert isinstance(lab.ask("eve", messages.Delete(job="ended")), Deleted)
@@ -402,7 +411,7 @@ def test_jobs_from_before_a_roster_are_those_of_admins(lab: Lab) -> None:
 def test_a_revoked_certificate_is_told_so(lab: Lab) -> None:
     hello = Hello(role="worker", name="mal-0", instance="i", protocol=1, version="", engine=1)
     assert "'mal' is revoked" in (lab.authorization.refuse_role(hello) or "")
-    assert "'mal' is revoked" in said(lab.ask("mal", messages.Jobs()))
+    assert "'mal' is revoked" in said(lab.ask("mal", messages.ListJobs()))
     assert lab.authorization.refuse_worker("lab1-0") is None
     lab.authorization.role_bindings = RoleBindings({"lab1": "revoked", "ann": "submitter"})
     assert "'lab1' is revoked" in (lab.authorization.refuse_worker("lab1-0") or "")

@@ -9,7 +9,7 @@ from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import EpochReport, IslandReport, SliceCounters, States
 from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement, Schedule
-from atoll_core.wire.state_pieces import State, split_states
+from atoll_core.wire.state_pieces import IslandState, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=2)
 WORKERS = ("a", "b")
@@ -44,8 +44,8 @@ def report(made: Archipelago, first: int, last: int, term: int = 1) -> None:
             )
 
 
-def state(island: int, epoch: int) -> State:
-    return State.of(f"{island} at {epoch}".encode())
+def state(island: int, epoch: int) -> IslandState:
+    return IslandState.of(f"{island} at {epoch}".encode())
 
 
 def report_snapshots(made: Archipelago, *snapshots: int, term: int = 1) -> None:

@@ -16,9 +16,9 @@ from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.epochs import States
 from atoll_core.wire.messages.workers import Placement, Schedule
-from atoll_core.wire.state_pieces import State, split_states
+from atoll_core.wire.state_pieces import IslandState, split_states
 
-STATES = {island: State.of(bytes([island]) * 30) for island in range(4)}
+STATES = {island: IslandState.of(bytes([island]) * 30) for island in range(4)}
 PLACEMENT = Placement(
     incarnation=1,
     term=3,

@@ -12,7 +12,7 @@ from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import PullStates, States
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.workers import AssignmentStatus, Placement
-from atoll_core.wire.state_pieces import State, split_states
+from atoll_core.wire.state_pieces import IslandState, split_states
 
 COMMIT_ORDER = CommitOrder(generations=10, stride=10, joining=8)
 STATE = b"a state of an island"
@@ -38,7 +38,7 @@ def archipelago(variable: str, workers: int) -> Archipelago:
 
 
 def reply(coordinator: PullBudget, made: Archipelago, worker: str, pull: PullStates) -> None:
-    pieces = split_states(pull.islands, pull.offset, lambda island: State.of(STATE))
+    pieces = split_states(pull.islands, pull.offset, lambda island: IslandState.of(STATE))
     coordinator.add_states(made, worker, pull, States(pieces=pieces))
 
 

@@ -22,7 +22,7 @@ from atoll_coordinator.service.store.searches import MAX_FAILED, Death
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import LocalProtocolError, StoreError
 from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.state_pieces import State
+from atoll_core.wire.state_pieces import IslandState
 from tests.blobs import put_blob
 from tests.placements import placements_in
 
@@ -402,8 +402,8 @@ def test_commits_are_forgotten_before_what_is_rarer(store: Store) -> None:
 # ------------------------------------------------------------------------------------------ checkpoints
 
 
-def states_of(epoch: int, size: int = 5) -> dict[int, State]:
-    return {island: State.of(f"{epoch}/{island}".encode() * size) for island in range(3)}
+def states_of(epoch: int, size: int = 5) -> dict[int, IslandState]:
+    return {island: IslandState.of(f"{epoch}/{island}".encode() * size) for island in range(3)}
 
 
 def checkpoint(store: Store, epoch: int, variable: str = "x", size: int = 5) -> bool:

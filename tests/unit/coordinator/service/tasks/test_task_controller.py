@@ -24,7 +24,7 @@ from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError
 from atoll_core.wire.messages import tasks as messages
-from atoll_core.wire.messages.clients import Analyse
+from atoll_core.wire.messages.clients import AskAnalysis
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
 from atoll_core.wire.messages.views import TaskView, WorkerState
@@ -379,8 +379,8 @@ def test_a_result_that_is_none_of_its_job_is_made_again_and_then_given_up(result
     assert "its result cannot be read" in failed.refinement.warnings[0]
 
 
-def asked(question: bytes = b"q", job: str = "ended") -> Analyse:
-    return Analyse(job=job, function="report", question=question)
+def asked(question: bytes = b"q", job: str = "ended") -> AskAnalysis:
+    return AskAnalysis(job=job, function="report", question=question)
 
 
 def analyse(scene: Scene, question: bytes = b"q") -> Analysis:

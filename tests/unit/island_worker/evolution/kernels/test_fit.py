@@ -406,19 +406,6 @@ def test_a_fit_is_settled_when_no_further_step_would_change_it():
     assert not settled_after(wave, lambda x, y: np.sin(1.2 * x), steps=1)[0]  # still on its way
 
 
-def test_no_step_is_taken_for_a_loss_above_the_ceiling():
-    wave = [X, 1.1, (MULTIPLY, 0, 1), (SIN, 2)]
-    for options, part in ((SCALED, 0), (SCALED._replace(loss=1), 1)):
-        _, result, used = settled_after(wave, lambda x, y: np.sin(1.2 * x), options, steps=0)
-        assert used == 1
-        above, at = (
-            settled_after(wave, lambda x, y: np.sin(1.2 * x), options, ceiling=factor * result[part])
-            for factor in (0.999, 1.0)
-        )
-        assert above == (False, result, 1)
-        assert at[1][part] < 1e-9 * result[part]
-
-
 def test_no_more_constants_are_fitted_than_the_rows_bear():
     """With 8 constants allowed and 3 terms, 4 are left for the inside; with none left, still the least that is set."""
     nodes = [X, 0.5, (MULTIPLY, 0, 1), 0.7, (ADD, 2, 3), (SIN, 4), 1.3, (MULTIPLY, 5, 6), 0.2, (ADD, 7, 8), (COS, 9)]

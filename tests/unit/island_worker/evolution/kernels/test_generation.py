@@ -87,13 +87,6 @@ def test_fitness_is_the_error_of_the_individual_as_it_stands(options):
         assert arena.fitness[p] == pytest.approx(expected, rel=1e-12)
 
 
-def test_squared_errors_are_the_fitness_where_that_is_the_loss():
-    arena = Arena(FITTED._replace(loss=1))
-    for p in np.flatnonzero(np.isfinite(arena.fitness)):
-        expected = fitting.errors(arena.output(p), arena.rows.target[0, :ROWS])[1]
-        assert arena.fitness[p] == pytest.approx(expected, rel=1e-11)
-
-
 def test_developing_changes_live_constants_only():
     arena = Arena()
     before = random_lists(POPULATION, SPACE, 1)
@@ -205,20 +198,6 @@ def test_who_can_still_be_fitted_better_hands_no_loss_on():
     arena.scratch.settled[:] = True
     arena.generation()
     assert arena.counters[OFFSPRING] == spent + POPULATION * ROWS
-
-
-def test_the_gate_lets_few_children_take_steps():
-    """Of the same children fewer are fitted the lower the gate; all of them are measured."""
-    spent = []
-    for gate in (1e-9, 0.25, 1.0, math.inf):
-        arena = Arena(FITTED._replace(gate=gate))
-        before = arena.counters.copy()
-        arena.scratch.settled[:] = False
-        arena.generation()
-        assert arena.counters[OFFSPRING] - before[OFFSPRING] == POPULATION * ROWS
-        spent.append(int(arena.counters[FITTING] - before[FITTING]))
-    assert spent == sorted(spent)
-    assert spent[0] < spent[2] < spent[3]
 
 
 def test_many_generations_at_once_are_those_one_by_one():

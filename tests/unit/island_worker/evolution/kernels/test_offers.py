@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from atoll_core.expression.operators import MULTIPLY, VARIABLE
-from atoll_core.expression.program import check_program_bytes
 from atoll_core.expression.simplification import complexity
 from atoll_island_worker.evolution.front import from_book, from_tape, to_program
 from atoll_island_worker.evolution.kernels.generation import PARTS, REFITTING
 from atoll_island_worker.evolution.kernels.measured_rows import padded_rows
 from atoll_island_worker.evolution.kernels.offers import (
-    SIMPLE,
     canonical,
     choose_near,
     choose_offers,
@@ -125,13 +123,6 @@ def test_a_structure_is_chosen_once_beside_the_front():
     assert arena.choose_near(4, known) == ([], [])
 
 
-def test_a_table_too_small_for_all_structures_only_makes_some_come_again():
-    arena, known = Arena(), np.zeros(4, np.uint64)
-    first = arena.choose_near(4, known)
-    again = arena.choose_near(4, known)
-    assert 0 < len(again[1]) <= len(first[0]) + len(first[1])
-
-
 def test_individuals_without_a_finite_loss_are_not_offered():
     arena = Arena()
     arena.fitness[:] = math.inf
@@ -199,24 +190,6 @@ class Offers:
         output = shift + sum(a * values[term] for a, term in zip(coefficients, terms, strict=True))
         absolute, squared = fitting.errors(np.broadcast_to(output, 40), self.target)
         return absolute if self.options.loss == 0 else math.sqrt(squared)
-
-
-@pytest.mark.parametrize("options", [FITTED, FITTED._replace(loss=1)])
-def test_the_book_holds_programs_with_their_terms_coefficients_and_losses(options):
-    offers = Offers(options)
-    count = offers.refit()
-    book = offers.book
-    assert count > 3
-    assert book.size[:count].tolist() == sorted(set(book.size[:count].tolist()))
-    for k in range(count):
-        program = to_program(from_book(book, k))
-        check_program_bytes(program.to_bytes(), 2)
-        assert len(program) == complexity(program) == book.size[k]
-        shift, *coefficients = book.scale[k, : 1 + book.number[k]]
-        assert book.loss[k] == pytest.approx(offers.loss(k, shift, coefficients), rel=1e-9)
-        plain = [math.copysign(1.0, a) if abs(abs(a) - 1.0) < SIMPLE else a for a in coefficients]
-        expected = [offers.loss(k, b, a) for a in (coefficients, plain) for b in (shift, 0.0)]
-        assert book.variants[k] == pytest.approx(expected, rel=1e-9)
 
 
 def test_refitting_makes_no_offer_worse_and_is_counted_as_that_alone():

@@ -12,16 +12,13 @@ from pathlib import Path
 import pytest
 
 from atoll.cli import adapt as verb
-from atoll.cli.adapt import SYSTEMS, Adapting, BatchError, BatchJobs, need_of, worker_command
+from atoll.cli.adapt import SYSTEMS, Adapting, BatchError, BatchJobs, need_of
 from atoll.cli.adapt_policy import AdaptLimits, AdaptPolicy, BatchJob, Need
 from atoll.cli.main import main
-from atoll.cli.options import parse
 from atoll_core.errors import UnreachableError, UsageError
-from atoll_core.machine import job_of
 from atoll_core.wire.addresses import destination
 from atoll_core.wire.messages.clients import QueueDepth
 from atoll_core.wire.messages.views import WorkerState, WorkerView
-from atoll_island_worker import cli as worker_cli
 
 PROGRAM = """#!/bin/sh
 for word in "$(basename "$0")" "$@"; do printf '%s\\n' "$word"; done >>"{folder}/called"
@@ -215,13 +212,6 @@ def test_a_program_that_fails_is_quoted(slurm: BatchJobs, programs: FakeBatch) -
         slurm.submit()
 
 
-def test_the_reason_of_grid_engine_is_quoted_and_not_only_its_last_word(programs: FakeBatch) -> None:
-    said = 'Unable to run job: job rejected: the requested parallel environment "smp" does not exist\\nExiting.'
-    (programs.folder / "qsub").write_text(f"#!/bin/sh\nprintf '{said}\\n' >&2; exit 1\n")
-    with pytest.raises(BatchError, match=r'qsub failed \(Unable to run job: .* environment "smp" does not exist\);'):
-        BatchJobs(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 8, []).submit()
-
-
 def test_without_slurm_the_missing_program_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(UsageError, match="sbatch was not found; run adapt on a machine from which"):
@@ -241,35 +231,6 @@ def test_bad_options_are_one_sentence(
     monkeypatch.setattr(verb, "connected", connected)
     assert main(["adapt", "--connect", "tcp/h:1", *words]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
-
-
-def test_the_workers_of_a_job_fill_its_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    options = parse(
-        ["adapt", "--maximum", "2", "--cores", "16", "--connect", "tcp/h:1", "--worker", "env A=b island-worker"]
-    )
-    words = worker_command(options, destination("tcp/h:1,tcp/i:2"))
-    assert words[:3] == ["env", "A=b", "island-worker"]
-    parsed = worker_cli._parse(words[3:])
-    assert (parsed.connect, parsed.processes, parsed.wait) == ("tcp/h:1,tcp/i:2", 16, 600.0)
-    options.worker = None
-    assert Path(worker_command(options, destination("tcp/h:1"))[0]).name == "island-worker"
-
-
-def test_workers_say_by_their_names_of_which_job_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SLURM_JOB_ID", "4294967295")
-    monkeypatch.setattr("socket.gethostname", lambda: "node-" + 80 * "x")
-    plain, certified = worker_cli._name_for(None, None), worker_cli._name_for("ann" * 10, None)
-    assert len(certified) <= 58
-    assert [job_of(name) for name in (plain, certified, f"{plain[:58]}-1023")] == 3 * ["4294967295"]
-    monkeypatch.delenv("SLURM_JOB_ID")
-    for variables in ({"PBS_JOBID": "77.server"}, {"LSB_JOBID": "77"}, {"JOB_ID": "77", "SGE_ROOT": "/opt/sge"}):
-        for name, value in variables.items():
-            monkeypatch.setenv(name, value)
-        assert job_of(worker_cli._name_for(None, None)) == "77"
-        for name in variables:
-            monkeypatch.delenv(name)
-    monkeypatch.setenv("JOB_ID", "of something else")
-    assert job_of(worker_cli._name_for(None, None)) is None
 
 
 def test_workers_of_other_origin_are_told_apart_and_those_that_go_do_not_count() -> None:

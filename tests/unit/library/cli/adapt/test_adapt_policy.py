@@ -27,11 +27,6 @@ def test_it_grows_at_once_within_its_bounds_by_what_others_do_not_do(workers: in
     assert AdaptPolicy(LIMITS).decide(0.0, need(workers, others), []) == AdaptDecision(submit=expected)
 
 
-def test_jobs_that_wait_count_and_those_that_end_do_not() -> None:
-    policy = AdaptPolicy(LIMITS)
-    assert policy.decide(0.0, need(16), batch("pending", "running", "ending")) == AdaptDecision(submit=2)
-
-
 def test_it_shrinks_when_fewer_have_been_enough_for_a_while() -> None:
     policy, jobs = AdaptPolicy(LIMITS), batch("running", "running", "running")
     assert policy.decide(0.0, need(12), jobs) == AdaptDecision()
@@ -47,10 +42,6 @@ def test_it_shrinks_to_the_most_that_was_needed_lately() -> None:
     assert policy.decide(120.0, need(0), jobs) == AdaptDecision(drain=("0", "1"))
     assert policy.decide(130.0, need(0), jobs) == AdaptDecision(), "who was told is not told again, and counts no more"
     assert policy.decide(161.0, need(0), jobs) == AdaptDecision(drain=("2",))
-
-
-def test_what_exceeds_the_maximum_ends_at_once() -> None:
-    assert AdaptPolicy(LIMITS).decide(0.0, need(99), batch(*["running"] * 7)).drain == ("0", "1")
 
 
 def test_those_end_first_that_cost_least() -> None:
@@ -87,13 +78,6 @@ def test_a_job_that_began_before_it_could_be_cancelled_is_drained() -> None:
     assert policy.decide(0.0, need(0), batch("pending")) == AdaptDecision(take_back=("0",))
     assert policy.decide(1.0, need(0), batch("running")) == AdaptDecision(drain=("0",))
     assert policy.decide(2.0, need(0), batch("running")) == AdaptDecision()
-
-
-def test_a_job_that_could_not_be_told_is_told_again() -> None:
-    policy = AdaptPolicy(AdaptLimits(0, 5, 4, 0.0))
-    assert policy.decide(0.0, need(0), batch("running")).drain == ("0",)
-    policy.forget("0")
-    assert policy.decide(1.0, need(0), batch("running")).drain == ("0",)
 
 
 def test_one_that_has_joined_or_was_told_to_end_is_no_failure() -> None:

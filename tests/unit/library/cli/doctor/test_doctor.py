@@ -117,16 +117,6 @@ def test_memory_is_what_system_and_control_group_leave(tmp_path: Path) -> None:
     assert doctor_machine.available_memory(tmp_path / "none", tmp_path) is None
 
 
-@pytest.mark.parametrize(("soft", "grade"), [(256, "warning"), (1024, "fine"), (-1, "fine")])
-def test_few_open_files_are_pointed_out(soft: int, grade: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    import resource
-
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (soft, 4096))
-    (finding,) = doctor_machine.check_open_files(options())
-    assert finding.grade == grade
-    assert ("ulimit -n" in finding.advice) == (grade == "warning")
-
-
 def test_kernels_are_compiled_or_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from atoll_core.compilation.cache import marker
 
@@ -155,11 +145,6 @@ def test_the_state_folder_must_have_room_and_may_not_be_a_file(tmp_path: Path, m
         assert grades(doctor_machine.check_state(options("--state", str(place)))) == [grade]
     (tmp_path / "file").touch()
     assert grades(doctor_machine.check_state(options("--state", str(tmp_path / "file")))) == ["problem"]
-
-
-def test_a_network_file_system_is_pointed_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_machine, "file_system", lambda _: "nfs4")
-    assert grades(doctor_machine.check_state(options("--state", str(tmp_path))))[-1] == "warning"
 
 
 # ------------------------------------------------------------------------------------------- the network

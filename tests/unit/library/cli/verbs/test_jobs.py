@@ -19,7 +19,7 @@ from atoll_core import VERSION
 from atoll_core.errors import RefusedError
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.zenoh_bus import open_router
-from atoll_core.wire.messages.clients import Change, Following
+from atoll_core.wire.messages.clients import Following, JobChange
 from atoll_core.wire.messages.views import (
     CoordinatorView,
     Counters,
@@ -128,7 +128,7 @@ class EndingClient(FakeClient):
             target_error=1e-9, variables=(),
         )  # fmt: skip
         workforce = Workforce.of(self.workers())
-        change = Change(job=name, sequence=self.looks, previous=sequence, view=view, workforce=workforce)
+        change = JobChange(job=name, sequence=self.looks, previous=sequence, view=view, workforce=workforce)
         return Following(lease_s=30.0, change=change)
 
     def now(self) -> float:
@@ -409,7 +409,7 @@ class LogClient:
         if self.looks == 3:
             self.log.append(DONE)
         events = tuple(event for event in self.log if event.number > (after or 0))
-        change = Change(
+        change = JobChange(
             job=job,
             sequence=self.looks,
             previous=sequence,

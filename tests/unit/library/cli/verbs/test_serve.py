@@ -4,7 +4,6 @@ import errno
 import ipaddress
 import os
 import socket
-import sqlite3
 import threading
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
@@ -16,7 +15,7 @@ from atoll.cli.main import main
 from atoll.cli.verbs import serve
 from atoll.cli.verbs import serve as listener
 from atoll.cli.verbs import serve as router
-from atoll.cli.verbs.serve import greeting, heard_on, own_address_of
+from atoll.cli.verbs.serve import greeting
 from atoll.client.client import Client
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
@@ -44,10 +43,6 @@ def test_every_address_heard_on_is_named_when_listening_everywhere(monkeypatch) 
         "tcp/127.0.0.1:7447",
     ]
     assert "trusted network" in lines[-2]
-
-
-def test_this_machine_hears_on_its_own_address() -> None:
-    assert "127.0.0.1" in heard_on("0.0.0.0")
 
 
 def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
@@ -84,15 +79,6 @@ def test_a_store_that_cannot_be_opened_now_is_no_bad_option(
         refused.setattr(Path, "mkdir", refuses)
         assert main(["serve", "--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path / "state")]) == code
     assert len(capsys.readouterr().err.splitlines()) == 1
-
-
-def test_a_database_that_is_full_is_no_bad_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def is_full(*_: object) -> None:
-        raise sqlite3.OperationalError("database or disk is full")
-
-    with monkeypatch.context() as full:
-        full.setattr("atoll_coordinator.service.store.schema._prepare", is_full)
-        assert main(["serve", "--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path)]) == 1
 
 
 def test_an_address_that_is_in_use_is_no_bad_option(tmp_path: Path) -> None:
@@ -132,31 +118,6 @@ def tls(host: str, named: Sequence[str]) -> Destination:
     return Destination(
         Address("tls", host, 7447), Credentials(Path("ca"), Path("b"), Path("c"), "lab", tuple(named))
     )  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("host", "named", "dialled"),
-    [
-        ("127.0.0.1", ("lab.example", "127.0.0.1"), "127.0.0.1"),
-        ("0.0.0.0", ("lab.example", "localhost"), "localhost"),
-        ("0.0.0.0", ("lab.example",), "lab.example"),
-        ("10.0.0.5", ("lab.example", "10.0.0.5"), "10.0.0.5"),
-        ("::1", ("lab.example", "::1", "six.example"), "six.example"),
-        ("::", ("lab.example", "::1", "127.0.0.1"), "127.0.0.1"),
-        ("2001:db8::5", ("2001:db8::5", "six.example", "far6.example"), "far6.example"),
-        ("0.0.0.0", ("six.example", "vm"), "vm"),
-        ("localhost", ("lab.example", "localhost"), "localhost"),
-        ("0.0.0.0", None, "127.0.0.1"),
-        ("10.0.0.5", None, "10.0.0.5"),
-    ],
-)
-def test_the_page_dials_where_its_coordinator_listens(monkeypatch, host, named, dialled) -> None:
-    """The first name in a certificate may lead elsewhere, or nowhere from here."""
-    monkeypatch.setattr(socket, "getaddrinfo", first_address)
-    protocol = "tcp" if named is None else "tls"
-    credentials = None if named is None else Credentials(Path("a"), Path("b"), Path("c"), "lab", named)
-    at = Destination(Address(protocol, host, 7447), credentials)
-    assert own_address_of(at) == f"{protocol}/{dialled}:7447"
 
 
 NAMED = ("lab.example", "localhost", "vm", "127.0.0.1", "::1", "10.0.0.5", "localhost", "127.0.0.1")

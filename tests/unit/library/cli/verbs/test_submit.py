@@ -1,55 +1,25 @@
 """``coordinator submit``: whoever leaves while a job is on its way is told its id."""
 
-import contextlib
 import json
 import shlex
-import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from atoll.cli.main import main
 from atoll.cli.options import parse
 from atoll.cli.request import JobRequest, request_of
 from atoll.cli.result_files import refuse_existing_result, write_result
-from atoll.cli.verbs import submit as verb
-from atoll.cli.verbs.submit import next_step, program_of
+from atoll.cli.verbs.submit import next_step
 from atoll_coordinator.result.result import Result
 from atoll_core.config import BudgetConfig, JobConfig
 from atoll_core.errors import UsageError
-
-
-class Impatient:
-    """A client whose user presses Ctrl-C while it waits for the coordinator."""
-
-    def hand_in(self, *_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-
-def test_an_interrupted_submission_names_the_job(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It may have been taken in, and nobody else knows the id that was made up."""
-    data = tmp_path / "data.csv"
-    data.write_text("t,x\n" + "\n".join(f"{n},{n * n}" for n in range(20)), "utf-8")
-    monkeypatch.setattr(verb, "connected", lambda *_: contextlib.nullcontext(Impatient()))
-    assert main(["submit", str(data), "--id", "mine", "--no-wait", "--connect", "tcp/there:7447"]) == 130
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert "job mine" in printed.err
-    assert "coordinator status mine --connect tcp/there:7447" in printed.err
 
 
 @pytest.mark.parametrize(("gone", "left"), [(1.0, 9.0), (4.0, 6.0), (9.0, 5.0)])
 def test_what_starting_took_counts_for_the_time_up_to_half_of_it(gone, left):
     request = JobRequest("job", "name", JobConfig(budget=BudgetConfig(max_time=10.0)), (Path("a.csv"),), json=False)
     assert request.after(gone).config.budget.max_time == left
-
-
-def test_a_job_without_a_limit_stays_without_one():
-    request = JobRequest("job", "name", JobConfig(), (Path("a.csv"),), json=False)
-    assert request.after(3.0) is request
 
 
 def test_a_sheet_of_what_is_no_workbook_is_refused(tmp_path):
@@ -82,7 +52,6 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
 
 WORDS = ["run", "my data.csv", "--seed", "3", "--out", "here"]
 ENDED_BY_EPOCHS = {"why": "max-epochs", "config": {"budget": {"max_epochs": 20}}}
-ENDED_BY_TIME = {"why": "max-time", "config": {"budget": {"max_time": 60.0}}}
 SIMULATED = {"simulation": {"trajectories": [{"name": "1"}]}}
 AGAIN = "coordinator run 'my data.csv' --seed 3"
 
@@ -190,18 +159,3 @@ def test_what_is_proposed_can_be_said() -> None:
         advice = after(**outcome)  # type: ignore[arg-type]
         assert advice is not None
         assert parse(shlex.split(advice.partition("  # ")[0])[1:]).verb
-
-
-@pytest.mark.parametrize(
-    ("path", "is_found", "called"),
-    [
-        ("/lab/.venv/bin/coordinator", False, ".venv/bin/coordinator"),
-        (".venv/bin/coordinator", False, ".venv/bin/coordinator"),
-        ("/opt/bin/coordinator", False, "/opt/bin/coordinator"),
-        ("/lab/.venv/bin/coordinator", True, "coordinator"),
-        ("/lab/atoll/__main__.py", False, "coordinator"),
-    ],
-)
-def test_the_program_is_called_as_it_is_found_from_here(path, is_found, called, monkeypatch) -> None:
-    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}" if is_found else None)
-    assert program_of(Path(path), Path("/lab")) == called
