@@ -381,9 +381,6 @@ class SelectionSettings:
     """How many independent numbers systematic errors of a state are at least, and a solver's that are smaller than
     that: few, since they follow from its tolerance and the state. Each decade less is worth so many times 1.15 nats: a
     law whose terms are needed gains several decades, one that follows the solver's errors less than a third."""
-    solver_as_good: float = 2.0
-    """Shorter equations that leave so many times as much of short pieces may be the law of a table with a solver's
-    errors: it is put to the test, by solving them."""
     solver_share: float = 0.25
     """What constants leave of a few rows, over the errors of a solver there, beyond which that is not tried any longer:
     0.1 were seen where it is the one, mostly more where it is not. All rows are asked for a thousandth."""

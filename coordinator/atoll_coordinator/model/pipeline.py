@@ -5,7 +5,7 @@
 3. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
 4. With trajectories, equations of noise-free targets that converged are fitted first, and stand.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
-   (selection/model_selection.py, which says in which order candidates are proposed and when no more are).
+   (selection/stages.py, which says in which order candidates are proposed and when no more are).
 6. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).
 """
 
@@ -27,8 +27,8 @@ from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.selection.candidates import CandidateSet, collect_candidates
-from atoll_coordinator.model.selection.model_selection import operator_remarks, select_model
 from atoll_coordinator.model.selection.shortcut import standing_laws, with_laws
+from atoll_coordinator.model.selection.stages import operator_remarks, select_model
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.stochastic.conclusion import summarize_process
 from atoll_coordinator.model.stochastic.process_choice import ProcessChoice

@@ -1,6 +1,6 @@
 """Which equations together are the model: candidates become systems, systems are compared, the shortest wins.
 
-- `model_selection`: the way in, `select_model`: what is proposed, in which order, and when no more is
+- `stages`: the way in, `select_model`: the table of stages that propose candidates and compare systems
 - `task`: what is modelled (`ModellingTask`), and the system that is chosen (`SelectedModel`)
 - `proposals`: what proposes programs for an equation; none of it decides
 - `pool`: all candidates, ranked, and the best system of a few; `candidates` ranks those of one variable by its

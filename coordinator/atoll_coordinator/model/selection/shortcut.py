@@ -92,22 +92,6 @@ def standing_laws(task: ModellingTask, name: str) -> list[Law]:
     return laws if laws and laws[0].excess <= SETTINGS.inference.excess else []
 
 
-def without(task: ModellingTask, name: str) -> ModellingTask:
-    """Return the task without the equation of one variable, whose state is an input as smoothed."""
-    candidates = {variable: those for variable, those in task.candidates.items() if variable != name}
-    return replace(
-        task, candidates=candidates, laws={variable: task.laws[variable] for variable in task.laws if variable != name}
-    )
-
-
-def excess_without(task: ModellingTask, name: str) -> float:
-    """Return the excess that the laws of the others leave; infinite where they cannot be simulated."""
-    others = without(replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1])), name)
-    lists = [_programs(others, variable) for variable in others.variables]
-    begun = _begun(others, lists) if all(lists) else None
-    return math.inf if begun is None else begun.comparison.score.excess(begun.model)
-
-
 def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
     """Return the best system of these candidates, None where none can be simulated or the long way tells more."""
     short = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[-1]))

@@ -8,7 +8,6 @@ accepted with some constants and rejected with others makes them jump. Equations
 before, and so does another solver: nothing is taken off then.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -17,17 +16,14 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Recording, Smoothing
 from atoll_coordinator.model.regression.rounding import find_simple
-from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
-from atoll_coordinator.model.structure.moves.reductions import reductions
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.compiled import function_of
 from atoll_core.expression.evaluation import NUMPY
-from atoll_core.expression.program import Program
 
 
 @dataclass(frozen=True)
@@ -92,59 +88,6 @@ def without_solver_errors(task: ModellingTask, fit: TrajectoryFit) -> ModellingT
         return None
     found = next((found for solver in SOLVERS if (found := _fitted(task, whole, solver, fit.system))), None)
     return None if found is None else _corrected(task, found)
-
-
-def solved_exactly(
-    task: ModellingTask, lists: Sequence[Sequence[Program]]
-) -> tuple[ModellingTask, list[list[Program]]] | None:
-    """Return the task without the errors of a solver, and the candidates, the law first; None where none tells them."""
-    for system in _likely_laws(task, lists):
-        exact = without_solver_errors(task, system.fit)
-        if exact is not None:
-            return exact, [[own, *programs] for own, programs in zip(system.programs, lists, strict=True)]
-    return None
-
-
-def _likely_laws(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Iterator[FittedModel]:
-    """Yield systems that may be the law of a table with a solver's errors, fitted to short pieces.
-
-    Along these the errors do not add up, and terms that describe them gain little: first the system of the shortest
-    equations that leaves no more than twice as much of any state as the best of a few, then that.
-    """
-    task = replace(task, piece=min(task.piece, SETTINGS.shooting.lengths[0]))
-    comparison = task.comparison
-    steps, longest = SETTINGS.effort.brief_steps, max(map(len, lists))
-    systems = [
-        [programs[min(rank, len(programs) - 1)] for programs in lists]
-        for rank in range(min(longest, SETTINGS.effort.beam))
-    ]
-    begun = best = next(iter(comparison.fit_all(systems, steps)), None)
-    if begun is None or best is None or comparison.score.is_exact(begun):
-        return
-    most = SETTINGS.selection.solver_as_good**2 * begun.fit.squares
-    while True:
-        before = best
-        for equation, others in enumerate(lists):
-            own = best.programs[equation]
-            shorter = [
-                other
-                for other in (*reductions(own), *others)
-                if comparison.score.length(other) < comparison.score.length(own) and equation not in comparison.fixed
-            ]
-            rounds = ((steps, len(shorter)),)
-            models = comparison.narrow_down(best, equation, shorter, rounds, SETTINGS.effort.work, math.inf)
-            as_good = [
-                (length, place, model)
-                for place, model in enumerate(models)
-                if np.all(model.squares <= most)
-                and (length := comparison.score.length(model.programs[equation])) < comparison.score.length(own)
-            ]
-            best = min(as_good)[2] if as_good else best
-        if best is before:
-            yield best
-            if best is not begun:
-                yield begun
-            return
 
 
 def _times(recording: Recording) -> Iterator[FloatArray]:

@@ -4,6 +4,7 @@ import numpy as np
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection.candidates import collect_candidates
+from atoll_coordinator.model.selection.stages import STAGES, Choice
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_core.config import JobConfig
 from tests.unit.coordinator.model.shooting.made import pools, table
@@ -23,3 +24,10 @@ def selected(known, text, noise=0.0, config=DEFAULT, starts=STARTS):
     comparison = task.compare(task.compared_measurements, task.variables)
     model = comparison.fit_model([candidates["h"].front[0].program])
     return SelectedModel(task, *comparison.calibrated(model))
+
+
+def looked_again(name, selection):
+    """Return the selection after a stage of the table, as it is where that is not due."""
+    stage = next(stage for stage in STAGES if stage.name == name)
+    choice = Choice(selection.task, selection=selection, is_searched=True)
+    return stage.run(choice).selection if stage.is_due(choice) else selection

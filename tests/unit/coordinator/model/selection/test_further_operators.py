@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.selection.model_selection import operator_remarks, with_further_operators
+from atoll_coordinator.model.selection.stages import operator_remarks
 from atoll_core.config import BASE_OPERATORS, JobConfig, SpaceConfig
 from atoll_core.data.notes import Note
-from tests.unit.coordinator.model.selection.begun import selected
+from tests.unit.coordinator.model.selection.begun import looked_again, selected
 from tests.unit.coordinator.model.shooting.made import Known
 
 NAMED = JobConfig(space=SpaceConfig(operators=BASE_OPERATORS))
@@ -22,7 +22,7 @@ def remarks(selection):
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_function_that_makes_the_description_shorter_is_taken_and_named(noise):
-    found = with_further_operators(selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", noise))
+    found = looked_again("further operators", selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", noise))
     assert TANK.text(found.model.programs[0]).count("sqrt") == 1
     assert found.comparison.score.is_exact(found.model) == (noise == 0.0)
     (sentence,) = remarks(found)
@@ -32,26 +32,26 @@ def test_a_function_that_makes_the_description_shorter_is_taken_and_named(noise)
 
 @pytest.mark.parametrize("begun", ["0.4 - 0.9*h", "0.3 - 0.1*h*h"])
 def test_a_law_is_taken_whatever_errors_the_equation_before_it_left(begun):
-    found = with_further_operators(selected(TANK, begun))
+    found = looked_again("further operators", selected(TANK, begun))
     assert found.comparison.score.is_exact(found.model), TANK.text(found.model.programs[0])
 
 
 def test_operators_that_are_named_are_kept_to():
     selection = selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", config=NAMED)
-    assert with_further_operators(selection) is selection
+    assert looked_again("further operators", selection) is selection
     assert remarks(selection) == []
 
 
 def test_operators_of_one_equation_are_kept_to():
     config = JobConfig(space=SpaceConfig(operators_of={"h": BASE_OPERATORS}))
     selection = selected(TANK, "0.45 - 1.6*h/(0.7 + h) - 0.15*h", config=config)
-    assert with_further_operators(selection) is selection
+    assert looked_again("further operators", selection) is selection
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_law_without_them_stays_as_it_is(noise):
     selection = selected(DECAY, "0.4 - 0.9*h", noise)
-    widened = with_further_operators(selection)
+    widened = looked_again("further operators", selection)
     assert widened.model is selection.model
     assert widened.widened == ["h"]
     assert remarks(widened) == []

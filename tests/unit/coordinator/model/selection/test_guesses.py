@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
 from atoll_coordinator.model.selection.candidates import CandidateSet, form
-from atoll_coordinator.model.selection.model_selection import with_guesses
+from atoll_coordinator.model.selection.stages import with_guesses
 from tests.unit.coordinator.model.selection.begun import selected
 from tests.unit.coordinator.model.shooting.made import Known
 

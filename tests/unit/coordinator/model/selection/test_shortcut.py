@@ -13,8 +13,8 @@ from atoll_coordinator.model.pools import Law, Member, Pool
 from atoll_coordinator.model.refinement import Refined
 from atoll_coordinator.model.selection import proposals
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.model_selection import select_model
 from atoll_coordinator.model.selection.shortcut import select_by_laws, with_laws
+from atoll_coordinator.model.selection.stages import select_model
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import PRESETS, JobConfig, SpaceConfig
 from atoll_core.expression.text.infix import to_infix

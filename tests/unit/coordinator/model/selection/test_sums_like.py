@@ -2,10 +2,9 @@
 
 import pytest
 
-from atoll_coordinator.model.selection import model_selection
-from atoll_coordinator.model.selection.model_selection import with_sums_like
+from atoll_coordinator.model.selection import stages
 from atoll_core.config import JobConfig, SpaceConfig
-from tests.unit.coordinator.model.selection.begun import selected
+from tests.unit.coordinator.model.selection.begun import looked_again, selected
 from tests.unit.coordinator.model.shooting.made import Known
 
 SATURATED = Known(("h",), lambda _, z: [1.5 / (1.0 + z[0] ** 2) - 0.6 * z[0]])
@@ -15,7 +14,7 @@ DECAY = Known(("h",), lambda _, z: [0.5 - z[0]])
 @pytest.mark.parametrize("noise", [0.0, 0.0005])
 def test_a_law_takes_the_place_of_what_is_about_the_same(noise):
     selection = selected(SATURATED, "1.4 - 1.5*h + 0.3*h*h - 0.05*h*h*h", noise)
-    found = with_sums_like(selection)
+    found = looked_again("sums like the equations", selection)
     text = SATURATED.text(found.model.programs[0])
     assert "/(" in text
     assert "h**2" in text
@@ -26,13 +25,13 @@ def test_a_law_takes_the_place_of_what_is_about_the_same(noise):
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_where_nothing_is_left_none_are_tried(noise, monkeypatch):
-    monkeypatch.setattr(model_selection, "propose_like", lambda *_: pytest.fail("there is nothing to explain"))
+    monkeypatch.setattr(stages, "propose_like", lambda *_: pytest.fail("there is nothing to explain"))
     selection = selected(DECAY, "0.4 - 0.9*h", noise)
-    assert with_sums_like(selection) is selection
+    assert looked_again("sums like the equations", selection) is selection
 
 
 def test_no_sum_is_larger_than_the_user_allows():
     config = JobConfig(space=SpaceConfig(max_size=7))
     selection = selected(SATURATED, "1.4 - 0.9*h", 0.0005, config)
-    found = with_sums_like(selection)
+    found = looked_again("sums like the equations", selection)
     assert len(found.model.programs[0]) <= 7

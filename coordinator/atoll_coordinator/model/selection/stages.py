@@ -1,0 +1,412 @@
+"""Which equations are the model: stages that propose candidates and compare systems of them, in one table.
+
+`STAGES` lists them in the order in which they run, each with the condition under which it is due; `select_model` runs
+them and writes the name of each to the log. A stage takes a `Choice`, how far the choice has come, and returns the next
+one. The stages fall into three parts:
+
+1. *Shortcuts*: laws by sparse regression, and equations of converged searches, are fitted first. Where these describe
+   the trajectories up to the noise, nothing else is proposed.
+2. *Candidates*: each stage adds what it proposes for each equation to the pool, until the pool suffices
+   (`CandidatePool.suffices`): a system leaves nothing to explain, and is not longer than laws usually are. Then the
+   best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
+3. *Second looks* at the system found: candidates that were too long less one part, sums that say about the same,
+   operators with which no search began, the user's guesses, and terms that noise has hidden.
+
+Doubts: the second looks repair what the first parts miss, each for a kind of law that was missed once. A search over
+all candidates by one criterion would make them needless, at several times the work.
+"""
+
+import logging
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+from atoll_coordinator.model.selection.alternatives import fit_guesses
+from atoll_coordinator.model.selection.joint_search import (
+    combine,
+    compare_rivals,
+    exchange,
+    recalibrated,
+    reduce_all,
+    search_locally,
+    search_terms,
+)
+from atoll_coordinator.model.selection.piece_lengths import search_in_pieces
+from atoll_coordinator.model.selection.pool import CandidatePool, Proposer
+from atoll_coordinator.model.selection.proposals import (
+    may_be_widened,
+    propose_all,
+    propose_further_sums,
+    propose_like,
+    propose_nearest,
+    propose_pairs,
+    propose_reduced,
+    propose_sums,
+)
+from atoll_coordinator.model.selection.score import FittedModel
+from atoll_coordinator.model.selection.shortcut import (
+    laws_in_short_pieces,
+    select_by_laws,
+    with_laws,
+)
+from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS
+from atoll_core.data.notes import Note
+from atoll_core.expression.operators import BY_NAME
+from atoll_core.expression.program import Program, structure
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """How far the choice of the model has come.
+
+    Attributes:
+        task: what is modelled.
+        pool: the candidates, from the first stage that proposes any on.
+        lists: the final candidates by equation; None as long as stages may add more.
+        selection: the best system so far; None before any could be simulated.
+        begun: the best system of laws alone, with which a choice of limited time begins.
+        is_searched: whether the selection comes from the search among candidates, and not from laws alone.
+    """
+
+    task: ModellingTask
+    pool: CandidatePool | None = None
+    lists: Sequence[Sequence[Program]] | None = None
+    selection: SelectedModel | None = None
+    begun: SelectedModel | None = None
+    is_searched: bool = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether neither a system nor the final candidates are known."""
+        return self.selection is None and self.lists is None
+
+    @property
+    def lacks_candidates(self) -> bool:
+        """Whether the pool has candidates, but does not suffice."""
+        return self.is_open and self.pool is not None and not self.pool.suffices
+
+    @property
+    def may_improve(self) -> bool:
+        """Whether the search has found a system that may miss a part of the law, and time is left to look again.
+
+        A solver gives its rows only of the law itself.
+        """
+        return self.is_searched and self.selection is not None and not (self.is_exact_solution or self.is_over)
+
+    @property
+    def is_exact_solution(self) -> bool:
+        """Whether the errors of the solver that made the table were found, which only the law tells."""
+        return self.selection is not None and self.selection.task.solver is not None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no time is left."""
+        return self.task.is_over
+
+    @property
+    def has_laws_of_rates(self) -> bool:
+        """Whether equations among many variables have laws by their derivatives, chosen from all terms."""
+        return any(laws and laws[0].is_of_rates for laws in self.task.laws.values())
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the choice: its name in the log, when it is due, and what it makes of the choice."""
+
+    name: str
+    is_due: Callable[[Choice], bool]
+    run: Callable[[Choice], Choice]
+
+
+def select_model(task: ModellingTask) -> SelectedModel | None:
+    """Return the best system of equations and the longest pieces it can be fitted to, None if it cannot at all."""
+    if task.recording.offsets:
+        task = replace(task, piece=task.longest)
+    choice = Choice(with_laws(task))
+    for stage in STAGES:
+        if stage.is_due(choice):
+            _LOG.info("choosing equations: %s", stage.name)
+            choice = stage.run(choice)
+    return choice.selection
+
+
+# ------------------------------------------------------------------------------------------------- shortcuts
+
+
+def fit_laws(choice: Choice) -> Choice:
+    """Select the laws of sparse regression, if together they describe the trajectories up to the noise."""
+    return replace(choice, selection=select_by_laws(choice.task))
+
+
+def begin_with_laws(choice: Choice) -> Choice:
+    """Fit the laws in short pieces: the model if time ends before the search has found a shorter description."""
+    return replace(choice, begun=laws_in_short_pieces(choice.task))
+
+
+def fit_converged(choice: Choice) -> Choice:
+    """Take the equations of converged searches, with laws for the rest, if they give exactly the trajectories."""
+    task = choice.task
+    converged = [task.converged(name) for name in task.variables]
+    laws = [next((law.program for law in task.laws.get(name, ())), None) for name in task.variables]
+    programs = [program or law for program, law in zip(converged, laws, strict=True)]
+    whole = [program for program in programs if program is not None]
+    if not any(converged) or len(whole) < len(programs):
+        return choice
+    comparison = task.compare(task.compared_measurements, task.variables, has_noise=False)
+    model = comparison.fit_model(whole)
+    is_exact = model is not None and comparison.score.is_exact(model)
+    return replace(choice, lists=[[program] for program in whole]) if is_exact else choice
+
+
+# ------------------------------------------------------------------------------------------------ candidates
+
+
+def propose(proposer: Proposer) -> Callable[[Choice], Choice]:
+    """Return what adds the proposals of a proposer to the pool."""
+
+    def run(choice: Choice) -> Choice:
+        task = choice.task
+        pool = choice.pool
+        if pool is None:
+            given = {**_settled(task), **{name: [program] for name, program in task.known.items()}}
+            pool = CandidatePool(task, task.comparison, given)
+        pool.add(proposer)
+        return replace(choice, pool=pool)
+
+    return run
+
+
+def _settled(task: ModellingTask) -> dict[str, list[Program]]:
+    """Return the laws of the equations that have some among many variables.
+
+    None where all have: together they have not held, and one of them is wrong.
+    """
+    law_programs = {
+        name: [law.program for law in laws if task.may_be_shown(law.program)]
+        for name, laws in task.laws.items()
+        if laws and laws[0].is_of_rates and laws[0].excess <= SETTINGS.inference.excess
+    }
+    return law_programs if len(law_programs) < len(task.variables) - len(task.known) else {}
+
+
+def stop_without_simulation(choice: Choice) -> Choice:
+    """Propose no more where no system can be simulated, however short the pieces."""
+    task, pool = choice.task, choice.pool
+    assert pool is not None, "candidates were proposed"
+    shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.shooting.lengths))
+    can_be_simulated = all(pool.lists) and combine(shortest_pieces.comparison, pool.lists) is not None
+    return choice if can_be_simulated else replace(choice, lists=pool.lists)
+
+
+def search(choice: Choice) -> Choice:
+    """Search the best system of all candidates, and of what is near it."""
+    if choice.lists is None:
+        assert choice.pool is not None, "candidates were proposed"
+        task = choice.task.with_comparison(choice.pool.comparison)
+        choice = replace(choice, task=task, lists=choice.pool.lists)
+    assert choice.lists is not None
+    return replace(choice, selection=search_in_pieces(choice.task, choice.lists), is_searched=True)
+
+
+def compare_with_laws(choice: Choice) -> Choice:
+    """Take the laws that a choice of limited time began with, unless the search came to a shorter description.
+
+    The search may have come no further than to some members of the fronts. Both are fitted to the same pieces. The
+    result of the search is compared with all laws, since it may not have been compared with its alternatives.
+    """
+    begun, selection = choice.begun, choice.selection
+    assert begun is not None
+    if selection is None:
+        return replace(choice, selection=begun)
+    if begun.task.deadline is not None:
+        begun.task.deadline.begin_last_stage()
+    other = begun.comparison.fit_model(selection.model.programs)
+    if other is None or begun.model.nats < other.nats:
+        return replace(choice, selection=begun)
+    for equation, programs in enumerate(begun.lists):
+        compare_rivals(selection.comparison, selection.model, equation, programs)
+    return choice
+
+
+# ---------------------------------------------------------------------------------------------- second looks
+
+
+def improve(second_look: Callable[[SelectedModel], SelectedModel]) -> Callable[[Choice], Choice]:
+    """Return what replaces the selection by that of a second look."""
+
+    def run(choice: Choice) -> Choice:
+        assert choice.selection is not None
+        return replace(choice, selection=second_look(choice.selection))
+
+    return run
+
+
+def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by a candidate that was too long, less one of its parts.
+
+    Where a short equation leaves nothing to explain, longer candidates are not fitted; the law may be one of them but
+    for a term, such as 0.8 x**0.75 - 1.5 x**3 in a x**b - c x**d - 0.003.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    lists = [
+        [own] if equation in comparison.fixed else propose_reduced(best, comparison, task, equation, candidates)
+        for equation, (own, candidates) in enumerate(zip(best.programs, selection.lists, strict=True))
+    ]
+    if not any(program is not own for own, programs in zip(best.programs, lists, strict=True) for program in programs):
+        return selection
+    better = exchange(comparison, best, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
+    return selection if better is best else replace(selection, model=reduce_all(comparison, better))
+
+
+def with_sums_like(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by sums that say about what its equations do.
+
+    Their constants are those of the curves of the selection, from which it takes more than a few steps to the best.
+    """
+    task, comparison, before = selection.task, selection.comparison, selection.model
+    known = [[task.known[name]] if name in task.known else None for name in task.variables]
+    calls = [partial(propose_like, before, comparison, task, name) for name in task.variables if name not in task.known]
+    proposed = iter(task.spread.branches(calls))
+    lists = [[before.programs[index]] if given else next(proposed) for index, given in enumerate(known)]
+    best = exchange(comparison, before, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
+    if best is before:
+        return selection
+    best = reduce_all(comparison, best)
+    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+
+
+def with_guesses(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by the user's guesses, one at a time or all together.
+
+    They are fitted along the trajectories whatever became of them in the search, which judges by derivatives.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    guesses = [task.candidates[name].fitted_guesses for name in task.variables]
+    if not any(guesses):
+        return selection
+    together = [given[0] if given else own for given, own in zip(guesses, best.programs, strict=True)]
+    models = [comparison.fit_beside(best, together), comparison.fit_model(together)]
+    models += [model for index, _ in enumerate(guesses) for model in fit_guesses(selection, index)]
+    known = [model for model in models if model is not None and math.isfinite(model.nats)]
+    shortest = min(known, key=lambda model: model.nats, default=best)
+    if shortest.nats > best.nats - SETTINGS.selection.least_gain:
+        return selection
+    comparison, model = recalibrated(comparison, reduce_all(comparison, shortest), [best])
+    return replace(selection, comparison=comparison, model=model)
+
+
+def with_other_terms(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by terms that noise has hidden or made up, see `search_terms`.
+
+    The errors of measurement are taken anew from what each better system leaves. Without noise the stages before have
+    missed none, and a term could describe what coarse steps of the integration err by; laws by derivatives among many
+    variables can do without none, and have been chosen from all terms.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures(best)}
+    pairs = [() if name in task.known else propose_pairs(task, name) for name in task.variables]
+    while not task.is_over:
+        other = search_terms(task, comparison, best, selection.lists, pairs, until)
+        if _structures(other) in seen:
+            break
+        seen.add(_structures(other))
+        if task.is_over:  # its rivals could not be compared again
+            best = other
+            break
+        comparison, best = recalibrated(comparison, other, [selection.model])
+    return selection if best is selection.model else replace(selection, comparison=comparison, model=best)
+
+
+def _structures(model: FittedModel) -> tuple[bytes, ...]:
+    return tuple(map(structure, model.programs))
+
+
+def with_further_operators(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description that has operators with which no search began."""
+    task, comparison, before = selection.task, selection.comparison, selection.model
+    widened = [name for name in task.variables if may_be_widened(task, name)]
+    if not widened:
+        return selection
+    selection = replace(selection, widened=widened)
+    given = {
+        name: [program] for name, program in zip(task.variables, before.programs, strict=True) if name not in widened
+    }
+    pool = CandidatePool(task, comparison, given, before, is_calibrating=False)
+    pool.add(propose_further_sums)
+    if not any(pool.lists[task.variables.index(name)] for name in widened):
+        return selection
+    best = exchange(comparison, pool.best or before, pool.lists)
+    if best.nats > before.nats - SETTINGS.selection.least_gain:
+        return selection
+    best = search_locally(task, comparison, best, [[program] for program in best.programs])
+    return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
+
+
+def _best(choice: Choice) -> FittedModel | None:
+    return None if choice.pool is None else choice.pool.best
+
+
+def _is_clean_and_lacking(choice: Choice) -> bool:
+    return choice.lacks_candidates and _best(choice) is not None and choice.task.is_nearly_clean
+
+
+def _may_be_reduced(choice: Choice) -> bool:
+    return choice.may_improve and not (choice.task.recording.groups or choice.has_laws_of_rates)
+
+
+def _may_have_sums_like(choice: Choice) -> bool:
+    selection = choice.selection
+    may_improve = choice.may_improve and not choice.task.recording.groups and selection is not None
+    return may_improve and selection is not None and selection.comparison.score.has_room(selection.model)
+
+
+def _may_hide_terms(choice: Choice) -> bool:
+    """Tell whether noise may have hidden a term, or made one up.
+
+    Without noise the stages before have missed none, and a term could describe the errors of coarse integration steps.
+    """
+    selection = choice.selection
+    if selection is None or choice.is_over or selection.task.is_nearly_clean or choice.is_exact_solution:
+        return False
+    return not (choice.has_laws_of_rates or selection.comparison.score.is_exact(selection.model))
+
+
+STAGES: Final = (
+    Stage("laws by sparse regression, together", lambda choice: not choice.task.recording.groups, fit_laws),
+    Stage("laws in short pieces", lambda choice: choice.is_open and choice.task.is_limited, begin_with_laws),
+    Stage("equations of converged searches", lambda choice: choice.is_open, fit_converged),
+    Stage("the nearest candidates", lambda choice: choice.is_open, propose(propose_nearest)),
+    Stage("candidates that cannot be simulated", lambda c: c.is_open and _best(c) is None, stop_without_simulation),
+    Stage("sums by pursuit", lambda choice: choice.lacks_candidates, propose(propose_sums)),
+    Stage("sums with further operators", _is_clean_and_lacking, propose(propose_further_sums)),
+    Stage("all candidates, and libraries of terms", lambda choice: choice.lacks_candidates, propose(propose_all)),
+    Stage("search among the candidates", lambda choice: choice.selection is None, search),
+    Stage("candidates less one part", _may_be_reduced, improve(with_reduced_candidates)),
+    Stage("sums like the equations", _may_have_sums_like, improve(with_sums_like)),
+    Stage("further operators", lambda choice: choice.may_improve, improve(with_further_operators)),
+    Stage("the laws of the beginning", lambda c: c.begun is not None and c.is_over, compare_with_laws),
+    Stage("guesses", lambda choice: choice.selection is not None, improve(with_guesses)),
+    Stage("terms hidden by noise", _may_hide_terms, improve(with_other_terms)),
+)
+"""The stages of the choice, in their order."""
+
+
+def operator_remarks(selection: SelectedModel, shown: Mapping[str, Program]) -> Iterator[str]:
+    """Yield a sentence where equations as `shown`, by variable, have further operators, or none of these has helped."""
+    programs = [shown[name] for name in selection.widened if name in shown]
+    codes = {code for program in programs for code in program.operators.tolist()}
+    taken = [name for name in FURTHER_OPERATORS if BY_NAME[name].code in codes]
+    begun, further = " ".join(BASE_OPERATORS), ", ".join(FURTHER_OPERATORS)
+    if taken:
+        yield Note(f"Beside {begun}, {further} were tried; with {', '.join(taken)} the description is shorter.")
+    elif programs and selection.comparison.score.has_room(selection.model):
+        yield Note(
+            f"{further} were tried as well, since {begun} leave more than noise; no equation with them makes the "
+            "description shorter."
+        )
