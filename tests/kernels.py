@@ -16,7 +16,7 @@ from atoll_core.machine import usable_cores
 
 _WORKER: Final = "from atoll_island_worker.compute.compute_thread import warm_up"
 _COORDINATOR: Final = "from atoll_coordinator.warmup import warm_up"
-_DATA: Final = "from atoll_coordinator.data.differentiation.warmup import warm_up as data"
+_DATA: Final = "from atoll_coordinator.data.differentiation.derivatives import warm_up as data"
 _RUN: Final = "warm_up(lambda sentence: print(sentence, flush=True))"
 
 

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
+from atoll_coordinator.data.differentiation.derivatives import warm_up as warm_up_data
 from atoll_coordinator.model.shooting.warmup import warm_up as warm_up_trajectories
 from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
 from atoll_core.compilation.cache import Report, compile_or_load

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import Angle, DataConfig, JobConfig
 from atoll_core.errors import AtollError, DataError
 from tests.unit.coordinator.data.tables import table_of

@@ -382,8 +382,8 @@ def check_data(options: argparse.Namespace) -> Iterator[Diagnosis]:
     from atoll.cli.options import parse
     from atoll.cli.request import request_of
     from atoll_coordinator.data.columns.examination import examine
+    from atoll_coordinator.data.outline import describe
     from atoll_coordinator.data.reading.files import read_table
-    from atoll_coordinator.data.table_summary import describe
 
     given = {name: value for name, value in vars(options).items() if name != "verb"}
     try:

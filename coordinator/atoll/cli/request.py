@@ -48,8 +48,8 @@ class JobRequest:
 
     def read(self) -> "Table":
         """Read the files and print on stderr how they were read; raises DataError."""
+        from atoll_coordinator.data.outline import describe
         from atoll_coordinator.data.reading.files import read_table
-        from atoll_coordinator.data.table_summary import describe
 
         table = read_table(self.files, self.config.data)
         note(describe(table, self.config))

@@ -49,7 +49,7 @@ def ready_preparation() -> None:
     try:
         load_preparation()
         import atoll_coordinator.model.sparse.rates.screening  # noqa: F401
-        from atoll_coordinator.data.differentiation.warmup import warm_up as warm_up_data
+        from atoll_coordinator.data.differentiation.derivatives import warm_up as warm_up_data
         from atoll_coordinator.model.sparse.warmup import warm_up as warm_up_sparse
 
         warm_up_data()

@@ -12,13 +12,12 @@ from atoll.client.options import OPTIONS
 from atoll.web.options import read_options
 from atoll.web.pictures import some
 from atoll.web.reading import TABLE
-from atoll_coordinator.data.outline import Outline, outline
+from atoll_coordinator.data.outline import Outline, describe, outline
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.reading.typed_formats import check_sheet
 from atoll_coordinator.data.recording import Preparation, Recording, Trajectory
 from atoll_coordinator.data.roles.roles import Roles
-from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 

@@ -1,14 +1,15 @@
-"""From measurement files to the regression problems of a job. `prepare` tells the whole way, stage by stage:
+"""From measurement files to the regression problems of a job. `prepare` is the whole way on one page:
 
-- `reading`: files -> `Table`, on the client's side; `table_summary`: what a table holds, in lines for a person
-- `outline`: what a job would search in it
-- `roles`: column names and options -> `Roles`, symbols of expressions, left-hand sides
-- `prior_knowledge`: guesses and known equations, checked and resolved against the roles
+- `reading`: files -> `Table`, on the client's side
+- `roles`: column names and options -> `Roles`, symbols of expressions
+- `prior_knowledge`: guesses, known equations and bounds, checked and resolved against the roles
 - `trajectories`: `Table` and `Roles` -> `Measurements`: rows, trajectories, times, states, split at gaps
+- `columns`: checks of the columns before anything is searched
 - `differentiation`: `Measurements` -> one `StateEstimate` for each state: values, derivatives, uncertainties
 - `row_selection`: estimates -> `SelectedRows`, and why others are excluded
 - `increments`: `Measurements` of a stochastic process -> `Preparation`, without smoothing
 - `assembly`: all of these -> `Preparation`, which `recording` defines: the dataset of the search and the recording
+- `outline`: for a person, before a job: how the table was read, and what a job would search
 
 Data go down this list. Which stage may import which is a contract in pyproject.toml.
 """

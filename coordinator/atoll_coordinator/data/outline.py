@@ -1,18 +1,24 @@
-"""What a job would search: its equations, what each may be made of, and when the search ends. Pure, and cheap."""
+"""For a person, before a job: how a table was read (`describe`), and what a job would search in it (`outline`). Pure.
 
-from collections.abc import Sequence
+Both are cheap: nothing is smoothed or compiled.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from atoll_coordinator.data.columns.examination import examine
+import numpy as np
+
+from atoll_coordinator.data.columns.examination import Examination, examine
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.roles.roles import Roles, assign_symbols
+from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 
 
 @dataclass(frozen=True)
 class EquationOutline:
-    """One equation: its left-hand side, and what it may be made of, or what it is if it is `known`."""
+    """One equation: its left-hand side, its variables and operators, or its expression if it is `known`."""
 
     lhs: str
     variables: tuple[str, ...]
@@ -31,7 +37,7 @@ class EquationOutline:
 class Outline:
     """What a job would search in a table: names of `files`, how they were read, number of rows, equations, settings.
 
-    `roles` are those of the columns, `warnings` what the columns say themselves.
+    `roles` are the roles of the columns, `warnings` the findings of their examination.
     """
 
     files: tuple[str, ...]
@@ -78,25 +84,80 @@ class Outline:
 def outline(table: Table, config: JobConfig) -> Outline:
     """Return what a job would search.
 
-    Raises UsageError where options or what is known beforehand cannot be used, DataError where the columns cannot.
+    Raises UsageError where options or prior knowledge cannot be used, DataError where the columns cannot.
     """
-    examination = examine(table, config)
-    roles, options = examination.roles, examination.options
-    symbols = assign_symbols(roles.variables)
-    resolved, names = resolve_equations(config.model_copy(update={"data": options}), roles, symbols)
-    stated_units = {**dict(zip(table.names, table.units, strict=True)), **options.units}
-    units = {name: unit for name, unit in stated_units.items() if unit and name in roles.used}
-    equations = tuple(_equation(resolved, roles, name, tuple(symbols.values())) for name in names)
-    warnings = tuple(finding.sentence for finding in examination.findings)
-    return Outline(table.files, table.read_as, table.rows, roles.time, units, equations, resolved, roles, warnings)
-
-
-def _equation(config: JobConfig, roles: Roles, name: str, symbols: Sequence[str]) -> EquationOutline:
-    columns = config.space.columns_for(name, symbols)
-    return EquationOutline(
-        roles.left_hand_side(name),
-        tuple(symbols[column] for column in columns),
-        config.space.operators_for(name),
-        config.prior.known.get(name),
-        config.prior.guesses.get(name, ()),
+    examination, resolved, names, units = _resolved(table, config)
+    roles = examination.roles
+    symbols = tuple(assign_symbols(roles.variables).values())
+    equations = tuple(
+        EquationOutline(
+            roles.left_hand_side(name),
+            tuple(symbols[column] for column in resolved.space.columns_for(name, symbols)),
+            resolved.space.operators_for(name),
+            resolved.prior.known.get(name),
+            resolved.prior.guesses.get(name, ()),
+        )
+        for name in names
     )
+    used = {name: unit for name, unit in units.items() if unit and name in roles.used}
+    warnings = tuple(finding.sentence for finding in examination.findings)
+    return Outline(table.files, table.read_as, table.rows, roles.time, used, equations, resolved, roles, warnings)
+
+
+def describe(table: Table, config: JobConfig, *, has_warnings: bool = True) -> str:
+    """Return lines on files, how they were read, trajectories, rows, time, columns and prior knowledge.
+
+    Where it `has_warnings`, the findings of the columns follow.
+
+    Raises UsageError where options or prior knowledge cannot be used, DataError where the measurements cannot.
+    """
+    examination, resolved, _, units = _resolved(table, config)
+    roles, measurements = examination.roles, examination.measurements
+
+    def with_unit(name: str) -> str:
+        return f"{name} [{units[name]}]" if units.get(name) else name
+
+    files = ", ".join(table.files) if len(table.files) <= 3 else f"{len(table.files)} files"
+    count = len(measurements.ranges)
+    trajectories = f"{count} trajectories, " if count > 1 else ""
+    used = f" ({measurements.row_count} that can be used)" if measurements.row_count < table.rows else ""
+    lines = [f"{files}: {trajectories}{table.rows} rows{used}"]
+    if table.read_as:
+        lines.append(f"read as {table.read_as}")
+    if roles.time is not None:
+        lines.append(f"time {with_unit(roles.time)}: {_times(measurements, roles.time)}")
+    named = [("states", roles.states), ("derivatives", roles.derivatives), ("inputs", roles.inputs)]
+    if roles.target is not None:
+        named = [("target", (roles.target,)), ("inputs", roles.inputs)]
+    named.append(("weights", () if roles.weights is None else (roles.weights,)))
+    lines += [f"{role}: {', '.join(map(with_unit, names))}" for role, names in named if names]
+    if measurements.group_names:
+        lines.append(f"constants may differ between {len(measurements.group_names)} groups of trajectories")
+    prior, side = resolved.prior, roles.left_hand_side
+    lines += [f"known: {side(name)} = {text}" for name, text in prior.known.items()]
+    lines += [f"guess: {side(name)} = {text}" for name, texts in prior.guesses.items() for text in texts]
+    lines += [f"required: {side(name)} has {', '.join(names)}" for name, names in resolved.space.required_of.items()]
+    lines += [f"bounds: {side(name)}: {'; '.join(texts)}" for name, texts in prior.bounds.items()]
+    lines += [f"warning: {finding.sentence}" for finding in examination.findings if has_warnings]
+    return "\n".join(lines)
+
+
+def _resolved(table: Table, config: JobConfig) -> tuple[Examination, JobConfig, tuple[str, ...], Mapping[str, str]]:
+    examination = examine(table, config)
+    symbols = assign_symbols(examination.roles.variables)
+    config = config.model_copy(update={"data": examination.options})
+    resolved, equations = resolve_equations(config, examination.roles, symbols)
+    units = dict(zip(table.names, table.units, strict=True)) | examination.options.units
+    return examination, resolved, equations, units
+
+
+def _times(measurements: Measurements, name: str) -> str:
+    """Return range and step of the times, such as ``0 to 9.98, step 0.02``."""
+    times = measurements.columns[name]
+    steps = np.sort(np.concatenate([np.diff(times[first:last]) for first, last in measurements.ranges]))
+    text = f"{float(np.min(times)):g} to {float(np.max(times)):g}"
+    if not len(steps):
+        return text
+    low, high, middle = float(steps[0]), float(steps[-1]), float(steps[len(steps) // 2])
+    is_even = high - low <= 1e-6 * abs(middle) + 8.0 * float(np.spacing(np.max(np.abs(times))))
+    return f"{text}, step {middle:g}" if is_even else f"{text}, steps {low:g} to {high:g}"

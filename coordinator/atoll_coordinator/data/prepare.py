@@ -1,17 +1,20 @@
 """From a raw table to the regression problems of a job: the stages of preparation, in order. Pure.
 
-Roles of columns, checks, trajectories, what the columns say themselves; smoothing and differentiation, and once more
-where gaps in the times split trajectories, or where there are far more rows than the states' time scales need;
-selection of rows; the `Dataset` of the search and the recording. A stochastic process is not smoothed.
+1. Roles of columns, trajectories, and checks of the columns (`examine`).
+2. Smoothing and differentiation; again where gaps in the times split trajectories, and again where there are far more
+   rows than the states' time scales need, which are then averaged.
+3. Selection of rows, the `Dataset` of the search and the recording.
+
+A stochastic process is not smoothed, and given left-hand sides are not differentiated.
 """
 
 from dataclasses import replace
 
-from atoll_coordinator.data.assembly.datasets import assemble_differentiated, assemble_given
+from atoll_coordinator.data.assembly import assemble_differentiated, assemble_given
 from atoll_coordinator.data.columns.examination import Examination, examine
 from atoll_coordinator.data.differentiation.derivatives import Differentiation
 from atoll_coordinator.data.differentiation.held_inputs import estimate_driven_states
-from atoll_coordinator.data.increments.targets import assemble_process
+from atoll_coordinator.data.increments import assemble_process
 from atoll_coordinator.data.prior_knowledge import resolve_equations
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.data.roles.roles import assign_symbols

@@ -246,7 +246,6 @@ def _known_program(variable: str, text: str, names: Sequence[str]) -> Program:
 
 
 def _check_guesses(config: JobConfig, variable: str, texts: Sequence[str], names: Sequence[str]) -> None:
-    """Raise UsageError unless every guess for `variable` can stand in its populations."""
     population = config.evolution.population
     most = population // _INDIVIDUALS_PER_GUESS
     if len(texts) > most:

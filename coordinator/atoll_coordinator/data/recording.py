@@ -1,7 +1,7 @@
-"""The measurements of a job, trajectory by trajectory, and how they were smoothed: what a model is judged by.
+"""The measurements of a job, trajectory by trajectory, and how they were smoothed: models are judged by them.
 
-The search sees a `atoll_core.data.dataset.Dataset` of smoothed rows; everything after it goes back to the states as
-they were measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
+The search sees a `atoll_core.data.dataset.Dataset` of smoothed rows; everything after it uses the states as they were
+measured. Pure data. Letters: R rows of one trajectory, S states, U inputs.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,15 +15,13 @@ from atoll_core.data.dataset import Dataset, FloatArray
 
 Method = Literal["interpolation", "loess", "robust loess"]
 InputKind = Literal["smooth", "shape-preserving", "held"]
-"""How an input goes from row to row: with continuous second derivatives (de Boor 1978, chapter IV); so that nothing
-overshoots where it is switched (Fritsch & Butland 1984); at its value until the next row (zero-order hold)."""
+"""An input between rows: a curve with continuous second derivatives (de Boor 1978, chapter IV); a curve that does not
+overshoot where the input is switched (Fritsch & Butland 1984); its value until the next row (zero-order hold)."""
 Reason = Literal["end", "gap", "jump", "outlier", "missing"]
 """Why a row is not used: near an end of its trajectory, near a gap in the times, where the state changes too fast for
-the sampling or for the smoother, as an outlier, or because the state is missing and its other rows do not tell it."""
-
-
+the sampling or for the smoother, an outlier, or a missing value that the other rows do not determine."""
 STENCIL_ROWS: Final = 15
-"""Rows of the widest stencil of an interpolation; here, since what counts rows is not to load kernels."""
+"""Rows of the widest stencil of an interpolation; here, so that modules that count rows need not load kernels."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class Quantisation:
     """How a state was rounded: the `kind`, the `step` (of the largest values, where it depends on these), the `error`.
 
     The kinds are rounded to a decimal place, to significant digits, to float32, or multiples of a step, as of an
-    encoder. `error` is the root mean square of what rounding leaves, in the state's unit.
+    encoder. `error` is the root mean square of the rounding errors, in the state's unit.
     """
 
     kind: Literal["decimals", "digits", "single precision", "steps"]
@@ -52,17 +50,16 @@ class ExcludedRow:
 class Trajectory:
     """One continuous measurement; arrays in C order.
 
-    `name` is what the user knows it by: its number from 1, or the value of the trajectory column. `times` (R,) ascend
+    `name` is its number from 1, or the value of the trajectory column. `times` (R,) ascend
     strictly, centred over all trajectories; `measured`, `smoothed` and `slopes` are (S, R), angles unwrapped and in
     radians; `slopes` are first derivatives. `inputs` and `input_slopes` are (U, R): an input between rows is the cubic
     with these values and slopes, NaN where it is held at its value until the next row. `held_out` trajectories were
     kept from the search and from every fit.
-    `measured` is NaN where a value is missing; `is_known` (S, R) tells where `smoothed` is known all the same, None:
-    everywhere.
+    `measured` is NaN where a value is missing; `is_known` (S, R) tells where `smoothed` is known, None: everywhere.
     `robustness_weights` (S, R), from 0 (an outlier) to 1, reduce the weight of single measurements; None: all are 1.
     `weights` (R,) divide the variance of the errors of each row and are 1 on average over all rows; None: all are 1.
-    `rates` and `rate_errors` (S, R) are the derivatives sought and their standard errors, with those of the estimated
-    bias; infinite where nothing is known. None: they were not kept. `group` is one of the recording's, if it has any.
+    `rates` and `rate_errors` (S, R) are the derivatives sought and their standard errors, with the estimated bias;
+    infinite where nothing is known. None: they were not kept. `group` is one of the recording's, if it has any.
     """
 
     name: str
@@ -86,13 +83,13 @@ class Smoothing:
     """How one state was smoothed.
 
     `noise` is the estimated standard deviation of its measurement errors, in its unit and in rows of weight 1 (where it
-    was interpolated, an upper estimate, often of rounding alone), and `relative_noise` that over the state's pooled
-    standard deviation; `span` (rows) and `degree` are those of loess, None where it was interpolated. `uncertain_rows`
-    counts the rows whose derivative is too uncertain to be used, `outliers` those of robustness weight 0.
-    `excluded_rows` are the rows, in order, of trajectories that are not held out which are not used because of this
-    state. `narrower_noise` is the noise by loess of the same degree with the `narrower_span` (rows): `span` is the one
-    of small residuals, which makes `noise` a little too small. `quantisation` is how the state was rounded, None where
-    its digits show nothing; `noise` is at least its error.
+    was interpolated, an upper estimate, often of rounding alone), and `relative_noise` the noise over the state's
+    pooled standard deviation; `span` (rows) and `degree` belong to loess, None where it was interpolated.
+    `uncertain_rows` counts the rows whose derivative is too uncertain to be used, `outliers` the rows of robustness
+    weight 0. `excluded_rows` are the rows, in order, that are not used because of this state, of trajectories that are
+    not held out. `narrower_noise` is the noise by loess of the same degree with the `narrower_span` (rows): `span` was
+    chosen for small residuals, which makes `noise` a little too small. `quantisation` is how the state was rounded,
+    None where its digits show nothing; `noise` is at least its error.
     """
 
     state: str
@@ -114,12 +111,12 @@ class Recording:
     """All trajectories of a job.
 
     `states` and `inputs` are column names, `state_symbols` and `input_symbols` the names in expressions, in the order
-    of the arrays' rows; `offsets` are states measured up to an offset that each trajectory has its own. With `order` 2
-    the variables of expressions are the states, then `velocity_symbols`, then the inputs. `offset` is what was taken
-    from the times of the file to centre them. `groups` are the names of groups of trajectories that have constants of
-    their own; none: all share them. A row is the mean of about `rows_of_mean` rows of the file. `input_kinds` say how
-    each input goes from row to row; empty: that is not known. `input_error` is the largest error of their curves
-    between rows over their standard deviations.
+    of the arrays' rows; `offsets` are states measured up to an offset of each trajectory. With `order` 2 the variables
+    of expressions are the states, then `velocity_symbols`, then the inputs. `offset` was subtracted from the times of
+    the file to centre them. `groups` are the names of groups of trajectories that have constants of their own; none:
+    all share them. A row is the mean of about `rows_of_mean` rows of the file. `input_kinds` are the curves of the
+    inputs between rows; empty: not known. `input_error` is the largest error of these curves over the standard
+    deviations of the inputs.
     """
 
     states: tuple[str, ...]
@@ -186,7 +183,7 @@ class ProcessRecording:
 class Source:
     """The table that a preparation was made of, and what its columns are; column names without units.
 
-    `digest` is the hex sha256 of the table as it is uploaded, `units` are those of its header by column (none: left
+    `digest` is the hex sha256 of the table as it is uploaded, `units` are the units in its header by column (none: left
     out); `read_as` says how its files were read. `states` have an equation of `order`, unless a `target` has one;
     `velocities` are variables for order 2.
     """
@@ -206,14 +203,14 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """What preparing a table gives.
+    """The result of preparing a table.
 
-    `dataset` is what the search sees; `recording` is None where the left-hand sides were given, and where noise is part
-    of the law, of which `process` has the trajectories (None elsewhere); `held_out` has the same
-    targets over rows of held-out trajectories, with uncertainty, standard deviation and noise of `dataset`, None where
-    there are none. Where the left-hand sides were given, `counted` has the rows that fits use, those too that weigh too
-    little for the search, which counts its rows alike; None: the rows of `dataset`. `weights` say how much each of them
-    counts; None: all are 1. `source` says what it was made of; None: that is not known.
+    `dataset` is what the search sees; `recording` is None where the left-hand sides were given, and for a stochastic
+    process, whose trajectories are in `process` (else None); `held_out` has the same targets over rows of held-out
+    trajectories, with uncertainty, standard deviation and noise of `dataset`, None where there are none. Where the
+    left-hand sides were given, `counted` has the rows that fits use, also rows with too little weight for the search,
+    which counts its rows alike; None: the rows of `dataset`. `weights` are the weights of these rows; None: all are 1.
+    `source` is the table; None: not known.
     """
 
     dataset: Dataset
@@ -226,7 +223,7 @@ class Preparation:
 
 
 def by_group(preparation: Preparation) -> Iterator[Preparation]:
-    """Yield what each group of trajectories that may have constants of its own gives by itself."""
+    """Yield the preparation of each group of trajectories that may have constants of its own."""
     dataset, recording = preparation.dataset, preparation.recording
     if recording is None:
         return

@@ -134,7 +134,6 @@ class _Basis:
         return shares, rest
 
     def _combined(self, shares: Sequence[float]) -> list[float]:
-        """Return the coefficient of each column in the sum of units."""
         return [
             sum(share * row[place] for share, row in zip(shares, self._coefficients, strict=True))
             for place in range(len(self.names))
@@ -221,7 +220,6 @@ def _step(values: FloatArray) -> float:
 
 
 def _remark(relation: Relation, states: Sequence[str], left_out: Sequence[str]) -> Finding:
-    """Return the finding of a relation after which no column is left out."""
     how = "in every row" if relation.is_exact else f"up to noise ({100.0 * relation.residual:.2g} % of {relation.name})"
     if relation.constant:
         ones = {name: -value for name, value in relation.coefficients.items()} | {relation.name: 1.0}

@@ -121,7 +121,12 @@ def _clipped(parts: Parts) -> list[float]:
 def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
     """Yield a finding for the states that count the rows; they are not sought, unless nothing else would be."""
     states = columns.roles.states
-    counters = tuple(name for name in states if columns.may_leave_out(name) and _counts_rows(columns.values[name]))
+    counters = tuple(
+        name
+        for name in states
+        if columns.may_leave_out(name)
+        and all((part == np.floor(part)).all() and (np.diff(part) == 1.0).all() for part in columns.values[name])
+    )
     if counters and len(counters) < len(states):
         counts, them, are = ("counts", "it", "is") if len(counters) == 1 else ("count", "them", "are")
         yield Finding(
@@ -129,11 +134,6 @@ def check_counters(columns: ExaminedColumns) -> Iterator[Finding]:
             f"no equation is sought for {them} (--states {listed(states)} keeps {them})",
             left_out=counters,
         )
-
-
-def _counts_rows(parts: Parts) -> bool:
-    """Tell whether a column has whole numbers that rise by one from each row to the next."""
-    return all(bool(np.all(part == np.floor(part))) and bool(np.all(np.diff(part) == 1.0)) for part in parts)
 
 
 # ------------------------------------------------------------------------------------------- few levels and held inputs

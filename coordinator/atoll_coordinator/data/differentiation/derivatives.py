@@ -1,50 +1,65 @@
-"""Values, derivatives and their uncertainty along trajectories, for one state at a time (pure).
+"""Values, derivatives and their uncertainty along trajectories, for one state at a time. Pure.
 
-Noisy states are smoothed by loess. Where leaving rows out shows that the data follow local polynomials of high order
-better than any smoother (there is no noise to speak of), they are interpolated instead. Rows of different weights say
-that there is noise.
+Noisy states are smoothed by loess. Where left-out rows show that the data follow local polynomials of high order better
+than any smoother (the noise is negligible), they are interpolated instead. Rows of different weights imply noise.
 """
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.differentiation.interpolation import (
+    are_moving,
+    estimate_value_noise,
+    fill,
+    fill_missing,
     interpolate_derivative,
     is_interpolation_better,
+    make_signal,
     predict_left_out,
 )
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
-from atoll_coordinator.data.differentiation.noise import are_moving, estimate_noise, estimate_value_noise
 from atoll_coordinator.data.differentiation.quantisation import find_quantisation, is_refuted
-from atoll_coordinator.data.differentiation.robust import fit_robustly, has_heavy_tails, weigh_by
-from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, select_smoother, smooth
-from atoll_coordinator.data.differentiation.value_scale import derivative_standard_deviation
+from atoll_coordinator.data.differentiation.smoothing import (
+    Signal,
+    Smoother,
+    estimate_noise,
+    fit_robustly,
+    has_heavy_tails,
+    select_smoother,
+    smooth,
+    weigh_by,
+)
 from atoll_coordinator.data.recording import STENCIL_ROWS, Quantisation
+from atoll_coordinator.data.trajectories.checks import check_size
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
+
+ROUNDING: Final = 1e-12
+"""Guard: a column that varies less than this share of its mean is judged by the mean, for it may well be constant."""
 
 
 @dataclass(frozen=True, eq=False)
 class StateEstimate:
     """What is known of one state over all its rows, in the order of the signals. All arrays are (R,).
 
-    `values` are interpolated (as measured) or smoothed; `derivative` is the one sought, `velocity` the first one;
-    `uncertainty` is the standard error of `derivative`, and `total_uncertainty` the root of its square and that of the
-    estimated bias (where the state was interpolated, the same as `uncertainty`). Where the state is missing and its own
-    rows do not tell it, both are infinite, the derivatives 0, and a value nearby stands in. `noise` is the estimated
-    standard deviation of the measurement errors, at least that of the `quantisation` (None where there is none to see),
-    and `standard_deviation` that of the measurements; `smoother` is None where the state was interpolated. `outliers`,
-    how many rows have no weight, and `robustness_weights` are None unless loess was robust; `has_heavy_tails` advises
-    that it should be. `narrower_noise` is the noise by loess with the narrower span, `narrower_span` (rows), by which
-    the bias is estimated. `points` (R,) are the values that the derivatives belong to where these are not `values`.
+    `values` are interpolated (as measured) or smoothed; `derivative` is the derivative sought, `velocity` the first
+    derivative; `uncertainty` is the standard error of `derivative`, and `total_uncertainty` the root of the sum of its
+    square and the squared estimated bias (where the state was interpolated, the same as `uncertainty`). Where the state
+    is missing and its own rows do not show it, both are infinite, the derivatives 0, and the value is a substitute.
+    `noise` is the estimated standard deviation of the measurement errors, at least the error of the `quantisation`
+    (None: there is none), and `standard_deviation` that of the measurements; `smoother` is None where the state was
+    interpolated. `outliers`, the number of rows without weight, and `robustness_weights` are None unless loess was
+    robust; `has_heavy_tails` advises that it should be. `narrower_noise` is the noise by loess with the narrower span,
+    `narrower_span` (rows), by which the bias is estimated. `points` (R,) are the values that the derivatives belong to
+    where these are not `values`.
     """
 
     values: FloatArray
@@ -65,7 +80,7 @@ class StateEstimate:
 
     @property
     def is_known(self) -> npt.NDArray[np.bool_]:
-        """Where the state is known (R,): it was measured, or its own rows tell it."""
+        """Where the state is known (R,): it was measured, or its own rows show it."""
         return np.isfinite(self.total_uncertainty)
 
     @property
@@ -85,7 +100,7 @@ class StateEstimate:
 
     @property
     def target_noise(self) -> float:
-        """The relative noise that the search assumes: 0.0 when interpolated, or below what can be told."""
+        """The relative noise that the search assumes: 0.0 when interpolated, or too small to be determined."""
         is_free = self.is_interpolated or self.relative_noise < SETTINGS.interpolation.smallest_noise
         return 0.0 if is_free else self.relative_noise
 
@@ -104,7 +119,7 @@ class Differentiation:
 
     @property
     def degrees(self) -> tuple[int, ...]:
-        """Degrees of loess among which one is selected; 2 is that of Schmidt & Lipson 2008."""
+        """Degrees of loess among which one is selected; 2 is the degree in Schmidt & Lipson 2008."""
         return (2,) if self.paper else SETTINGS.smoothing.degrees
 
 
@@ -124,11 +139,11 @@ def estimate_states(
             make_signal(times, values, part)
             for times, values, part in zip(measurements.trajectories.times, along, parts, strict=True)
         ]
-        if not any(map(_is_long_enough, _not_held_out(signals, measurements.held_out))):
+        if not any(signal.is_long_enough for signal in _searched(signals, measurements.held_out)):
             few = SETTINGS.checks.min_rows
             raise DataError(f"state '{state}' has fewer than {few} values along every trajectory; sample more of them")
         quantisation = find_quantisation(along)
-        if quantisation is not None and is_refuted(quantisation, list(filter(_is_long_enough, signals))):
+        if quantisation is not None and is_refuted(quantisation, [part for part in signals if part.is_long_enough]):
             quantisation = None
         least = 0.0 if quantisation is None else quantisation.error
         estimate = estimate_derivatives(signals, options, measurements.held_out, least)
@@ -142,35 +157,27 @@ def estimate_derivatives(
 ) -> StateEstimate:
     """Return values and derivatives of one state, over all rows of all signals.
 
-    Signals have 5 rows or more each; where fewer of them were measured, the state is not known there. Those `held_out`
-    take no part in any choice (empty: all do). Errors have the standard deviation `least_noise` at least.
+    Signals have 5 rows or more each; where fewer of them were measured, the state is not known there. Signals that are
+    `held_out` take no part in any choice (empty: all do). Errors have the standard deviation `least_noise` at least.
     """
+    # scaled by a power of two, so that values of any size have squares
     _, exponent = math.frexp(max(float(np.max(np.abs(signal.values))) for signal in signals))
     scaled = [replace(signal, values=np.ldexp(signal.values, -exponent)) for signal in signals]
     least = math.ldexp(least_noise, -exponent)
-    return _rescale(_estimate(scaled, options, held_out or [False] * len(signals), least), exponent)
-
-
-def _rescale(estimate: StateEstimate, exponent: int) -> StateEstimate:
-    """Return the estimate of values 2**exponent times as large: values of any size have squares in between."""
+    estimate = _estimate(scaled, options, held_out or [False] * len(signals), least)
+    rescaled: dict[str, Any] = {}
     with np.errstate(over="ignore", under="ignore"):
-        return replace(
-            estimate,
-            values=np.ldexp(estimate.values, exponent),
-            velocity=np.ldexp(estimate.velocity, exponent),
-            derivative=np.ldexp(estimate.derivative, exponent),
-            uncertainty=np.ldexp(estimate.uncertainty, exponent),
-            total_uncertainty=np.ldexp(estimate.total_uncertainty, exponent),
-            noise=float(np.ldexp(estimate.noise, exponent)),
-            standard_deviation=float(np.ldexp(estimate.standard_deviation, exponent)),
-            narrower_noise=float(np.ldexp(estimate.narrower_noise, exponent)),
-        )
+        for name in ("values", "velocity", "derivative", "uncertainty", "total_uncertainty"):
+            rescaled[name] = np.ldexp(getattr(estimate, name), exponent)
+        for name in ("noise", "standard_deviation", "narrower_noise"):
+            rescaled[name] = float(np.ldexp(getattr(estimate, name), exponent))
+    return replace(estimate, **rescaled)
 
 
 def _estimate(
     signals: Sequence[Signal], options: Differentiation, held_out: Sequence[bool], least: float
 ) -> StateEstimate:
-    searched = [signal for signal in _not_held_out(signals, held_out) if _is_long_enough(signal)]
+    searched = [signal for signal in _searched(signals, held_out) if signal.is_long_enough]
     searched = [signal for signal in searched if signal.measured.values.any()] or searched
     smoother = select_smoother(searched, options.degrees)
     smoothed = [smooth(signal, smoother) for signal in searched]
@@ -187,7 +194,7 @@ def _estimate(
             noise = max(estimate_value_noise(errors[moving], gains[moving], is_quiet=True), least)
             shares = (*shares, SETTINGS.interpolation.quiet_share)
         if noise <= largest and is_interpolation_better(searched, errors, smoothed, shares):
-            return _interpolate(signals, options.order, noise, deviation)
+            return _by_interpolation(signals, options.order, noise, deviation)
     fit = fit_robustly(searched, options.degrees) if options.robust else None
     if fit is None or not fit.outliers:
         return replace(_by_loess(signals, smoother, options.order, searched, least), has_heavy_tails=is_tailed)
@@ -198,16 +205,26 @@ def _estimate(
     return replace(estimate, outliers=fit.outliers, robustness_weights=np.concatenate(weights))
 
 
+def _searched(signals: Sequence[Signal], held_out: Sequence[bool]) -> list[Signal]:
+    return [signal for signal, is_held_out in zip(signals, held_out, strict=True) if not is_held_out]
+
+
+def _standard_deviation(signals: Sequence[Signal]) -> float:
+    return moments(np.concatenate([signal.values[signal.weights > 0.0] for signal in signals]))[1]
+
+
 def _by_loess(
     signals: Sequence[Signal], smoother: Smoother, order: int, searched: Sequence[Signal], least: float
 ) -> StateEstimate:
-    """Return what loess gives of `signals`, with the noise of those `searched`, `least` at least."""
+    """Return the estimate of `signals` by loess, with the noise of the signals `searched`, `least` at least."""
     noise = max(estimate_noise(searched, smoother), least)
-    fits, gains = _joined(signals, smoother)
+    smoothed = [smooth(signal, smoother) for signal in signals]
+    fits = np.concatenate([part.fits for part in smoothed], axis=1)
+    gains = np.concatenate([part.gains for part in smoothed], axis=1)
     span = max(int(SETTINGS.smoothing.narrower * smoother.span), smoother.degree + 2)
     narrower = replace(smoother, span=span)
     narrower_noise = max(estimate_noise(searched, narrower), least)
-    narrower_fits, _ = _joined(signals, narrower)
+    narrower_fits = np.concatenate([smooth(signal, narrower).fits for signal in signals], axis=1)
     bias = fits[order] - narrower_fits[order]
     uncertainty = noise * gains[order]
     total = np.sqrt(uncertainty * uncertainty + bias * bias)
@@ -218,15 +235,33 @@ def _by_loess(
     return _without_unknown(estimate, signals, gains[0])
 
 
-def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: FloatArray) -> StateEstimate:
-    """Return the estimate with what is not known said to be so.
+def _by_interpolation(signals: Sequence[Signal], order: int, noise: float, deviation: float) -> StateEstimate:
+    filled = [fill_missing(signal) for signal in signals]
+    whole, errors = [], []
+    for filling in filled:
+        known = np.flatnonzero(np.isfinite(filling.steps))
+        part = slice(int(known[0]), int(known[-1]) + 1) if len(known) else slice(0)
+        whole.append(Signal(filling.signal.times[part], filling.signal.values[part]))
+        errors.append(np.maximum(noise, noise * filling.gains + filling.steps)[part])
+    rows = np.concatenate([np.isfinite(filling.steps) for filling in filled])
+    derivatives = {each: np.zeros((2, len(rows))) for each in (1, order)}
+    for each, everywhere in derivatives.items():
+        everywhere[:, rows] = interpolate_derivative(whole, each, errors)
+    velocity, (derivative, uncertainty) = derivatives[1][0], derivatives[order]
+    values = np.concatenate([filling.signal.values for filling in filled])
+    estimate = StateEstimate(values, velocity, derivative, uncertainty, uncertainty, noise, deviation, None)
+    return _without_unknown(estimate, signals, np.where(rows, 0.0, math.inf))
 
-    A missing value is known where it is as certain, by the others, as one measurement: where its noise gain (R,) is at
-    most 1.
+
+def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: FloatArray) -> StateEstimate:
+    """Return the estimate with unknown rows marked: infinite uncertainty, derivatives 0, a value nearby.
+
+    A missing value is known where the other rows determine it as well as one measurement does: where its noise gain
+    (R,) is at most 1.
     """
     if all(signal.is_measured is None for signal in signals):
         return estimate
-    is_long = np.concatenate([np.full(len(signal.times), _is_long_enough(signal)) for signal in signals])
+    is_long = np.concatenate([np.full(len(signal.times), signal.is_long_enough) for signal in signals])
     is_known = is_long & (np.concatenate([signal.measured_rows for signal in signals]) | (gains <= 1.0))
     held, start = estimate.values.copy(), 0
     for signal in signals:
@@ -244,40 +279,45 @@ def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: 
     )
 
 
-def _not_held_out(signals: Sequence[Signal], held_out: Sequence[bool]) -> list[Signal]:
-    return [signal for signal, is_held_out in zip(signals, held_out, strict=True) if not is_held_out]
+# -------------------------------------------------------------------------------------------------- scales of values
 
 
-def _is_long_enough(signal: Signal) -> bool:
-    """Say whether enough rows of a signal were measured for it to have a derivative."""
-    return len(signal.measured.times) >= SETTINGS.checks.min_rows
+def bounded_standard_deviation(values: FloatArray, least: float = ROUNDING) -> float:
+    """Return the standard deviation, or `least` times the mean's size where the values hardly vary."""
+    mean, deviation = moments(values)
+    return max(deviation, least * abs(mean), SETTINGS.checks.smallest)
 
 
-def _joined(signals: Sequence[Signal], smoother: Smoother) -> tuple[FloatArray, FloatArray]:
-    """Return fits (3, R) and gains (4, R) over the rows of all signals."""
-    smoothed = [smooth(signal, smoother) for signal in signals]
-    fits = np.concatenate([signal.fits for signal in smoothed], axis=1)
-    return fits, np.concatenate([signal.gains for signal in smoothed], axis=1)
+def representable_standard_deviation(name: str, values: FloatArray) -> float:
+    """Return the standard deviation; raises DataError when it is beyond the range of numbers."""
+    deviation = bounded_standard_deviation(values)
+    check_size(name, deviation)
+    return deviation
 
 
-def _standard_deviation(signals: Sequence[Signal]) -> float:
-    """Return the standard deviation of all values but outliers."""
-    return moments(np.concatenate([signal.values[signal.weights > 0.0] for signal in signals]))[1]
+def derivative_standard_deviation(state: str, values: FloatArray) -> float:
+    """Return the standard deviation of a state's derivative; raises DataError when there is none to compute with."""
+    if not values.any():
+        raise DataError(
+            f"state '{state}' stands still wherever it can be differentiated, as one that is switched between values "
+            f"does, so that no equation can be sought; make it an input with --inputs {state}"
+        )
+    return representable_standard_deviation(f"derivative of {state}", values)
 
 
-def _interpolate(signals: Sequence[Signal], order: int, noise: float, deviation: float) -> StateEstimate:
-    filled = [fill_holes(signal) for signal in signals]
-    whole, errors = [], []
-    for filling in filled:
-        known = np.flatnonzero(np.isfinite(filling.steps))
-        part = slice(int(known[0]), int(known[-1]) + 1) if len(known) else slice(0)
-        whole.append(Signal(filling.signal.times[part], filling.signal.values[part]))
-        errors.append(np.maximum(noise, noise * filling.gains + filling.steps)[part])
-    rows = np.concatenate([np.isfinite(filling.steps) for filling in filled])
-    derivatives = {each: np.zeros((2, len(rows))) for each in (1, order)}
-    for each, everywhere in derivatives.items():
-        everywhere[:, rows] = interpolate_derivative(whole, each, errors)
-    velocity, (derivative, uncertainty) = derivatives[1][0], derivatives[order]
-    values = np.concatenate([filling.signal.values for filling in filled])
-    estimate = StateEstimate(values, velocity, derivative, uncertainty, uncertainty, noise, deviation, None)
-    return _without_unknown(estimate, signals, np.where(rows, 0.0, math.inf))
+# ------------------------------------------------------------------------------------------------------------ warm-up
+
+
+def warm_up() -> None:
+    """Compile or load every kernel that preparing data needs, with a few rows with noise and a few without.
+
+    Interpreted kernels (``NUMBA_DISABLE_JIT``) need nothing. Takes some seconds the first time on a machine.
+    """
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return
+    numbers = np.arange(24.0)
+    times = 0.1 * numbers
+    noisy, clean = Signal(times, numbers * 31.0 % 47.0), Signal(times, 1.0 / (1.0 + times))
+    estimate_derivatives([noisy], Differentiation())
+    estimate_derivatives([clean], Differentiation())
+    smooth(noisy, Smoother(5, 1, 0.0, thinning=2))

@@ -1,9 +1,10 @@
-"""States that held inputs drive: smooth between two switches, with a slope that jumps at each. Pure.
+"""States driven by held inputs: smooth between two switches, with a slope that jumps at each switch. Pure.
 
 Where an input is held over five rows or more, each piece between two switches is differentiated as a trajectory of its
 own. Where it is switched more often, the slope is the difference of two neighbouring rows over their distance: the
-mean slope under one value of the input, which to second order belongs to the middle between them. There no smoothing
-tells errors from motion: their size follows from what a polynomial in all variables leaves of these slopes.
+mean slope under one value of the input, which to second order belongs to the middle between the rows. There no
+smoothing separates errors from motion: the errors are estimated from the residuals of a polynomial in all variables
+that is fitted to these slopes.
 
 Letters: R rows, N steps between rows, P terms.
 """
@@ -16,9 +17,10 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.data.columns.finding import dot
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, StateEstimate, estimate_states
+from atoll_coordinator.data.differentiation.interpolation import make_signal
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.differentiation.missing_values import make_signal
 from atoll_coordinator.data.differentiation.smoothing import Smoother
 from atoll_coordinator.data.trajectories.measurements import Measurements, Range, take_pieces
 from atoll_coordinator.settings import SETTINGS
@@ -32,9 +34,9 @@ _NEIGHBOURS: Final = Smoother(2, 1, 0.0)
 def estimate_driven_states(
     measurements: Measurements, weights: FloatArray | None, options: Differentiation
 ) -> list[StateEstimate]:
-    """Return values and derivatives of the measured states, with what held inputs say of their jumps.
+    """Return values and derivatives of the measured states, with jumps of slopes where held inputs are switched.
 
-    Without held inputs they are those of `estimate_states`, as arguments and errors are.
+    Without held inputs they are the results of `estimate_states`; arguments and errors are its arguments and errors.
     """
     if not measurements.roles.held:
         return estimate_states(measurements, weights, options)
@@ -78,10 +80,10 @@ def pieces_between_switches(measurements: Measurements) -> list[list[Range]]:
 def _over_all_rows(
     estimate: StateEstimate, rows: Sequence[int], measurements: Measurements, name: str
 ) -> StateEstimate:
-    """Return an estimate over some `rows`, each once or twice, as one over all.
+    """Return an estimate over some `rows`, each once or twice, as an estimate over all rows.
 
-    Of a row at which two pieces meet the later one tells, under whose input the rows go on; a row that no piece after
-    it begins with is not known, unless a trajectory ends there.
+    At a row where two pieces meet the later piece counts, since its input acts on the next rows; a row that ends a
+    piece and begins none is not known, unless a trajectory ends there.
     """
     of_row = dict(zip(rows, range(len(rows)), strict=True))  # the last of two
     ends = {last - 1 for _, last in measurements.ranges}
@@ -111,7 +113,7 @@ def _over_all_rows(
 
 
 def _is_hidden(estimate: StateEstimate) -> bool:
-    """Say whether errors are most of the variance of a derivative: then a smoother that crosses jumps tells more."""
+    """Tell whether errors are most of the variance of a derivative: then smoothing across jumps is more accurate."""
     known = np.flatnonzero(estimate.is_known)
     if len(known) < SETTINGS.checks.min_rows:
         return True
@@ -124,7 +126,7 @@ def _by_differences(
 ) -> list[StateEstimate] | None:
     """Return first derivatives in the steps between rows, each at the row that it begins with.
 
-    `smoothed` are the estimates without regard to jumps. None where there are too few steps to tell errors.
+    `smoothed` are the estimates without regard to jumps. None where there are too few steps to estimate errors.
     """
     assert measurements.trajectories is not None
     times = np.concatenate(measurements.trajectories.times)
@@ -139,12 +141,12 @@ def _by_differences(
         for name, values in zip(measurements.roles.inputs, map(np.concatenate, measurements.inputs), strict=True)
     ]
     searched = np.flatnonzero(np.isin(steps, measurements.searched_rows))
-    seen = searched[np.linspace(0, len(searched) - 1, min(len(searched), LIMITS.most_steps)).astype(np.int64)]
+    sample = searched[np.linspace(0, len(searched) - 1, min(len(searched), LIMITS.most_steps)).astype(np.int64)]
     estimates = []
     for values, middle, estimate in zip(states, points, smoothed, strict=True):
         slopes = (values[steps + 1] - values[steps]) / lengths
         is_known = estimate.is_known[steps] & estimate.is_known[steps + 1]
-        chosen = seen[is_known[seen]]
+        chosen = sample[is_known[sample]]
         noise = _noise(slopes[chosen], gains[chosen], [column[chosen] for column in (*points, *driving)])
         if noise is None:
             return None
@@ -153,35 +155,23 @@ def _by_differences(
         derivative = np.zeros(len(values))
         whole[steps], derivative[steps[is_known]] = middle, slopes[is_known]
         errors[steps[is_known]] = noise * gains[is_known]
-        estimates.append(
-            replace(
-                estimate,
-                values=values,
-                points=whole,
-                velocity=derivative,
-                derivative=derivative,
-                uncertainty=errors,
-                total_uncertainty=errors,
-                noise=noise,
-                smoother=_NEIGHBOURS,
-                outliers=None,
-                robustness_weights=None,
-                narrower_noise=0.0,
-                narrower_span=0,
-            )
-        )
+        differences = StateEstimate(
+            values, derivative, derivative, errors, errors, noise, estimate.standard_deviation, _NEIGHBOURS,
+            has_heavy_tails=estimate.has_heavy_tails, quantisation=estimate.quantisation, points=whole,
+        )  # fmt: skip
+        estimates.append(differences)
     return estimates
 
 
 def _filled(measurements: Measurements, name: str) -> FloatArray:
-    """Return a state (R,) as measured, where it is missing its neighbours' line."""
+    """Return a state (R,) as measured; missing values lie on the line between their neighbours."""
     assert measurements.trajectories is not None
     pairs = zip(measurements.trajectories.times, measurements.trajectories.states[name], strict=True)
     return np.concatenate([make_signal(times, values).values for times, values in pairs])
 
 
 def _noise(slopes: FloatArray, gains: FloatArray, variables: Sequence[FloatArray]) -> float | None:
-    """Return the standard deviation of the errors of a state, by what polynomials leave of its `slopes` (N,).
+    """Return the standard deviation of the errors of a state, by residuals of polynomials fitted to its `slopes` (N,).
 
     `gains` (N,) are the standard errors of slopes for errors of deviation one. None where there are too few steps.
     """
@@ -196,19 +186,14 @@ def _noise(slopes: FloatArray, gains: FloatArray, variables: Sequence[FloatArray
             column = 1.0 / gains
             for factor in power:
                 column = column * factor
-            size = _dot(column, column)
-            for _ in range(2):  # once more, for what rounding leaves
+            size = dot(column, column)
+            for _ in range(2):  # the second time removes the rounding errors of the first
                 for other in basis:
-                    column = column - _dot(column, other) * other
-            left = _dot(column, column)
+                    column = column - dot(column, other) * other
+            left = dot(column, column)
             if left > SETTINGS.common.negligible**2 * size:
                 basis.append(column / math.sqrt(left))
-                rest = rest - _dot(rest, basis[-1]) * basis[-1]
-        noise = math.sqrt(_dot(rest, rest) / (len(slopes) - len(basis)))
+                rest = rest - dot(rest, basis[-1]) * basis[-1]
+        noise = math.sqrt(dot(rest, rest) / (len(slopes) - len(basis)))
         least = noise if least is None else min(least, noise)
     return least
-
-
-def _dot(one: FloatArray, other: FloatArray) -> float:
-    """Return the sum of products, rounded once: the same bits everywhere."""
-    return math.fsum((one * other).tolist())

@@ -1,8 +1,8 @@
 """Inputs between the rows at which they were measured: one curve for fits, simulations, reports and exports. Pure.
 
 The curve is the cubic with given values and slopes at the rows; the slopes of a held input are not numbers (NaN), and
-it keeps the value of a row until the next row. Not for the search, which sees inputs at rows only. Most data have no
-inputs, and need not wait for the library.
+it keeps the value of a row until the next row. The search sees inputs at rows only. scipy is imported where it is used:
+most data have no inputs.
 
 Letters: N rows.
 """
@@ -21,9 +21,9 @@ from atoll_core.data.dataset import FloatArray
 
 _LEAST_SMOOTH: Final = 4
 """Rows from which a cubic with continuous second derivatives is determined; fewer are taken as shape-preserving."""
-
 _BETWEEN_SMOOTH: Final = 1.0 / 16.0
 """Error of a cubic spline between rows over its error at rows that are left out, one in two."""
+_Sample = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class InputCurve:
     def pieces(self) -> FloatArray:
         """Cubics (N - 1, 5): the time from which each holds, the coefficients of the powers 0 to 3 of the time since.
 
-        Of a held input there are N, of which the last one begins at the last row.
+        Of a held input there are N; the last one begins at the last row.
         """
         times, values, slopes = self.times, self.values, self.slopes
         if self.is_held or len(times) < 2:
@@ -77,9 +77,8 @@ class InputCurve:
     @property
     def until(self) -> float:
         """The time up to which the `pieces` hold."""
-        return float(
-            self.times[-1] + (self.times[-1] - self.times[-2] if self.is_held and len(self.times) > 1 else 0.0)
-        )
+        last = self.times[-1] - self.times[-2] if self.is_held and len(self.times) > 1 else 0.0
+        return float(self.times[-1] + last)
 
     @cached_property
     def jumps(self) -> FloatArray:
@@ -96,77 +95,79 @@ class InputCurve:
 
 
 def choose_input_kind(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> InputKind:
-    """Return whether one input is smooth or shape-preserving: what predicts rows that are left out better.
+    """Return whether one input is smooth or shape-preserving: the kind that predicts left-out rows better.
 
     Args:
         times: of each trajectory, ascending strictly.
         values: of the input at these times, finite.
     """
-    samples = [pair for pair in zip(times, _scaled(values)[0], strict=True) if len(pair[0]) > _LEAST_SMOOTH]
+    samples, _ = _samples(times, values)
     if not samples:
         return "shape-preserving"
-    return min(("smooth", "shape-preserving"), key=lambda kind: _left_out_error(kind, samples))
+    kinds: tuple[InputKind, ...] = ("smooth", "shape-preserving")
+    return min(kinds, key=lambda kind: math.fsum(map(abs, _left_out_errors(kind, samples))))
 
 
 def estimate_input_slopes(
     times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind
 ) -> list[FloatArray]:
-    """Return slopes of one input along each trajectory, NaN of a held one.
+    """Return slopes of one input along each trajectory, NaN for a held input.
 
-    A linear input has its own slope, but for rounding. Arguments are those of `choose_input_kind`.
+    A linear input has its own slope, but for rounding. Arguments are as of `choose_input_kind`.
     """
     if kind == "held":
         return [np.full(len(part), np.nan) for part in times]
-    scaled, exponent = _scaled(values)
+    exponent = _exponent(values)
     with np.errstate(over="ignore", under="ignore"):
-        return [
-            np.ldexp(_slopes(kind, part_times, part), exponent) for part_times, part in zip(times, scaled, strict=True)
+        slopes = [
+            _slopes(kind, part_times, np.ldexp(part, -exponent)) for part_times, part in zip(times, values, strict=True)
         ]
+        return [np.ldexp(part, exponent) for part in slopes]
 
 
 def relative_curve_error(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind) -> float:
     """Return the error of a smooth curve between rows over the standard deviation of the input (root mean squares).
 
-    A cubic spline errs by the fourth power of the step: by a sixteenth of what it errs at rows that are left out, one
-    in two. 0 for inputs of other kinds: when they are switched between two rows is not known.
+    A cubic spline errs by the fourth power of the step: by a sixteenth of its error at rows that are left out, one in
+    two. 0 for inputs of other kinds: when they are switched between two rows is not known.
     """
-    samples = [pair for pair in zip(times, _scaled(values)[0], strict=True) if len(pair[0]) > _LEAST_SMOOTH]
+    samples, _ = _samples(times, values)
     if kind != "smooth" or not samples:
         return 0.0
-    errors = [error for sample in samples for error in _left_out_errors(kind, *sample)]
-    spread = _variance([value for _, part in samples for value in part.tolist()])
-    square = math.fsum(error * error for error in errors) / len(errors)
-    return _BETWEEN_SMOOTH * math.sqrt(square / spread) if spread > 0.0 else 0.0
+    numbers = [value for _, part in samples for value in part.tolist()]
+    mean = math.fsum(numbers) / len(numbers)
+    spread = math.fsum((value - mean) ** 2 for value in numbers) / len(numbers)
+    return _BETWEEN_SMOOTH * math.sqrt(_left_out_variance(kind, samples) / spread) if spread > 0.0 else 0.0
 
 
 def unknown_variance(times: Sequence[FloatArray], values: Sequence[FloatArray], kind: InputKind | None) -> float | None:
-    """Return the variance of an input about its curve in the middle between its rows; None where too few rows tell.
+    """Return the variance of an input about its curve in the middle between its rows; None where there are too few.
 
-    Of a smooth curve that is the square of its error. Others are taken to go like a random walk, a Brownian bridge
-    between two rows: at rows that are left out, one in two, its variance is twice the one in the middle between rows. A
-    held input is known everywhere. Noise of an input that is not smooth counts, since its curve leads through it.
+    For a smooth curve that is the square of its error. Other inputs are modelled as a random walk, a Brownian bridge
+    between two rows: at rows that are left out, one in two, its variance is twice the variance in the middle between
+    rows. A held input is known everywhere. The noise of an input that is not smooth counts, since its curve passes
+    through it.
     """
     if kind == "held":
         return 0.0
-    scaled, exponent = _scaled(values)
-    samples = [pair for pair in zip(times, scaled, strict=True) if len(pair[0]) > _LEAST_SMOOTH]
+    samples, exponent = _samples(times, values)
     if not samples:
         return None
     kind = choose_input_kind(times, values) if kind is None else kind
-    errors = [error for sample in samples for error in _left_out_errors(kind, *sample)]
-    square = math.fsum(error * error for error in errors) / len(errors)
-    return math.ldexp(square * (_BETWEEN_SMOOTH**2 if kind == "smooth" else 0.5), 2 * exponent)
+    share = _BETWEEN_SMOOTH**2 if kind == "smooth" else 0.5
+    return math.ldexp(_left_out_variance(kind, samples) * share, 2 * exponent)
 
 
-def _variance(numbers: Sequence[float]) -> float:
-    mean = math.fsum(numbers) / len(numbers)
-    return math.fsum((value - mean) ** 2 for value in numbers) / len(numbers)
+def _exponent(values: Sequence[FloatArray]) -> int:
+    """Return the exponent of the power of two over which values are about one."""
+    return math.frexp(max((float(np.max(np.abs(part))) for part in values if len(part)), default=0.0))[1]
 
 
-def _scaled(values: Sequence[FloatArray]) -> tuple[list[FloatArray], int]:
-    """Return values over a power of two by which they are about one, and its exponent."""
-    _, exponent = math.frexp(max((float(np.max(np.abs(part))) for part in values if len(part)), default=0.0))
-    return [np.ldexp(part, -exponent) for part in values], exponent
+def _samples(times: Sequence[FloatArray], values: Sequence[FloatArray]) -> tuple[list[_Sample], int]:
+    """Return times and scaled values of the trajectories with enough rows, and the exponent of the scale."""
+    exponent = _exponent(values)
+    scaled = [np.ldexp(part, -exponent) for part in values]
+    return [pair for pair in zip(times, scaled, strict=True) if len(pair[0]) > _LEAST_SMOOTH], exponent
 
 
 def _slopes(kind: InputKind, times: FloatArray, values: FloatArray) -> FloatArray:
@@ -178,16 +179,17 @@ def _slopes(kind: InputKind, times: FloatArray, values: FloatArray) -> FloatArra
     return np.asarray(make(times, values)(times, 1))
 
 
-def _left_out_errors(kind: InputKind, times: FloatArray, values: FloatArray) -> list[float]:
+def _left_out_variance(kind: InputKind, samples: Sequence[_Sample]) -> float:
+    errors = _left_out_errors(kind, samples)
+    return math.fsum(error * error for error in errors) / len(errors)
+
+
+def _left_out_errors(kind: InputKind, samples: Sequence[_Sample]) -> list[float]:
     """Return the errors at inner rows when every other row is left out, first the odd then the even."""
     errors = list[float]()
-    for first in (0, 1):
-        kept, left_out = slice(first, None, 2), slice(first + 1, len(times) - 1, 2)
-        curve = InputCurve(times[kept], values[kept], _slopes(kind, times[kept], values[kept]))
-        errors += [curve(t) - v for t, v in zip(times[left_out].tolist(), values[left_out].tolist(), strict=True)]
+    for times, values in samples:
+        for first in (0, 1):
+            kept, left_out = slice(first, None, 2), slice(first + 1, len(times) - 1, 2)
+            curve = InputCurve(times[kept], values[kept], _slopes(kind, times[kept], values[kept]))
+            errors += [curve(t) - v for t, v in zip(times[left_out].tolist(), values[left_out].tolist(), strict=True)]
     return errors
-
-
-def _left_out_error(kind: InputKind, samples: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Return the sum of absolute errors at rows that are left out."""
-    return math.fsum(abs(error) for sample in samples for error in _left_out_errors(kind, *sample))

@@ -1,14 +1,18 @@
-"""Derivatives of data without noise: polynomials through the 3 to 15 nearest rows, for one state at a time (pure).
+"""Local interpolation: derivatives of data without noise, missing values, and the noise by predicted rows. Pure.
 
-Each row takes the stencil whose step from the next narrower one is least (weights by Fornberg 1988, good for uneven
-steps). That difference between two orders is the row's uncertainty.
+Derivatives are slopes of polynomials through the 3 to 15 nearest rows. Each row takes the stencil that differs least
+from the next narrower one (weights by Fornberg 1988, good for uneven steps); that difference between two orders is the
+row's uncertainty. A state that is missing where another one was measured is interpolated between its own rows; before
+the first and after the last of them it is not known.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from atoll_coordinator.data.differentiation.kernels.stencils import (
     HALF_WIDTHS,
@@ -17,17 +21,25 @@ from atoll_coordinator.data.differentiation.kernels.stencils import (
     left_out_into,
     moments,
 )
-from atoll_coordinator.data.differentiation.smoothing import Signal, SmoothedSignal
+from atoll_coordinator.data.differentiation.smoothing import NORMAL_DEVIATION, Signal, SmoothedSignal
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 END_ROWS = SETTINGS.interpolation.end_rows
+Rows = npt.NDArray[np.intp]
 _LEAST_FREEDOM: Final = 1e-12
 """Guard: smallest 1 - leverage by which a residual is divided."""
+_MEDIAN_ERROR: Final = 1.1664
+"""Relative standard error of the median size of R normal errors, times sqrt(R): 1 / (2 m f(m)) with the median
+m = 0.6745 and the density f of the size."""
+_QUIET_DEVIATION: Final = 7.9579
+"""A normal error's standard deviation over its size that a tenth of such errors stay below, 0.12566."""
+_QUIET_ERROR: Final = 3.0156
+"""Relative standard error of that size of R errors, times sqrt(R): sqrt(0.1 0.9) / (2 m f(m)), see `_MEDIAN_ERROR`."""
 
 
 def mark_ends(lengths: Sequence[int]) -> FloatArray:
-    """Return 1.0 at rows that stand at the ends of trajectories of which half the rows remain, else 0.0."""
+    """Return 1.0 at the rows at both ends of trajectories of which half the rows remain, else 0.0."""
     parts = [np.zeros(length) for length in lengths]
     for part in parts:
         if len(part) >= 4 * END_ROWS:
@@ -47,18 +59,30 @@ def predict_left_out(signals: Sequence[Signal]) -> tuple[FloatArray, FloatArray]
 def is_interpolation_better(
     signals: Sequence[Signal], errors: FloatArray, smoothed: Sequence[SmoothedSignal], shares: Sequence[float]
 ) -> bool:
-    """Say whether interpolation predicts rows that are left out better than loess does, which gave `smoothed`.
+    """Tell whether interpolation predicts left-out rows better than loess does, which gave `smoothed`.
 
-    `errors` are those by which interpolation misses the rows that were measured, from `predict_left_out`. It is better
-    where it is by one of the `shares` of the rows, those with the smallest errors.
+    `errors` are the errors of interpolation at measured rows, from `predict_left_out`. It is better if it is better by
+    one of the `shares` of the rows with the smallest errors.
     """
     inner = mark_ends([len(signal.measured.times) for signal in signals]) == 0.0
-    by_loess = _loess_errors(signals, smoothed)[inner]
+    left_out = [
+        ((signal.values - fit.fits[0]) / np.maximum(1.0 - fit.gains[3], _LEAST_FREEDOM))[signal.measured_rows]
+        for signal, fit in zip(signals, smoothed, strict=True)
+    ]
+    by_loess = np.concatenate(left_out)[inner]
     for share in shares:
         by_interpolation = min(_typical_size(errors[inner, width], share) for width in range(HALF_WIDTHS))
         if by_interpolation < _typical_size(by_loess, share):
             return True
     return False
+
+
+def _typical_size(errors: FloatArray, share: float) -> float:
+    """Return the root mean square of the smallest errors; infinite when not all of them are finite."""
+    ordered = np.sort(np.abs(errors))[: max(1, int(share * len(errors)))]
+    mean, deviation = moments(ordered)
+    size = math.sqrt(mean * mean + deviation * deviation)
+    return size if math.isfinite(size) else math.inf
 
 
 def interpolate_derivative(
@@ -78,18 +102,128 @@ def interpolate_derivative(
     return derivative, uncertainty
 
 
-def _loess_errors(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> FloatArray:
-    """Return the leave-one-out errors of loess, residual / (1 - leverage), of all rows that were measured."""
-    errors = [
-        (signal.values - fit.fits[0]) / np.maximum(1.0 - fit.gains[3], _LEAST_FREEDOM)
-        for signal, fit in zip(signals, smoothed, strict=True)
-    ]
-    return np.concatenate([part[signal.measured_rows] for part, signal in zip(errors, signals, strict=True)])
+# --------------------------------------------------------------------------------------------- noise by predicted rows
 
 
-def _typical_size(errors: FloatArray, share: float) -> float:
-    """Return the root mean square of the smallest errors; infinite when not all of them are finite."""
-    ordered = np.sort(np.abs(errors))[: max(1, int(share * len(errors)))]
-    mean, deviation = moments(ordered)
-    size = math.sqrt(mean * mean + deviation * deviation)
-    return size if math.isfinite(size) else math.inf
+def are_moving(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
+    """Return False for rows (R,) that belong to three or more of one value in sequence, NaN passed over.
+
+    Such rows, as of a sensor at the end of its range, are predicted without an error, and say nothing of the noise.
+    """
+    moving = []
+    for values in parts:
+        known = np.flatnonzero(np.isfinite(values))
+        same = np.diff(values[known]) == 0.0
+        in_three = np.zeros(len(known), dtype=bool)
+        for first in np.flatnonzero(same[1:] & same[:-1]).tolist():
+            in_three[first : first + 3] = True
+        flags = np.ones(len(values), dtype=bool)
+        flags[known[in_three]] = False
+        moving.append(flags)
+    return np.concatenate(moving)
+
+
+def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: bool = False) -> float:
+    """Return an estimate of the standard deviation of the values' errors that is not biased low.
+
+    The left-out errors of one width over their gains have this standard deviation where the width follows the signal, a
+    larger one elsewhere. Each width gives an estimate, the median size times `NORMAL_DEVIATION`, with the relative
+    standard error `_MEDIAN_ERROR` / sqrt(R). The least of several such estimates is biased low, so the largest estimate
+    is returned that sampling alone may have made larger than the least.
+
+    Args:
+        errors: of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
+        gains: their standard deviations for errors of deviation one, (R, H).
+        is_quiet: by the tenth of the rows with the smallest errors instead of half: where a state changes too fast for
+            the sampling in places, the others show its noise. The standard error is 2.6 times as large.
+    """
+    rows = len(errors)
+    share, deviation, error = (0.5, NORMAL_DEVIATION, _MEDIAN_ERROR)
+    if is_quiet:
+        share, deviation, error = (0.1, _QUIET_DEVIATION, _QUIET_ERROR)
+    quantiles = np.sort(np.abs(errors) / gains, axis=0)[int(share * rows)]
+    noises = deviation * quantiles[~np.isnan(quantiles)]
+    agreement = 1.0 + SETTINGS.interpolation.agreement * error * math.sqrt(2.0 / rows)
+    return float(np.max(noises[noises <= agreement * np.min(noises)]))
+
+
+# ------------------------------------------------------------------------------------------------------ missing values
+
+
+@dataclass(frozen=True, eq=False)
+class Filled:
+    """A signal without missing values: `signal`, and the errors of substitutes, all (R,) and 0 at measured rows.
+
+    `steps` are differences between two orders of interpolation, infinite where the value is not known; `gains` the
+    standard errors over the standard error of the measurements.
+    """
+
+    signal: Signal
+    steps: FloatArray
+    gains: FloatArray
+
+
+def make_signal(times: FloatArray, values: FloatArray, inverse_variances: FloatArray | None = None) -> Signal:
+    """Return the signal of `values` (R,); missing ones, NaN, are replaced on the line between their neighbours."""
+    is_known = np.isfinite(values)
+    if is_known.all():
+        return Signal(times, values, inverse_variances=inverse_variances)
+    return Signal(times, fill(times, values, is_known, 1)[0], None, inverse_variances, is_known.astype(np.float64))
+
+
+def fill_missing(signal: Signal) -> Filled:
+    """Return `signal` with missing values interpolated as well as its own rows allow."""
+    if signal.is_measured is None:
+        return Filled(signal, *np.zeros((2, len(signal.times))))
+    values, steps, gains = fill(signal.times, signal.values, signal.measured_rows, HALF_WIDTHS)
+    return Filled(replace(signal, values=values, is_measured=None), steps, gains)
+
+
+def fill(
+    times: FloatArray, values: FloatArray, is_known: npt.NDArray[np.bool_], pairs: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return values without missing ones, steps and gains, see `Filled`.
+
+    A row between known rows takes the polynomial through 1 to `pairs` of them on either side that differs least from
+    the next smaller one. Elsewhere the nearest known value is held, 0 where there is none.
+    """
+    filled, steps, gains = values.copy(), np.zeros(len(times)), np.zeros(len(times))
+    known, missing = np.flatnonzero(is_known), np.flatnonzero(~is_known)
+    following = np.searchsorted(known, missing)
+    counts = np.minimum(np.minimum(following, len(known) - following), pairs)
+    for count in range(1, pairs + 1):
+        rows, after = missing[counts == count], following[counts == count, None] + np.arange(count)
+        before = following[counts == count, None] - 1 - np.arange(count)
+        nodes = known[np.stack([before, after], axis=2).reshape(len(rows), 2 * count)]
+        filled[rows], steps[rows], gains[rows] = _interpolate(times, values, rows, nodes)
+    beyond = missing[counts == 0]
+    steps[beyond] = math.inf
+    filled[beyond] = values[known[np.maximum(following[counts == 0] - 1, 0)]] if len(known) else 0.0
+    return filled, steps, gains
+
+
+def _interpolate(
+    times: FloatArray, values: FloatArray, rows: Rows, nodes: Rows
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return values, steps and gains (M,) at `rows` (M,) by the best of the polynomials through 2, 4, … `nodes` (M, P).
+
+    Sums run in the order of the nodes: the same bits everywhere.
+    """
+    nearest = values[nodes[:, 0]]
+    best, least, gains, last = nearest, np.full(len(rows), math.inf), np.ones(len(rows)), nearest
+    for count in range(2, nodes.shape[1] + 1, 2):
+        value, square = nearest, np.zeros(len(rows))
+        for place in range(count):
+            weight, own = np.ones(len(rows)), times[nodes[:, place]]  # of Lagrange
+            for other in range(count):
+                if other != place:
+                    node = times[nodes[:, other]]
+                    weight *= (times[rows] - node) / (own - node)
+            value = value + weight * (values[nodes[:, place]] - nearest)
+            square += weight * weight
+        step = np.abs(value - last)
+        is_better = step < least
+        best, least = np.where(is_better, value, best), np.where(is_better, step, least)
+        gains = np.where(is_better, np.sqrt(square), gains)
+        last = value
+    return best, least, gains

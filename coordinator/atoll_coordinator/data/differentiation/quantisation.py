@@ -1,4 +1,4 @@
-"""Steps in which a state was recorded, seen in its digits: of a decimal place, of digits, of an encoder. Pure.
+"""Steps in which a state was recorded, from its digits: of a decimal place, of digits, of an encoder. Pure.
 
 Rounding to steps of s leaves errors of s / sqrt(12) at least (Widrow & Kollár 2008, chapter 5), whatever else there is.
 """
@@ -22,7 +22,7 @@ LIMITS = SETTINGS.quantisation
 
 
 def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
-    """Return the coarsest rounding that all values of a state show; None where that is the one of doubles.
+    """Return the coarsest rounding that all values of a state show; None where that is the rounding of doubles.
 
     `parts` are the values along each trajectory, NaN where they are missing.
     """
@@ -30,12 +30,15 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     values = values[:: max(1, len(values) // SETTINGS.rows.most)]
     unique = np.unique(values)
     if len(unique) <= 2:
-        return None  # a switch, which has no derivative: that is said where it is differentiated
-    if len(unique) < LIMITS.fewest_values:
-        if repeats_in_step(parts):
-            return None
-        if has_few_levels(parts):
-            return _few_levels(unique)
+        return None  # a switch, which has no derivative: differentiation refuses it
+    if len(unique) < LIMITS.fewest_values and repeats_in_step(parts):
+        return None
+    if len(unique) < LIMITS.fewest_values and has_few_levels(parts):
+        # that no value in between was met in so many rows means that there is no finer step
+        least = float(np.diff(unique).min())
+        multiples = (unique - unique[0]) / least
+        is_even = float(np.abs(multiples - np.round(multiples)).max()) <= SETTINGS.common.negligible
+        return Quantisation("steps", least, least / _ROOT_12) if is_even else _decimal_rounding(unique)
     decimal, binary = _decimal_rounding(unique), _binary_rounding(unique)
     step = _common_step(unique, max(decimal.step, 0.0 if binary is None else binary.step))
     roundings = [decimal, *(rounding for rounding in (binary, step) if rounding is not None)]
@@ -45,7 +48,7 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
 
 
 def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
-    """Say whether a state follows a smooth curve more closely, in every row, than rounded values could: it is exact.
+    """Tell whether a state follows a smooth curve more closely, in every row, than rounded values could: it is exact.
 
     Whole numbers that are squares, or a line in even steps, show a step and have no error. Where values were rounded,
     the curve misses some row by about the error of rounding, however slowly the state moves. The `signals` are long
@@ -54,17 +57,6 @@ def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
     errors, gains = predict_left_out([signal.measured for signal in signals])
     largest = np.max(np.abs(errors) / gains, axis=0)
     return bool(np.any(largest < SETTINGS.common.negligible * quantisation.error))
-
-
-def _few_levels(values: FloatArray) -> Quantisation:
-    """Return the step of a few values (ascending): their least distance, if all are multiples, else of their decimals.
-
-    That no value in between was met in so many rows says that there is no finer step.
-    """
-    least = float(np.diff(values).min())
-    multiples = (values - values[0]) / least
-    is_even = float(np.abs(multiples - np.round(multiples)).max()) <= SETTINGS.common.negligible
-    return Quantisation("steps", least, least / _ROOT_12) if is_even else _decimal_rounding(values)
 
 
 def _decimal_rounding(values: FloatArray) -> Quantisation:
@@ -81,7 +73,6 @@ def _decimal_rounding(values: FloatArray) -> Quantisation:
 
 
 def _binary_rounding(values: FloatArray) -> Quantisation | None:
-    """Return the rounding to float32, if all values are such numbers."""
     largest = float(np.finfo(np.float32).max)
     if not (np.abs(values) < largest).all() or not (values.astype(np.float32).astype(np.float64) == values).all():
         return None
@@ -93,9 +84,10 @@ def _binary_rounding(values: FloatArray) -> Quantisation | None:
 def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
     """Return the step of which all differences of `values` (ascending) are multiples, if there is one.
 
-    It is a share of the least difference, and refined by ever larger ones. All values must be multiples to within the
-    digits in which they were written; by chance they would all lie within a share m of a step from multiples with the
-    probability (2 m)^n. `finest` is the step in which numbers were written down; differences near it are none.
+    It is a share of the least difference, and refined by ever larger differences. All values must be multiples to
+    within the digits in which they were written; by chance they would all lie within a share m of a step from multiples
+    with the probability (2 m)^n. `finest` is the step in which numbers were written down; smaller differences are
+    rounding errors.
     """
     written = finest + 4.0 * float(np.spacing(np.abs(values).max()))
     offsets = values - values[0]
@@ -105,20 +97,16 @@ def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
         return None
     least = float(np.diff(offsets).min())
     for share in LIMITS.shares_of_least:
-        step, away = _refined(offsets, least / share)
+        step = least / share
+        for lengths in (np.sort(np.diff(offsets)), offsets[1:]):  # least squares over ever more differences
+            products, squares = 0.0, 0.0
+            for length in lengths.tolist():
+                count = round(length / step)
+                products, squares = products + count * length, squares + count * count
+                step = products / squares if squares * step > step else step
+        multiples = offsets / step
+        away = float(np.abs(multiples - np.round(multiples)).max())
         probability = (2.0 * away) ** (len(offsets) - 2) * len(LIMITS.shares_of_least)
         if step > LIMITS.written_steps * finest and away * step <= written and probability < LIMITS.improbable:
             return Quantisation("steps", step, step / _ROOT_12)
     return None
-
-
-def _refined(offsets: FloatArray, step: float) -> tuple[float, float]:
-    """Return the step by least squares over ever more differences, and how far values are from its multiples."""
-    for lengths in (np.sort(np.diff(offsets)), offsets[1:]):
-        products, squares = 0.0, 0.0
-        for length in lengths.tolist():
-            count = round(length / step)
-            products, squares = products + count * length, squares + count * count
-            step = products / squares if squares * step > step else step
-    multiples = offsets / step
-    return step, float(np.abs(multiples - np.round(multiples)).max())

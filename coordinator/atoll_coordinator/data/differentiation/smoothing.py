@@ -1,8 +1,12 @@
-"""Loess: local polynomials with tricube weights, their span and degree chosen by cross-validation (pure).
+"""Loess: local polynomials with tricube weights, their span and degree chosen by cross-validation; robust loess. Pure.
 
 Schmidt & Lipson 2008 take the slope of such a fit as the derivative. Here span and degree are chosen per state by
-generalised cross-validation pooled over its trajectories. Many rows are thinned first, where the span is so wide that
-means of neighbours tell as much as they do: every row counts, and the work does not grow with the span.
+generalised cross-validation pooled over its trajectories. Long signals are thinned first, where the span is so wide
+that means of neighbouring rows tell as much as the rows do: every row counts, and the work does not grow with the span.
+
+Robust loess reduces the weight of rows far from the curve, to 0 for outliers (Cleveland 1979, section 2). Unlike there,
+span and degree are chosen anew with every set of weights, since outliers favour wide spans. Medians are taken by
+sorting.
 """
 
 import math
@@ -21,14 +25,18 @@ from atoll_coordinator.data.differentiation.kernels.loess import (
     thin_into,
     validate_into,
 )
+from atoll_coordinator.data.differentiation.kernels.stencils import moments
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.smoothing
+ROBUSTNESS = SETTINGS.robustness
+NORMAL_DEVIATION: Final = 1.4826
+"""Standard deviation of normal errors over the median of their size: 1 / 0.6745."""
 _LEAST_BINS: Final = LIMITS.least_bins_in_span // 2
 """A signal of no more rows than this is never thinned, a longer one never to fewer bins: spans may be wider."""
 _NARROW_SPANS: Final = tuple(LIMITS.least_bins_in_span // part for part in (4, 2, 1))
-"""Spans in rows, by which it is judged whether thinning has lost a fast wave."""
+"""Spans in rows that show whether thinning has lost a fast wave."""
 _MOST_LEVERAGE: Final = 0.999
 """Guard: from this mean leverage on a smoother reproduces the data and has no score."""
 
@@ -38,8 +46,8 @@ class Signal:
     """One state along one trajectory: strictly ascending `times` and `values`, both (R,).
 
     `robustness_weights` (R,), from 0 to 1, are low where a row is far from the curve of the others; `inverse_variances`
-    (R,), positive, are those of the errors of each row, up to a factor; `is_measured` (R,) is 0 where a value is
-    missing, and some number stands in for it, else 1; None: all are 1.
+    (R,), positive, are inverse variances of the errors of each row, up to a factor; `is_measured` (R,) is 0 where a
+    value is missing and a substitute stands in `values`, else 1; None: all are 1.
     """
 
     times: FloatArray
@@ -60,6 +68,11 @@ class Signal:
             return self
         rows, factors = self.measured_rows, (self.robustness_weights, self.inverse_variances)
         return Signal(self.times[rows], self.values[rows], *(part if part is None else part[rows] for part in factors))
+
+    @property
+    def is_long_enough(self) -> bool:
+        """Whether enough rows were measured for a derivative."""
+        return len(self.measured.times) >= SETTINGS.checks.min_rows
 
     @cached_property
     def filled_inverse_variances(self) -> FloatArray:
@@ -104,6 +117,60 @@ class SmoothedSignal:
     gains: FloatArray
 
 
+def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
+    """Return loess of one signal by `smoother`; for a short signal the degree is reduced."""
+    bins, share = _thin(signal, smoother.thinning)
+    count, rows = len(bins.times), len(signal.times)
+    of_bins = SmoothedSignal(np.empty((3, count)), np.empty((4, count)))
+    degree = min(smoother.degree, count - 2)
+    window = max(round(smoother.span / share), degree + 2), degree + 1
+    weights = bins.weights, bins.filled_inverse_variances
+    loess_into(of_bins.fits, of_bins.gains, bins.times, bins.values, *weights, *window)
+    if smoother.thinning == 1:
+        return of_bins
+    smoothed = SmoothedSignal(np.empty((3, rows)), np.empty((4, rows)))
+    spread_into(smoothed.fits, smoothed.gains, signal.times, bins.times, of_bins.fits, of_bins.gains)
+    return smoothed
+
+
+def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
+    """Return means over bins of `thinning` rows (for 1 the signal), and the width of the bins as a share of that.
+
+    A short signal is thinned less: there the share is below 1, and a span has more bins.
+    """
+    if thinning == 1:
+        return signal, 1.0
+    rows = len(signal.times)
+    bins = max(rows // thinning, min(rows, _LEAST_BINS))
+    share = rows / bins / thinning if bins > rows // thinning else 1.0
+    times, values, weights, inverse_variances = np.empty((4, bins))
+    thin_into(times, values, inverse_variances, signal.times, signal.values, signal.filled_inverse_variances)
+    thin_into(times, values, weights, signal.times, signal.values, signal.weights)
+    return Signal(times, values, share * weights / inverse_variances, inverse_variances), share
+
+
+def estimate_noise(signals: Sequence[Signal], smoother: Smoother) -> float:
+    """Return the estimated standard deviation of the errors in a row of inverse variance 1, from residuals of loess.
+
+    Squared residuals over degrees of freedom (Cleveland & Devlin 1988, section 3): rows minus twice the trace of the
+    smoother plus the trace of its square. Rows without weight do not count.
+    """
+    squares, degrees_of_freedom = 0.0, 0.0
+    for signal in signals:
+        fit, inverse_variances = smooth(signal, smoother), signal.filled_inverse_variances
+        residuals, weights = (signal.values - fit.fits[0]).tolist(), signal.weights.tolist()
+        row_degrees_of_freedom = (1.0 - 2.0 * fit.gains[3] + inverse_variances * fit.gains[0] * fit.gains[0]).tolist()
+        rows = zip(residuals, weights, inverse_variances.tolist(), row_degrees_of_freedom, strict=True)
+        for residual, weight, inverse_variance, free in rows:
+            if weight > 0.0:
+                squares += inverse_variance * residual * residual
+                degrees_of_freedom += free
+    return math.sqrt(squares / max(degrees_of_freedom, 1.0))
+
+
+# --------------------------------------------------------------------------------------------------- span and degree
+
+
 def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smoother:
     """Return the smoother of least generalised cross-validation score, pooled over `signals`.
 
@@ -112,7 +179,18 @@ def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smooth
     rows = [len(signal.times) for signal in signals]
     thinning = max(1, min(sum(rows) // SETTINGS.rows.most, max(rows) // (_LEAST_BINS * LIMITS.least_bins_in_span)))
     while True:
-        best = _best_smoother([_thin(signal, thinning) for signal in signals], degrees)
+        parts = [_thin(signal, thinning) for signal in signals]
+        lengths = [len(signal.times) for signal, _ in parts]
+        every = -(-sum(lengths) // (2 * SETTINGS.rows.most))
+        best, since, span = Smoother(0, 0, math.inf), 0, SETTINGS.checks.min_rows
+        while True:
+            here = _score_degrees(parts, span, every, degrees)
+            since = 0 if here.score < best.score else since + 1
+            best = here if here.score < best.score else best
+            is_over = since >= LIMITS.patience and math.isfinite(best.score)
+            if is_over or span >= 3 * max(lengths):  # beyond the longest trajectory the bandwidth still grows
+                break
+            span = max(span + 1, int(span * LIMITS.span_ratio))
         best = replace(best, thinning=thinning)
         if thinning == 1 or (best.span >= LIMITS.least_bins_in_span and _is_resolved(signals, best, degrees)):
             return best
@@ -120,7 +198,7 @@ def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smooth
 
 
 def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequence[int]) -> bool:
-    """Say whether thinned rows are followed as well as rows are by narrow spans: a fast wave may vanish in means."""
+    """Tell whether thinned rows are followed as well as rows are by narrow spans: a fast wave may vanish in means."""
     if not math.isfinite(smoother.score):
         return False
     whole = [(signal, 1.0) for signal in signals]
@@ -134,77 +212,93 @@ def _is_resolved(signals: Sequence[Signal], smoother: Smoother, degrees: Sequenc
     return squares <= narrow * count
 
 
-def _thin(signal: Signal, thinning: int) -> tuple[Signal, float]:
-    """Return means over bins of `thinning` rows, for 1 the signal itself, and how wide they are as a share of that.
-
-    A short signal is thinned less: there the share is below 1, and a span of so many bins as asked for has more.
-    """
-    if thinning == 1:
-        return signal, 1.0
-    rows = len(signal.times)
-    bins = max(rows // thinning, min(rows, _LEAST_BINS))
-    share = rows / bins / thinning if bins > rows // thinning else 1.0
-    times, values, weights, inverse_variances = np.empty((4, bins))
-    thin_into(times, values, inverse_variances, signal.times, signal.values, signal.filled_inverse_variances)
-    thin_into(times, values, weights, signal.times, signal.values, signal.weights)
-    return Signal(times, values, share * weights / inverse_variances, inverse_variances), share
-
-
-def _best_smoother(parts: Sequence[tuple[Signal, float]], degrees: Sequence[int]) -> Smoother:
-    lengths = [len(signal.times) for signal, _ in parts]
-    every = -(-sum(lengths) // (2 * SETTINGS.rows.most))
-    best = Smoother(0, 0, math.inf)
-    since = 0
-    for span in _spans(max(lengths)):
-        here = _score_degrees(parts, span, every, degrees)
-        since = 0 if here.score < best.score else since + 1
-        best = here if here.score < best.score else best
-        if since >= LIMITS.patience and math.isfinite(best.score):
-            break
-    return best
-
-
-def _spans(longest: int) -> list[int]:
-    """Return the spans tried: beyond the longest trajectory the bandwidth goes on growing for a while."""
-    spans = [SETTINGS.checks.min_rows]
-    while spans[-1] < 3 * longest:
-        spans.append(max(spans[-1] + 1, int(spans[-1] * LIMITS.span_ratio)))
-    return spans
-
-
 def _score_degrees(parts: Sequence[tuple[Signal, float]], span: int, every: int, degrees: Sequence[int]) -> Smoother:
-    """Return the best of `degrees` at one span."""
     sums = np.zeros((3, DEGREES))
     for signal, share in parts:
         validate_into(sums, signal.times, signal.values, signal.weights, round(span / share), every)
-    smoothers = (Smoother(span, degree, _score(sums[:, degree])) for degree in degrees)
+    smoothers = []
+    for degree in degrees:
+        residuals, leverages, count = sums[:, degree].tolist()
+        score = math.inf
+        if count > 0.0 and math.isfinite(residuals / count) and leverages / count < _MOST_LEVERAGE:
+            score = residuals / count / ((1.0 - leverages / count) * (1.0 - leverages / count))
+        smoothers.append(Smoother(span, degree, score))
     return min(smoothers, key=lambda smoother: smoother.score)
 
 
-def _score(sums: FloatArray) -> float:
-    count = float(sums[2])
-    if not count > 0.0:
-        return math.inf
-    residuals, leverages = float(sums[0]) / count, float(sums[1]) / count
-    if not math.isfinite(residuals) or not leverages < _MOST_LEVERAGE:
-        return math.inf
-    return residuals / ((1.0 - leverages) * (1.0 - leverages))
+# ------------------------------------------------------------------------------------------------------- robust loess
 
 
-def smooth(signal: Signal, smoother: Smoother) -> SmoothedSignal:
-    """Return loess of one signal by `smoother`; a short signal bears a lower degree only."""
-    bins, share = _thin(signal, smoother.thinning)
-    of_bins = _empty(len(bins.times))
-    degree = min(smoother.degree, len(bins.times) - 2)
-    window = max(round(smoother.span / share), degree + 2), degree + 1
-    weights = bins.weights, bins.filled_inverse_variances
-    loess_into(of_bins.fits, of_bins.gains, bins.times, bins.values, *weights, *window)
-    if smoother.thinning == 1:
-        return of_bins
-    smoothed = _empty(len(signal.times))
-    spread_into(smoothed.fits, smoothed.gains, signal.times, bins.times, of_bins.fits, of_bins.gains)
-    return smoothed
+@dataclass(frozen=True, eq=False)
+class RobustFit:
+    """Signals with robustness weights, the smoother selected with them, and the median residual they are based on."""
+
+    signals: tuple[Signal, ...]
+    smoother: Smoother
+    median: float
+
+    @property
+    def outliers(self) -> int:
+        """How many measured rows have no weight."""
+        return sum(signal.measured.weights.tolist().count(0.0) for signal in self.signals)
 
 
-def _empty(rows: int) -> SmoothedSignal:
-    return SmoothedSignal(np.empty((3, rows)), np.empty((4, rows)))
+def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit:
+    """Return `signals` with low robustness weights in rows far from the curve, 0 in outliers."""
+    fit = RobustFit(tuple(signals), select_smoother(signals, degrees), 0.0)
+    least = SETTINGS.common.clean * moments(np.concatenate([signal.measured.values for signal in signals]))[1]
+    for _ in range(ROBUSTNESS.rounds):
+        residuals = _residuals(fit.signals, [smooth(signal, fit.smoother) for signal in fit.signals])
+        median = max(_median(residuals, signals), least)
+        if not median > 0.0:
+            break
+        weighted = tuple(_weigh(signal, part, median) for signal, part in zip(signals, residuals, strict=True))
+        before, fit = fit.outliers, RobustFit(weighted, select_smoother(weighted, degrees), median)
+        if fit.outliers == before:
+            break
+    return fit
+
+
+def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
+    """Return another signal with the robustness weights that smoother and median residual of `fit` give its rows.
+
+    There are outliers in `fit`, so that its median residual is not zero.
+    """
+    for _ in range(ROBUSTNESS.rounds):
+        (residuals,) = _residuals([signal], [smooth(signal, fit.smoother)])
+        signal = _weigh(signal, residuals, fit.median)
+    return signal
+
+
+def has_heavy_tails(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> bool:
+    """Tell whether some rows lie so far from the curve, and so isolated, that they cannot be noise like the others'."""
+    residuals = _residuals(signals, smoothed)
+    limit = ROBUSTNESS.reach * NORMAL_DEVIATION * _median(residuals, signals)
+    count = 0
+    for part in residuals:
+        sizes = [0.0, *np.abs(part).tolist(), 0.0]
+        for before, size, after in zip(sizes, sizes[1:], sizes[2:], strict=False):
+            count += size > limit and max(before, after) <= ROBUSTNESS.isolated * size
+    rows = sum(len(part) for part in residuals)
+    return limit > 0.0 and count >= max(ROBUSTNESS.fewest, rows / ROBUSTNESS.rows_per_outlier)
+
+
+def _residuals(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> list[FloatArray]:
+    """Return residuals over the standard deviation of the errors of each row, up to a factor; 0 for missing values."""
+    return [
+        (signal.values - fit.fits[0]) * signal.measured_rows * np.sqrt(signal.filled_inverse_variances)
+        for signal, fit in zip(signals, smoothed, strict=True)
+    ]
+
+
+def _median(residuals: Sequence[FloatArray], signals: Sequence[Signal]) -> float:
+    measured = [part[signal.measured_rows] for part, signal in zip(residuals, signals, strict=True)]
+    ordered = np.sort(np.abs(np.concatenate(measured)))
+    return float(ordered[len(ordered) // 2])
+
+
+def _weigh(signal: Signal, residuals: FloatArray, median: float) -> Signal:
+    """Return `signal` with bisquare weights (Cleveland 1979, section 2)."""
+    shares = residuals / (ROBUSTNESS.reach * median)
+    rest = np.maximum(1.0 - shares * shares, 0.0)
+    return replace(signal, robustness_weights=rest * rest)

@@ -119,7 +119,6 @@ def _row_count(file: str, vectors: Mapping[str, AnyArray], config: DataConfig) -
 
 
 def _cells(file: str, name: str, values: AnyArray) -> tuple[list[str], str]:
-    """Return values as cells, and the unit of durations."""
     if values.dtype.kind == "M":
         return ["" if text == "NaT" else text for text in np.datetime_as_string(values).tolist()], ""
     unit = "s" if values.dtype.kind == "m" else ""
@@ -238,7 +237,6 @@ def _is_hidden(item: Any) -> bool:
 
 
 def _text_of(value: object) -> str:
-    """Return the text of an attribute, "" where it is none."""
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
     return str(text) if isinstance(text, str) else ""
 

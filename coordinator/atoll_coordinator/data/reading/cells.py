@@ -155,7 +155,8 @@ def read_numbers(
         mark_of[name] = next(iter(chosen))
     commas = [name for name, mark in mark_of.items() if mark == "comma" and any("," in cell for cell in columns[name])]
     if commas:
-        mark_of |= {name: "comma" for name in plain if _has_thousands(columns[name])}
+        with_points = {name for name in plain if any("." in cell for cell in _text_cells(columns[name]))}
+        mark_of |= {name: "comma" for name in with_points if not _has_decimals(columns[name])}
     grouped = [name for name, mark in mark_of.items() if any(_is_grouped(cell, mark) for cell in columns[name])]
     read = {
         name: np.array([_number(cell, mark) for cell in columns[name]], dtype=np.float64)
@@ -208,11 +209,6 @@ def _is_plain_decimal(cell: str) -> bool:
 def _has_decimals(cells: Sequence[str]) -> bool:
     """Tell whether a point in the text cells of a column is a decimal point: it does not separate thousands."""
     return any("." in cell and not _THOUSANDS.fullmatch(cell) for cell in _text_cells(cells))
-
-
-def _has_thousands(cells: Sequence[str]) -> bool:
-    """Tell whether all points in the text cells of a column separate thousands."""
-    return any("." in cell for cell in _text_cells(cells)) and not _has_decimals(cells)
 
 
 def _number(cell: str, mark: DecimalMark) -> float:

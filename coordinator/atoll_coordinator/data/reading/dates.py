@@ -170,7 +170,6 @@ def read_date_columns(
 
 
 def _kind(cells: Sequence[str]) -> _Kind | None:
-    """Return the form of the first cell that is not missing."""
     first = on_one_line(next((cell for cell in cells if not is_missing(cell)), ""))
     if _form(first) is None:
         return None
@@ -215,16 +214,16 @@ def time_stamps(
     """
     others = named_columns(config) - {config.time} | {*config.units}
     return {
-        name: [cell if is_missing(cell) else _date_of_stamp(int(cell)) for cell in map(str.strip, cells)]
+        name: [
+            cell if is_missing(cell) else f"{_moment(int(cell[:-9]))}.{cell[-9:]}Z" for cell in map(str.strip, cells)
+        ]
         for name, cells in columns.items()
         if name not in others and not units.get(name) and _all_match(_STAMP, cells)
     }
 
 
-def _date_of_stamp(stamp: int) -> str:
-    seconds, nanoseconds = divmod(stamp, NANOSECONDS["s"])
-    moment = datetime.datetime(1970, 1, 1) + datetime.timedelta(seconds=seconds)
-    return f"{moment:%Y-%m-%dT%H:%M:%S}.{nanoseconds:09}Z"
+def _moment(seconds: int) -> datetime.datetime:
+    return datetime.datetime(1970, 1, 1) + datetime.timedelta(seconds=seconds)
 
 
 def _all_match(pattern: re.Pattern[str], cells: Sequence[str]) -> bool:
@@ -272,7 +271,6 @@ def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], lines: 
 
 
 def _clock(match: _Match) -> int:
-    """Return the nanoseconds since midnight, or of a duration; raises ValueError."""
     hour, minute, second = (int(match[part] or 0) for part in ("hour", "minute", "second"))
     if match["half"]:
         if not 1 <= hour <= 12:
@@ -385,7 +383,7 @@ def times_of(columns: Sequence[Dates], starts: Sequence[int], unit: str | None) 
 
 def _written(origin: int, column: Dates) -> str:
     seconds, part = divmod(origin, NANOSECONDS["s"])
-    moment = datetime.datetime(1970, 1, 1) + datetime.timedelta(seconds=seconds)
+    moment = _moment(seconds)
     if not column.has_clock:
         return moment.date().isoformat()
     fraction = f".{part:09}".rstrip("0") if part else ""

@@ -194,7 +194,6 @@ def _with_index(raw: RawTable) -> RawTable:
 
 
 def _headed(file: str, raw: RawTable) -> tuple[dict[str, str], dict[str, list[str]]]:
-    """Return units and cells by name; raises DataError where a name stands twice, or there are no rows."""
     units: dict[str, str] = {}
     named: dict[str, list[str]] = {}
     counts = Counter(split_unit(on_one_line(header))[0] for header in raw.headers if header)
@@ -280,7 +279,6 @@ def _joined(files: Sequence[FileColumns], time_units: Mapping[str, str], group: 
 
 
 def _check_alike(first: FileColumns, other: FileColumns) -> None:
-    """Raise DataError unless two files have the same columns in the same units."""
     pair = f"{first.file} and {other.file}"
     if set(other.values) != set(first.values):
         different = ", ".join(sorted(set(other.values) ^ set(first.values)))

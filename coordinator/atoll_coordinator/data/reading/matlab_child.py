@@ -37,7 +37,11 @@ def parts_of(values: Mapping[str, object]) -> list[dict[str, AnyArray]]:
     runs: dict[str, list[object]] = {}
     for name, value in values.items():
         items = _items(value)
-        is_run = (all(isinstance(item, dict) for item in items) and not _are_rows(items)) or all(map(_is_array, items))
+        are_arrays = all(
+            isinstance(item, np.ndarray) and item.dtype.kind in "biuf" and item.ndim in (1, 2) and item.size > 1
+            for item in items
+        )
+        is_run = are_arrays or (all(isinstance(item, dict) for item in items) and not _are_rows(items))
         if items and is_run and len(items) == len(next(iter(runs.values()), items)):
             runs[name] = items
     parts = [flat({name: value for name, value in values.items() if name not in runs})]
@@ -61,10 +65,6 @@ def _are_rows(items: Sequence[object]) -> bool:
     return bool(items) and all(
         isinstance(item, dict) and item and all(np.ndim(part) == 0 for part in item.values()) for item in items
     )
-
-
-def _is_array(item: object) -> bool:
-    return isinstance(item, np.ndarray) and item.dtype.kind in "biuf" and item.ndim in (1, 2) and item.size > 1
 
 
 def flat(values: Mapping[str, object]) -> dict[str, AnyArray]:

@@ -63,7 +63,6 @@ def _names(headers: Sequence[str]) -> list[str]:
 
 
 def _listed(columns: Sequence[str]) -> tuple[str, ...]:
-    """Return what a table leaves out, as a phrase, or nothing."""
     return (f"left out: {', '.join(columns)}",) if columns else ()
 
 
@@ -80,8 +79,10 @@ def _turned(file: str, raw: RawTable, config: DataConfig) -> RawTable:
     names = _names(raw.headers)
     months = {MONTHS[key]: place for place, name in enumerate(names) if (key := name.strip(".").lower()) in MONTHS}
     if len(months) == 12 and not named_columns(config) & {names[place] for place in months.values()}:
-        others = [place for place in range(len(names)) if place not in months.values()]
-        years = next((place for place in others if _are_years(raw.columns[place])), None)
+        others = {place: raw.columns[place] for place in range(len(names)) if place not in months.values()}
+        is_year = {place: bool(cells) and all(_YEAR.fullmatch(cell.strip().removesuffix(".0")) for cell in cells)
+                   for place, cells in others.items()}  # fmt: skip
+        years = next((place for place, holds in is_year.items() if holds), None)
         if years is not None:
             return _of_months(raw, years, [months[month] for month in sorted(months)])
     first = _first_time(raw.headers)
@@ -223,10 +224,6 @@ _YEAR: Final = re.compile(r"1\d{3}|2[01]\d\d")
 _QUARTER: Final = re.compile(r"(?P<year>1\d{3}|2[01]\d\d)[ -]?Q(?P<n>[1-4])|Q(?P<m>[1-4])[ -/](?P<at>1\d{3}|2[01]\d\d)")
 
 
-def _are_years(cells: Sequence[str]) -> bool:
-    return bool(cells) and all(_YEAR.fullmatch(cell.strip().removesuffix(".0")) for cell in cells)
-
-
 def _with_joined_times(raw: RawTable, config: DataConfig) -> RawTable:
     """Return the table with one column for columns that tell the time together, called as options call the time."""
     names = _names(raw.headers)
@@ -259,7 +256,6 @@ def _with_joined_times(raw: RawTable, config: DataConfig) -> RawTable:
 def _with_time(
     raw: RawTable, used: Sequence[int], times: list[str], unit: str, config: DataConfig, source: str
 ) -> RawTable:
-    """Return the table with one column of times in place of the columns `used`."""
     kept = [column for column in range(len(raw.headers)) if column not in used]
     return replace(
         raw,
@@ -287,7 +283,17 @@ def _times_of_parts(columns: Mapping[str, Sequence[str]]) -> list[str] | None:
     for cells in zip(*columns.values(), strict=True):
         parts = {part: _part(part, cell.strip()) for part, cell in zip(columns, cells, strict=True)}
         try:
-            times.append(_time_of_parts({part: int(value) for part, value in parts.items()}))
+            known = {part: int(value) for part, value in parts.items()}
+            if not all(known.get(part, 1) for part in ("quarter", "month", "yearday")):
+                return None  # these are counted from 1
+            if "day" not in known and ("quarter" in known or "month" in known):
+                part, count = ("quarter", 4) if "quarter" in known else ("month", 12)
+                times.append(_in_years(known["year"], known[part], count))
+                continue
+            day = datetime.datetime(known["year"], known.get("month", 1), known.get("day", 1))
+            day += datetime.timedelta(days=known.get("yearday", 1) - 1, hours=known.get("hour", 0),
+                                      minutes=known.get("minute", 0), seconds=known.get("second", 0))  # fmt: skip
+            times.append(day.isoformat() if "hour" in known else day.date().isoformat())
         except (ValueError, OverflowError):
             return None
     return times
@@ -301,19 +307,6 @@ def _part(part: str, cell: str) -> str:
     text = text.removeprefix("q") if part == "quarter" else text
     is_number = text.isdecimal() and (part != "year" or _YEAR.fullmatch(text))
     return text if is_number and int(text) <= _LARGEST.get(part, math.inf) else ""
-
-
-def _time_of_parts(parts: Mapping[str, int]) -> str:
-    """Return a time in years or as a date; raises ValueError where there is no such date."""
-    if not all(parts.get(part, 1) for part in ("quarter", "month", "yearday")):
-        raise ValueError("quarters, months and days are counted from 1")
-    for part, count in (("quarter", 4), ("month", 12)):
-        if part in parts and "day" not in parts:
-            return _in_years(parts["year"], parts[part], count)
-    day = datetime.datetime(parts["year"], parts.get("month", 1), parts.get("day", 1))
-    day += datetime.timedelta(days=parts.get("yearday", 1) - 1, hours=parts.get("hour", 0),
-                              minutes=parts.get("minute", 0), seconds=parts.get("second", 0))  # fmt: skip
-    return day.isoformat() if "hour" in parts else day.date().isoformat()
 
 
 def _in_years(year: int, number: int | str, count: int) -> NumberCell:
@@ -438,7 +431,6 @@ def _long_table(file: str, raw: RawTable, config: DataConfig) -> _LongTable | No
 
 
 def _times_of_rows(long: _LongTable, runs: Sequence[tuple[str, ...]]) -> list[float | None]:
-    """Return the time of each row, in any unit, for the order of rows; None where it is missing."""
     texts, lines = long.cells[long.time], long.raw.lines
     if not is_date(next((text for text in texts if not is_missing(text)), "")):
         numbers, _ = read_numbers(long.file, {long.time: texts}, lines, long.raw.separator)
@@ -484,7 +476,6 @@ def _rows_by_key(
 
 
 def _units(long: _LongTable, names: Sequence[str], observables: Sequence[str]) -> tuple[str, ...]:
-    """Return the units of columns of the wide table: from headers, from a row of units, or from a column of units."""
     below = long.raw.units or ("",) * len(long.raw.headers)
     stated: dict[str, str] = {}
     for header, unit in zip(long.raw.headers, below, strict=True):

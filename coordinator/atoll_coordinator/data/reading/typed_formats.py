@@ -62,7 +62,6 @@ def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
 
 
 def _sheets(path: Path) -> dict[str, list[Record]]:
-    """Return the rows of each sheet, by its title."""
     try:
         import openpyxl
     except ImportError:
@@ -133,7 +132,6 @@ def read_records(path: Path) -> RawTable:
 
 
 def _parsed(name: str, text: str) -> tuple[Any, str]:
-    """Return the value of the whole text, or the list of the values of its lines."""
     try:
         return json.loads(text), "JSON"
     except (ValueError, RecursionError) as error:
@@ -163,7 +161,6 @@ def table_of_document(name: str, document: object, remark: str) -> RawTable:
 
 
 def _columns(name: str, document: Any) -> tuple[list[str], list[Sequence[Any]]]:
-    """Return names and values of the columns."""
     if isinstance(document, Mapping) and {"columns", "data"} <= set(document):  # pandas: orient="split"
         document = [dict(zip(document["columns"], row, strict=False)) for row in document["data"]]
     elif isinstance(document, Mapping) and {"schema", "data"} <= set(document):  # pandas: orient="table"

@@ -26,8 +26,7 @@ _EXCLUSIONS: Final = (
     ("--order 2", "--target", "explicit regression has no time derivative"),
     ("--holdout", "--target", "rows of an explicit regression are no trajectories"),
     ("--order 2", "--derivatives", "the velocity has to be derived from the data"),
-    ("--offsets", "--target", "offsets belong to states measured in time"),
-    ("--offsets", "--derivatives", "offsets belong to states measured in time"),
+    ("--offsets", "--target --derivatives", "offsets belong to states measured in time"),
     ("--hold", "--target", "rows of an explicit regression do not follow one another"),
     ("--hold", "--derivatives", "nothing is differentiated, and rows need not follow one another"),
     ("--hold", "--stochastic", "a step of a process takes the mean of an input over its ends"),
@@ -38,13 +37,10 @@ _EXCLUSIONS: Final = (
     ("--stochastic", "--robust", "nothing is smoothed"),
     ("--stochastic", "--weights", "the diffusion says how much each step counts"),
     ("--stochastic", "--offsets", "increments know nothing of offsets"),
-    ("--stochastic", "--group", "the likelihood of a step has one set of constants"),
-    ("--stochastic", "--per-trajectory", "the likelihood of a step has one set of constants"),
+    ("--stochastic", "--group --per-trajectory", "the likelihood of a step has one set of constants"),
     ("--group", "--per-trajectory", "name the column, or let all differ"),
-    ("--group", "--target", "constants by group need states measured in time"),
-    ("--group", "--derivatives", "constants by group need states measured in time"),
-    ("--per-trajectory", "--target", "constants by group need states measured in time"),
-    ("--per-trajectory", "--derivatives", "constants by group need states measured in time"),
+    ("--group", "--target --derivatives", "constants by group need states measured in time"),
+    ("--per-trajectory", "--target --derivatives", "constants by group need states measured in time"),
     ("--per-trajectory", "--holdout", "constants of held-out trajectories are unknown"),
 )
 """Options that mean nothing together, and why."""
@@ -129,9 +125,10 @@ def check_options(config: DataConfig) -> None:
         },
         "--per-trajectory": config.per_trajectory,
     }
-    for one, other, reason in _EXCLUSIONS:
-        if is_set[one] and is_set[other]:
-            raise UsageError(f"{one} and {other} exclude each other; {reason}")
+    for one, others, reason in _EXCLUSIONS:
+        for other in re.split(" (?=--)", others):
+            if is_set[one] and is_set[other]:
+                raise UsageError(f"{one} and {other} exclude each other; {reason}")
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
         counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
         raise UsageError(f"{counts} were named; give one derivative per state, in the same order")
@@ -173,7 +170,6 @@ def _is_number(text: str) -> bool:
 
 
 def _is_known_unit(text: str) -> bool:
-    """Tell whether `text` is a product of powers of known symbols."""
     if text in _PLAIN:
         return True
     if text[0].isdigit() and not text.startswith("1/"):

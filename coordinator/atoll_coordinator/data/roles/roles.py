@@ -154,7 +154,6 @@ def assigned(names: Sequence[str], config: DataConfig, trajectory: str | None) -
 
 
 def _check_known(name: str, table: Table, *, may_be_text: bool = False) -> None:
-    """Raise DataError when the table has no column `name`."""
     if name in table.names:
         return
     if name in table.skipped:

@@ -1,9 +1,5 @@
-"""Which rows the search is given.
+"""Which rows the search is given: estimates -> `SelectedRows`.
 
-- `selected_rows`: `select_rows`, from the uncertainties of derivatives, and fewer where there are many; weights of rows
-  over their mean, and rows of too little weight where left-hand sides are given
+- `selected_rows`: rows of certain derivatives, fewer where there are many, why others are excluded; weights of rows
 - `row_means`: means in place of rows where there are far more than the states' time scales need
-- `excluded_rows`: the reason why a row is not used: end, gap, jump or outlier
-
-Estimates go in, `SelectedRows` come out.
 """

@@ -1,8 +1,8 @@
 """Rows that follow one another faster than the states change, averaged to as many as the time scales need. Pure.
 
-A law is told by trajectories over the states' own times. Fits, pieces and libraries count rows: sampled ten times as
+A law shows in trajectories over the states' own times. Fits, pieces and libraries count rows: sampled ten times as
 fast, the same motion would be compared in pieces a tenth as long, along which a line describes any curve. Means keep
-what the rows know: independent errors of a mean of n rows are less by the square root of n.
+the information of the rows: independent errors of a mean of n rows are smaller by the square root of n.
 
 Letters: R rows of one trajectory, B blocks of rows, S states.
 """
@@ -34,7 +34,7 @@ _SCANNED: Final = 2 * LIMITS.most
 class Blocks:
     """Parts of the rows of one trajectory, each of which becomes one row.
 
-    `ranges` (B, 2) are half-open and cover all rows; `is_whole` (B,) is false of the parts of a block that had to be
+    `ranges` (B, 2) are half-open and cover all rows; `is_whole` (B,) is false for the parts of a block that had to be
     divided, because an input changes fast in it.
     """
 
@@ -53,7 +53,7 @@ class Blocks:
 
     @property
     def divided_rows(self) -> int:
-        """How many rows the blocks have that were divided."""
+        """How many rows are in divided blocks."""
         return int(self.sizes[~self.is_whole].sum())
 
     def means(self, values: FloatArray) -> FloatArray:
@@ -74,23 +74,24 @@ class Blocks:
 def average_oversampled_rows(measurements: Measurements, estimates: Sequence[StateEstimate]) -> Measurements:
     """Return `measurements` with means in place of rows where there are far more than the states' time scales need.
 
-    The same object otherwise, and where no state has noise to speak of: then each row is as good as a mean. The mean
-    of a state is that of its residuals, added to the smoothed value in the middle: so it has no bias by curvature.
-    Where an input changes so fast that means of it would move the states by more than their noise, as where it is
-    switched, blocks are divided, down to single rows, and the states count as not measured there. Rows of inputs that
-    are held between rows stay as they are: a mean over a switch is held by no row.
+    The same object otherwise, and where the noise of all states is negligible: then each row is as good as a mean. The
+    mean of a state is the mean of its residuals, added to the smoothed value in the middle: so it has no bias by
+    curvature. Where an input changes so fast that its means would move the states by more than their noise, as where it
+    is switched, blocks are divided, down to single rows, and the states count as not measured there. Rows of inputs
+    that are held between rows stay as they are: a mean over a switch is held by no row.
     """
     count = 1 if measurements.roles.held else rows_of_mean(measurements, estimates)
+    most = LIMITS.most_divided * measurements.row_count
     while count > 1:
-        blocks = _blocks(measurements, estimates, count)
-        if sum(part.divided_rows for part in blocks) <= _most_divided(measurements):
+        blocks = _blocks(measurements, estimates, count, most)
+        if sum(part.divided_rows for part in blocks) <= most:
             return _averaged(measurements, estimates, blocks, count)
         count //= 2
     return measurements
 
 
 def estimates_of_means(estimates: Sequence[StateEstimate], of_rows: Sequence[StateEstimate]) -> list[StateEstimate]:
-    """Return the `estimates` of means with what only rows show: outliers."""
+    """Return the `estimates` of means with the outliers, which only rows show."""
     return [
         replace(
             one,
@@ -102,7 +103,7 @@ def estimates_of_means(estimates: Sequence[StateEstimate], of_rows: Sequence[Sta
 
 
 def rows_of_mean(measurements: Measurements, estimates: Sequence[StateEstimate]) -> int:
-    """Return of how many rows a mean is to be taken; 1 where rows are to stay as they are.
+    """Return the number of rows of a mean; 1 where rows are to stay as they are.
 
     The states' fastest correlation length gets as many rows as the shortest segments have, or more where so few rows
     are needed neither for a comparison of all of them nor for pieces that are whole trajectories.
@@ -122,42 +123,46 @@ def rows_of_mean(measurements: Measurements, estimates: Sequence[StateEstimate])
 def correlation_length(measurements: Measurements, estimate: StateEstimate) -> int:
     """Return after how many rows the autocorrelation of a state's steps from row to row falls below 1/e.
 
-    Of a sinusoid that is 0.19 of its period. Held-out trajectories are not looked at; sums run in order.
+    For a sinusoid that is 0.19 of its period. Held-out trajectories are not looked at; sums run in order.
     """
     ranges = [place for place, out in zip(measurements.ranges, measurements.held_out, strict=True) if not out]
     stride = max(1, max(last - first for first, last in ranges) // _SCANNED)
     parts = [np.diff(estimate.values[first:last:stride]) for first, last in ranges]
     mean = moments(np.concatenate(parts))[0]
     parts = [part - mean for part in parts]
-    least = _lagged(parts, 0) / math.e
-    longest = max(map(len, parts))
-    return stride * next((lag for lag in range(1, longest) if not _lagged(parts, lag) > least), longest)
+
+    def lagged(lag: int) -> float:
+        products = [part[: len(part) - lag] * part[lag:] for part in parts if len(part) > lag]
+        return float(np.cumsum(np.concatenate(products))[-1]) if products else 0.0
+
+    least, longest = lagged(0) / math.e, max(map(len, parts))
+    return stride * next((lag for lag in range(1, longest) if not lagged(lag) > least), longest)
 
 
-def _lagged(parts: Sequence[FloatArray], lag: int) -> float:
-    """Return the sum of the products of numbers that are `lag` places apart, one after another."""
-    products = [part[: len(part) - lag] * part[lag:] for part in parts if len(part) > lag]
-    return float(np.cumsum(np.concatenate(products))[-1]) if products else 0.0
+# ------------------------------------------------------------------------------------------------------ which rows
 
 
-# ------------------------------------------------------------------------------------------------ which rows
+def _blocks(
+    measurements: Measurements, estimates: Sequence[StateEstimate], count: int, most_divided: float
+) -> list[Blocks]:
+    """Return the blocks of each trajectory for means of `count` rows, divided where inputs need it.
 
-
-def _blocks(measurements: Measurements, estimates: Sequence[StateEstimate], count: int) -> list[Blocks]:
-    """Return the blocks of each trajectory for means of `count` rows, divided where inputs ask for it."""
+    An input may err by its standard deviation for as long as the noise hides the motion that this causes. Inputs make a
+    state's rate vary by no more than its standard deviation. The errors of the blocks of a correlation length add up as
+    independent ones, to no more than the noise of a mean.
+    """
     assert measurements.trajectories is not None
     blocks = [even_blocks(last - first, count) for first, last in measurements.ranges]
-    reach = _reach(measurements, estimates, count)
+    searched, reach = measurements.searched_rows, math.inf
+    for estimate in estimates:
+        speed = moments(np.ascontiguousarray(estimate.velocity[searched]))[1]
+        if speed > 0.0:
+            reach = min(reach, estimate.noise / math.sqrt(count * SETTINGS.shooting.lengths[0]) / speed)
     for along in measurements.inputs:
         limit = reach * moments(np.concatenate(along))[1]
         parts = zip(blocks, measurements.trajectories.times, along, strict=True)
-        most = _most_divided(measurements)
-        blocks = [divided_blocks(part, times, values, limit, most) for part, times, values in parts]
+        blocks = [divided_blocks(part, times, values, limit, most_divided) for part, times, values in parts]
     return blocks
-
-
-def _most_divided(measurements: Measurements) -> float:
-    return LIMITS.most_divided * measurements.row_count
 
 
 def even_blocks(rows: int, count: int) -> Blocks:
@@ -167,27 +172,13 @@ def even_blocks(rows: int, count: int) -> Blocks:
     return Blocks(np.array(list(pairwise(edges)), np.int64), np.ones(blocks, np.bool_))
 
 
-def _reach(measurements: Measurements, estimates: Sequence[StateEstimate], count: int) -> float:
-    """Return for how long an input may err by its standard deviation: the noise hides what that moves a state by.
-
-    Inputs make a state's rate vary by no more than its standard deviation. The errors of the blocks of a correlation
-    length add up as independent ones, to no more than the noise of a mean.
-    """
-    searched, blocks = measurements.searched_rows, SETTINGS.shooting.lengths[0]
-    reaches = [math.inf]
-    for estimate in estimates:
-        speed = moments(np.ascontiguousarray(estimate.velocity[searched]))[1]
-        if speed > 0.0:
-            reaches.append(estimate.noise / math.sqrt(count * blocks) / speed)
-    return min(reaches)
-
-
 def divided_blocks(
     blocks: Blocks, times: FloatArray, values: FloatArray, limit: float, most: float = math.inf
 ) -> Blocks:
     """Return the blocks so divided that the integral of an input, from their rows, errs by no more than `limit`.
 
-    Errors count from the beginning of a block to any of its rows. No more are divided once so many rows are, `most`.
+    Errors count from the beginning of a block to any of its rows. Dividing ends once more than `most` rows are in
+    divided blocks.
     """
     while True:
         wanted = interpolated(times[blocks.centres], input_means(blocks, times, values), times)
@@ -204,8 +195,8 @@ def divided_blocks(
 def input_means(blocks: Blocks, times: FloatArray, values: FloatArray) -> FloatArray:
     """Return an input (B,) at the centres of blocks: of the parabola that fits the rows of each block best.
 
-    Other blocks have no say, so that nothing is carried over from where an input is switched. Of three rows and fewer
-    the parabola goes through the one in the middle.
+    Each block counts for itself, so that nothing is carried over a switch of the input. With three rows and fewer the
+    parabola passes through the row in the middle.
     """
     centres = blocks.centres
     ages = times - np.repeat(times[centres], blocks.sizes)
@@ -220,8 +211,14 @@ def input_means(blocks: Blocks, times: FloatArray, values: FloatArray) -> FloatA
 
 
 def interpolated(times: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Return the cubics through `values` (R,) at the times `wanted`, with slopes of parabolas through three rows."""
-    steps, slopes = np.diff(times), _slopes(times, values)
+    """Return the cubics through `values` (R,), three or more, at the times `wanted`.
+
+    The slope at each row is the slope of the parabola through it and its neighbours.
+    """
+    steps = np.diff(times)
+    rises = np.diff(values) / steps
+    inner = (steps[1:] * rises[:-1] + steps[:-1] * rises[1:]) / (steps[1:] + steps[:-1])
+    slopes = np.concatenate([[2.0 * rises[0] - inner[0]], inner, [2.0 * rises[-1] - inner[-1]]])
     before = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, len(steps) - 1)
     step = steps[before]
     share = (wanted - times[before]) / step
@@ -230,21 +227,12 @@ def interpolated(times: FloatArray, values: FloatArray, wanted: FloatArray) -> F
     return np.asarray(ends + step * share * rest * (slopes[before] * rest - slopes[before + 1] * share))
 
 
-def _slopes(times: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the slope at each row (R,), three or more, of the parabola through it and its neighbours."""
-    steps = np.diff(times)
-    rises = np.diff(values) / steps
-    inner = (steps[1:] * rises[:-1] + steps[:-1] * rises[1:]) / (steps[1:] + steps[:-1])
-    return np.concatenate([[2.0 * rises[0] - inner[0]], inner, [2.0 * rises[-1] - inner[-1]]])
-
-
-# ----------------------------------------------------------------------------------------------- their values
+# ---------------------------------------------------------------------------------------------------- their values
 
 
 def _averaged(
     measurements: Measurements, estimates: Sequence[StateEstimate], blocks: Sequence[Blocks], count: int
 ) -> Measurements:
-    """Return the measurements with the means of blocks in place of their rows."""
     whole, roles, ranges = measurements.trajectories, measurements.roles, measurements.ranges
     assert whole is not None
     weights = np.ones(measurements.row_count) if measurements.weights is None else measurements.weights
@@ -259,8 +247,8 @@ def _averaged(
     columns = {name: values[rows] for name, values in measurements.columns.items()}
     columns |= {name: np.concatenate(parts) for name, parts in states.items()}
     for name, along in zip(roles.inputs, measurements.inputs, strict=True):
-        means = map(input_means, blocks, whole.times, along)
-        columns[name] = columns[name] if name == roles.time else np.concatenate(list(means))
+        if name != roles.time:
+            columns[name] = np.concatenate([*map(input_means, blocks, whole.times, along)])
     if roles.weights is not None:  # inverse variances of independent errors add up in a mean
         parts = zip(blocks, ranges, strict=True)
         columns[roles.weights] = np.concatenate(
@@ -269,17 +257,14 @@ def _averaged(
     ends = np.cumsum([0, *(len(part.ranges) for part in blocks)]).tolist()
     sentence = Note(
         f"States change little from row to row: means of {count} rows stand for the {measurements.row_count} rows, "
-        f"{len(rows)} in all. Noise and residuals are those of means."
+        f"{len(rows)} in all. Noise and residuals refer to the means."
     )
+    times = tuple(times[part.centres] for times, part in zip(whole.times, blocks, strict=True))
     return replace(
         measurements,
         columns=columns,
         ranges=tuple(pairwise(ends)),
-        trajectories=replace(
-            whole,
-            times=tuple(times[part.centres] for times, part in zip(whole.times, blocks, strict=True)),
-            states=states,
-        ),
+        trajectories=replace(whole, times=times, states=states),
         warnings=(*measurements.warnings, sentence),
         rows_of_mean=count,
     )

@@ -1,4 +1,4 @@
-"""Which rows the search sees: those whose derivatives are certain enough, or that have weight, not too many. Pure.
+"""Which rows the search sees: certain derivatives, or enough weight, not too many; why others are excluded. Pure.
 
 Interpolated states: not the ends of trajectories, and not rows of very uncertain derivatives, which are jumps and
 passages by a singularity that the sampling does not resolve. Smoothed states: not rows whose total uncertainty,
@@ -6,17 +6,16 @@ standard error and estimated bias together, is far above the typical one.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.differentiation.derivatives import StateEstimate
+from atoll_coordinator.data.differentiation.derivatives import ROUNDING, StateEstimate, bounded_standard_deviation
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
-from atoll_coordinator.data.differentiation.value_scale import ROUNDING, bounded_standard_deviation
-from atoll_coordinator.data.recording import ExcludedRow
-from atoll_coordinator.data.row_selection.excluded_rows import explain_excluded_rows
+from atoll_coordinator.data.recording import ExcludedRow, Reason
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -24,14 +23,18 @@ from atoll_core.data.notes import Note
 
 LIMITS = SETTINGS.rows
 FAR_OUT = LIMITS.over_median_uncertainty
+_GAP_STEPS: Final = 3.0
+"""A step of the times this many times as long as the median step of its trajectory counts as a gap."""
+_END_SHARE: Final = 0.25
+"""Rows within this share of a span from the end of a trajectory have neighbours on one side, mostly."""
 
 
 @dataclass(frozen=True)
 class SelectedRows:
-    """The rows that remain of trajectories `searched` and of those `held_out`.
+    """The rows that remain of trajectories `searched` and of trajectories `held_out`.
 
     For each state, `uncertain` has the rows of searched trajectories that are too uncertain because of it, and
-    `excluded` those that are not used because of it, with the reasons; `warnings` are sentences for the user.
+    `excluded` the rows that are not used because of it, with the reasons; `warnings` are sentences for the user.
     """
 
     searched: list[int]
@@ -49,7 +52,7 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
     every = measurements.searched_rows
     searched = [row for row in every if is_known[row]]
     held_out = [row for row in measurements.held_out_rows if is_known[row]]
-    selected, within, warnings = searched, held_out, []
+    selected, within, warnings = searched, held_out, list[str]()
     uncertain = [frozenset[int]()] * len(estimates)
     if not paper:
         interpolated = [estimate for estimate in estimates if estimate.is_interpolated]
@@ -63,30 +66,31 @@ def select_rows(measurements: Measurements, estimates: Sequence[StateEstimate], 
         pairs = list(zip(totals, limits, strict=True))
         uncertain = [frozenset(row for row in every if limit < total[row] < math.inf) for total, limit in pairs]
         within = [row for row in held_out if ends[row] == 0.0 and all(total[row] <= limit for total, limit in pairs)]
-        warnings = _sentences(len(searched), len(inner), len(certain), len(selected))
+        if len(inner) < len(searched):
+            rows = f"{END_ROWS} rows at each end of a trajectory"
+            warnings.append(Note(f"Data without noise are interpolated, not smoothed; {rows} are left out."))
+        if len(certain) < len(inner):
+            count = f"{len(inner) - len(certain)} of {len(inner)} rows"
+            warnings.append(f"{count} change too fast for the sampling step and are left out.")
+        if len(selected) < len(certain):
+            count = f"{len(certain) - len(selected)} of {len(certain)} rows"
+            at = "(at ends and jumps)"
+            warnings.append(f"{count} have doubtful derivatives {at} and are left out of the search.")
     excluded = [
-        explain_excluded_rows(times, estimate, rows, frozenset(every))
-        for estimate, rows in zip(estimates, uncertain, strict=True)
+        explain_excluded_rows(times, estimate, own, frozenset(every))
+        for estimate, own in zip(estimates, uncertain, strict=True)
     ]
     return SelectedRows(selected, within, tuple(uncertain), tuple(excluded), tuple(warnings))
 
 
-def _sentences(searched: int, inner: int, certain: int, selected: int) -> list[str]:
-    """Return what the user is told, from how many rows were left after each step."""
-    sentences: list[str] = []
-    if inner < searched:
-        rows = f"{END_ROWS} rows at each end of a trajectory"
-        sentences.append(Note(f"Data without noise are interpolated, not smoothed; {rows} are left out."))
-    if certain < inner:
-        sentences.append(f"{inner - certain} of {inner} rows change too fast for the sampling step and are left out.")
-    if selected < certain:
-        count = f"{certain - selected} of {certain} rows have doubtful derivatives (at ends and jumps)"
-        sentences.append(f"{count} and are left out of the search.")
-    return sentences
-
-
 def _certain_interpolated(estimates: Sequence[StateEstimate], inner: list[int]) -> list[int]:
-    """Return the rows of `inner` whose relative uncertainty, the worst of all states, is small enough."""
+    """Return the rows of `inner` whose relative uncertainty, the worst of all states, is small enough.
+
+    The uncertainty of a target is the mean over its rows, yet equations are compared by mean squared error: where a few
+    rows are far more uncertain than the others, their errors exceed it, and a wrong term that fits them pays. So the
+    most uncertain rows are left out until, for every state, the root mean square is at most `most_uneven` times the
+    mean.
+    """
     if not estimates or not inner:
         return inner
     selected = inner
@@ -99,19 +103,8 @@ def _certain_interpolated(estimates: Sequence[StateEstimate], inner: list[int]) 
         ordered = np.sort(worst).tolist()
         limit = max(SETTINGS.common.clean, FAR_OUT * ordered[len(inner) // 2], ordered[least - 1])
         selected = [row for row, uncertainty in zip(inner, worst.tolist(), strict=True) if uncertainty <= limit]
-    return _evenly_uncertain(estimates, selected, least)
-
-
-def _evenly_uncertain(estimates: Sequence[StateEstimate], rows: list[int], least: int) -> list[int]:
-    """Return `rows` without those that alone would decide a mean square, at least `least` of them.
-
-    The uncertainty of a target is the mean over its rows, yet equations are compared by mean squared error: where a few
-    rows are far more uncertain than the others, their errors exceed it and a wrong term that fits them pays. So the
-    most uncertain rows are left out until, for every state, the root mean square is at most `most_uneven` times the
-    mean.
-    """
     for estimate in estimates:
-        uncertainty = estimate.uncertainty[rows].tolist()
+        uncertainty = estimate.uncertainty[selected].tolist()
         ordered = sorted(uncertainty)
         total, square, enough = 0.0, 0.0, 0
         for count, value in enumerate(ordered, start=1):
@@ -120,12 +113,12 @@ def _evenly_uncertain(estimates: Sequence[StateEstimate], rows: list[int], least
             if count <= least or square * count <= (LIMITS.most_uneven * total) ** 2:
                 enough = count
         limit = ordered[enough - 1] if enough else math.inf
-        rows = [row for row, value in zip(rows, uncertainty, strict=True) if value <= limit]
-    return rows
+        selected = [row for row, value in zip(selected, uncertainty, strict=True) if value <= limit]
+    return selected
 
 
 def _certain_smoothed(estimates: Sequence[StateEstimate], rows: list[int]) -> list[int]:
-    """Return those of `rows` whose total uncertainty, over its median, the worst of all states, is small enough."""
+    """Return the rows whose total uncertainty, over its median, the worst of all states, is small enough."""
     worst = np.zeros(len(rows))
     for estimate in estimates:
         uncertainty = estimate.total_uncertainty[rows]
@@ -138,11 +131,50 @@ def _certain_smoothed(estimates: Sequence[StateEstimate], rows: list[int]) -> li
     return [row for row, value in zip(rows, worst.tolist(), strict=True) if value <= limit]
 
 
+def explain_excluded_rows(
+    times: Sequence[FloatArray], estimate: StateEstimate, uncertain: Collection[int], searched: Collection[int]
+) -> tuple[ExcludedRow, ...]:
+    """Return the rows of one state that the search does not see because of it, and its outliers, in order.
+
+    Rows are counted through all trajectories, one after the other, with their `times`. Derivatives are too uncertain at
+    the rows `uncertain`; rows `searched` belong to trajectories that are not held out.
+    """
+    lengths = [len(part) for part in times]
+    cut_off = mark_ends(lengths) if estimate.is_interpolated else np.zeros(sum(lengths))
+    span = 0 if estimate.smoother is None else estimate.smoother.rows
+    weights, is_known = estimate.robustness_weights, estimate.is_known
+    excluded: list[ExcludedRow] = []
+    first = 0
+    for number, part in enumerate(times):
+        rows, steps = len(part), np.diff(part)
+        known = np.flatnonzero(is_known[first : first + rows]).tolist() or [0, rows - 1]
+        reach = max(END_ROWS, int(_END_SHARE * min(span, rows)))
+        is_near_gap = np.zeros(rows, np.bool_)
+        for step in np.flatnonzero(steps > _GAP_STEPS * float(np.sort(steps)[len(steps) // 2])).tolist():
+            is_near_gap[max(step + 1 - END_ROWS, 0) : step + 1 + END_ROWS] = True
+        for row in range(rows):
+            place = first + row
+            is_outlier = weights is not None and weights[place] == 0.0
+            is_missing = not is_known[place]
+            if place not in searched or not (place in uncertain or cut_off[place] or is_outlier or is_missing):
+                continue
+            reasons: dict[Reason, bool] = {
+                "missing": is_missing,
+                "outlier": is_outlier,
+                "end": cut_off[place] or min(row - known[0], known[-1] - row) < reach,
+                "gap": bool(is_near_gap[row]),
+                "jump": True,
+            }
+            excluded.append(ExcludedRow(number, row, next(reason for reason, holds in reasons.items() if holds)))
+        first += rows
+    return tuple(excluded)
+
+
 def thin_searched_rows(selected: SelectedRows, states: Sequence[FloatArray], most: int = LIMITS.most) -> SelectedRows:
     """Return the selection with about `most` rows for the search, if there were more; `states` are (R,) each.
 
-    Neighbours' derivatives come from the same measurements. Rows are spread evenly over the rows and over the way that
-    each state goes, so that a quick passage keeps rows.
+    Derivatives of neighbouring rows come from the same measurements. Rows are spread evenly over the rows and over the
+    path length of each state, so that a quick passage keeps rows.
     """
     rows = selected.searched
     if len(rows) <= most:
@@ -168,9 +200,9 @@ def normalize_weights(weights: FloatArray | None) -> FloatArray | None:
 
 
 def select_weighty_rows(weights: FloatArray | None, rows: list[int]) -> list[int]:
-    """Return those of `rows` whose weight is not far below the median one, most of them in any case.
+    """Return the `rows` whose weight is not far below the median weight, most of them in any case.
 
-    The search counts all rows alike (ADR 0027), so that rows of a far larger error are left out of it.
+    The search counts all rows alike (ADR 0027), so that rows with far larger errors are left out of it.
     """
     if weights is None:
         return rows

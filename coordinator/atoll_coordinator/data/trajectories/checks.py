@@ -19,19 +19,18 @@ from atoll_core.errors import DataError
 BoolArray = npt.NDArray[np.bool_]
 MIN_ROWS = SETTINGS.checks.min_rows
 _JUMP: Final = 3.0
-"""A jump of a wrapped angle is this many times as large as every step that is none, and differs from a turn by as many
-of those beside it."""
-
+"""A jump of a wrapped angle is this many times as large as every other step, and differs from a turn by at most this
+many times the steps next to it."""
 _TURNS: Final = ((6.283185307179586, "2 pi", ""), (360.0, "360", ":deg"))
-"""A full turn, how it is called, and what `--angle` appends for its unit."""
+"""A full turn, its name in messages, and the unit that `--angle` appends."""
 
 
 def select_usable_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[list[int], list[str]]:
     """Return the rows that are used, and sentences for the user.
 
-    Those have a weight that is not negligible; all columns that must be known are finite; and where states are measured
-    in time, at least one of them is: a missing value of a state costs that value. Raises DataError where there are too
-    few rows, a weight is negative or no number, or a used column is not finite in a row with weight although missing
+    A used row has weight; all columns that must be known are finite in it; and where states are measured in time, at
+    least one state is: a missing value of a state costs that value alone. Raises DataError where there are too few
+    rows, a weight is negative or no number, or a used column is not finite in a row with weight although missing
     numbers are not to be dropped.
     """
     _check_count(table, table.rows)
@@ -40,8 +39,14 @@ def select_usable_rows(table: Table, roles: Roles, config: DataConfig) -> tuple[
     return rows, [*unused, *dropped, *_remarks(table, roles, rows, config)]
 
 
+def _check_count(table: Table, count: int) -> None:
+    if count < MIN_ROWS:
+        rows = "row" if count == 1 else "rows"
+        raise DataError(f"{table.files[0]} has {count} {rows} of data; at least {MIN_ROWS} are needed")
+
+
 def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None:
-    """Raise DataError when the `rows` that the search may see are too few, or what is sought is constant in them."""
+    """Raise DataError when the `rows` that the search may see are too few, or a column is constant that is sought."""
     _check_count(table, len(rows))
     for name in roles.derivatives or roles.equations:
         role = "state" if name in roles.states else "derivative" if roles.derivatives else "target"
@@ -49,7 +54,7 @@ def check_searched_rows(table: Table, roles: Roles, rows: Sequence[int]) -> None
 
 
 def check_sizes(columns: Mapping[str, FloatArray]) -> None:
-    """Raise DataError when a column (by name) that equations may use has no squares; one of zeros alone may be used."""
+    """Raise DataError when a column (by name) that equations may use has no squares; a column of zeros may be used."""
     for name, column in columns.items():
         values = column[np.isfinite(column)]
         if values.any():
@@ -77,9 +82,9 @@ def check_rates(time: str, times: Sequence[FloatArray], states: Mapping[str, Seq
 
 
 def check_varies(table: Table, name: str, values: FloatArray, role: str, *, is_only: bool = False) -> None:
-    """Raise DataError when a column that is a state, a derivative or the target has too few values, or one only.
+    """Raise DataError when a column that is a state, a derivative or the target has too few values, or is constant.
 
-    Where it `is_only` one with an equation, no other part of it helps.
+    `is_only` is true for the only column with an equation: then no other choice of states helps.
     """
     values = values[np.isfinite(values)]
     if len(values) < MIN_ROWS:
@@ -119,11 +124,10 @@ def check_trajectory(table: Table, name: str, times: FloatArray, rows: Sequence[
 def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
     """Raise DataError when a state jumps by a full turn, as a wrapped angle does.
 
-    A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out. Noise is
-    none: it makes steps of all sizes up to the largest, whereas a jump stands out from all others. Of few rows that lie
-    far apart a fall may be about a turn by chance: where none of n other steps is half a turn, the next one is with a
-    probability of 1/(n + 2) (Laplace's rule of succession), and about a turn with that of the share of a turn by which
-    it may miss it.
+    A wrapped angle stays within one turn, and where it jumps it moves on smoothly once the turn is taken out. Noise
+    makes steps of all sizes up to the largest, whereas a jump stands out from all other steps. With few rows far apart
+    a fall may be about a turn by chance: where none of n other steps is half a turn, the next one is with probability
+    1/(n + 2) (Laplace's rule of succession); it is multiplied by the share of a turn by which the fall misses a turn.
     """
     parts = [part[np.isfinite(part)] for part in parts]
     values = np.concatenate(parts)
@@ -145,9 +149,9 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
 
 
 def _margins_of_turns(steps: FloatArray, usual: float, turn: float) -> list[float]:
-    """Return for each step that is about a `turn` how far it is from going on as before once that is taken out.
+    """Return for each step of about a `turn` how much it differs from its neighbours once the turn is taken out.
 
-    Its size stands out from `usual` ones, and differs from the turn by little more than those beside it.
+    Its size stands out from `usual` steps, and differs from the turn by little more than the steps next to it.
     """
     margins = []
     for index in np.flatnonzero(np.abs(steps) > max(0.5 * turn, _JUMP * usual)).tolist():
@@ -155,18 +159,11 @@ def _margins_of_turns(steps: FloatArray, usual: float, turn: float) -> list[floa
         near = [float(steps[other]) for other in (index - 1, index + 1) if 0 <= other < len(steps)]
         near = [other for other in near if abs(other) < 0.5 * turn]
         around = max(map(abs, near), default=0.0)
-        beside = min(_JUMP * around, usual)  # what is left without the turn is no larger than other steps
-        if abs(abs(step) - turn) <= beside + SETTINGS.common.negligible * turn:
-            left = step - math.copysign(turn, step)
-            margins.append(max((abs(left - other) for other in near), default=usual))
+        largest = min(_JUMP * around, usual)  # without the turn the step is no larger than other steps
+        if abs(abs(step) - turn) <= largest + SETTINGS.common.negligible * turn:
+            rest = step - math.copysign(turn, step)
+            margins.append(max((abs(rest - other) for other in near), default=usual))
     return margins
-
-
-def _check_count(table: Table, count: int) -> None:
-    """Raise DataError when `count` rows are too few for any search."""
-    if count < MIN_ROWS:
-        rows = "row" if count == 1 else "rows"
-        raise DataError(f"{table.files[0]} has {count} {rows} of data; at least {MIN_ROWS} are needed")
 
 
 def _weighted_rows(table: Table, name: str | None) -> tuple[list[int], list[str]]:
@@ -191,9 +188,9 @@ def _weighted_rows(table: Table, name: str | None) -> tuple[list[int], list[str]
 
 
 def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) -> tuple[list[int], list[str]]:
-    """Return those of the rows `weighted` that hold what is needed, and sentences when rows or values are left out.
+    """Return the rows `weighted` with all needed values, and sentences when rows or values are left out.
 
-    Of states measured in time one is enough; of all other columns in use each is needed.
+    One state measured in time is enough; of all other columns in use each is needed.
     """
     used = [table.names.index(name) for name in roles.used]
     has_weight = np.isin(np.arange(table.rows), weighted)
@@ -220,7 +217,7 @@ def _finite_rows(table: Table, roles: Roles, weighted: list[int], drop: bool) ->
 
 
 def _cure(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str:
-    """Return what helps where numbers are missing; `few` columns have too few values in the rows that would be left."""
+    """Return advice where numbers are missing; `few` columns have too few values in the rows that would be left."""
     if not few:
         return "correct them, or add --missing drop to do without them"
     known = dict(zip(roles.used, (~bad).sum(axis=1).tolist(), strict=True))
@@ -235,7 +232,7 @@ def _cure(table: Table, roles: Roles, bad: BoolArray, few: Sequence[str]) -> str
 
 
 def _not_finite(table: Table, used: Sequence[int], bad: BoolArray, advice: str) -> str:
-    """Name the first bad column and its rows, say how many rows are bad over all, and what helps."""
+    """Return the message: the first bad column and its rows, how many rows are bad over all, and the advice."""
     names = [table.names[index] for index in used]
     first = int(np.argmax(bad.any(axis=1)))
     rows = np.flatnonzero(bad[first]).tolist()
@@ -250,7 +247,6 @@ def _not_finite(table: Table, used: Sequence[int], bad: BoolArray, advice: str) 
 
 
 def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) -> list[str]:
-    """Return sentences about choices that the user may not expect."""
     remarks = []
     if table.skipped:
         remarks.append(f"Columns of text or without a name are not used: {', '.join(table.skipped)}.")
@@ -267,5 +263,5 @@ def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) ->
         values = table.column(name)[rows]
         values = values[np.isfinite(values)]
         if len(values) and np.all(values == values[0]):
-            remarks.append(f"Column '{name}' is constant and of no use to an equation.")
+            remarks.append(f"Column '{name}' is constant: no equation can use it.")
     return remarks

@@ -17,9 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll_coordinator.data.differentiation.interpolation import predict_left_out
-from atoll_coordinator.data.differentiation.missing_values import make_signal
-from atoll_coordinator.data.differentiation.noise import estimate_value_noise
+from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, make_signal, predict_left_out
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
 from atoll_coordinator.model.sparse.kernels.least_squares import windowed_sums
 from atoll_coordinator.model.sparse.products import Product

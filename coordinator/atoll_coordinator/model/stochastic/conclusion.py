@@ -13,8 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll_coordinator.data.increments.bins import Rows, split_into_bins
-from atoll_coordinator.data.increments.steps import take_steps
+from atoll_coordinator.data.increments import Rows, split_into_bins, take_steps
 from atoll_coordinator.model.inference.checks import Verdict, failures, sentence
 from atoll_coordinator.model.inference.residuals import residual_statistics
 from atoll_coordinator.model.inference.standard_errors import joint_covariance

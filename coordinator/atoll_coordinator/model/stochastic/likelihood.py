@@ -19,7 +19,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments import Steps
 from atoll_coordinator.model.least_squares import Fitter, Solver, inverse, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.discretisation import Discretisation

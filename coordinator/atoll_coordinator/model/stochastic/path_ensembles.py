@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments import Steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.thinning import curve, spread_places
 from atoll_coordinator.result.findings import Density, PathEnsemble

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.increments.steps import Steps, take_steps
+from atoll_coordinator.data.increments import Steps, take_steps
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.criteria import constant_nats_of, system_length
 from atoll_coordinator.model.deadline import Deadline

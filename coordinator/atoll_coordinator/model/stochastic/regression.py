@@ -19,9 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.data.increments.bins import split_into_bins
-from atoll_coordinator.data.increments.moments import lagged, products
-from atoll_coordinator.data.increments.steps import Steps, all_windows
+from atoll_coordinator.data.increments import Steps, all_windows, lagged, products, split_into_bins
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length, system_length
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.regression.fit import LeastSquares

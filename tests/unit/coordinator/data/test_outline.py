@@ -1,10 +1,10 @@
-"""What a job would search is said before anything is started."""
+"""What a person reads before a job: how a table was read, and what would be searched."""
 
-import pytest
+import numpy as np
 
-from atoll_coordinator.data.outline import outline
+from atoll_coordinator.data.outline import describe, outline
+from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import BudgetConfig, DataConfig, JobConfig, PriorConfig, SpaceConfig
-from atoll_core.errors import UsageError
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
 TABLE = table_of(oscillator())
@@ -40,11 +40,49 @@ def test_a_process_has_a_drift_and_a_diffusion() -> None:
     assert sides == ["dx/dt", "dy/dt", "d[x]/dt", "d[x,y]/dt", "d[y]/dt"]
 
 
-def test_a_target_error_is_said() -> None:
-    text = outline(TABLE, JobConfig(budget=BudgetConfig(target_error=1e-4, max_epochs_of={"x": 3}))).as_text()
-    assert "at a normalized error of 0.0001, or when it gets no better, after 1000 epochs at most, after 3 of x" in text
+def described(columns, starts=(0,), **options):
+    return describe(table_of(columns, starts), JobConfig(data=DataConfig(**options))).split("\n")
 
 
-def test_what_contradicts_itself_is_refused() -> None:
-    with pytest.raises(UsageError, match="equations are sought for x, y"):
-        outline(TABLE, JobConfig(data=DataConfig(only=("t",))))
+def test_trajectories_rows_time_and_columns_are_said():
+    columns = {name: np.tile(values, 2) for name, values in oscillator(30, 0.02).items()}
+    assert described(columns, (0, 30), inputs=("y",)) == [
+        "a.csv: 2 trajectories, 60 rows",
+        "time t: 0 to 0.58, step 0.02",
+        "states: x",
+        "inputs: y",
+    ]
+
+
+def test_units_are_said(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t [s],v [m/s],label\n" + "".join(f"{row},{row * row},{row}\n" for row in range(9)))
+    table = read_table([path], DataConfig())
+    assert describe(table, JobConfig(data=DataConfig(states=("v",)))).split("\n")[1:] == [
+        "read as text with commas",
+        "time t [s]: 0 to 8, step 1",
+        "states: v [m/s]",
+    ]
+
+
+def test_units_that_are_given_go_before_those_of_the_header():
+    assert described(oscillator(), units={"t": "h", "y": "m"})[1:] == [
+        "time t [h]: 0 to 5.9, step 0.1",
+        "states: x, y [m]",
+    ]
+
+
+def test_dropped_rows_are_said():
+    columns = oscillator()
+    columns["x"][3] = np.nan
+    assert described(columns, missing="drop")[0] == "a.csv: 60 rows"
+    columns["y"][3] = np.nan
+    assert described(columns, missing="drop")[0] == "a.csv: 60 rows (59 that can be used)"
+
+
+def test_what_is_known_of_a_diffusion_is_said():
+    config = JobConfig(
+        data=DataConfig(stochastic=True), prior=PriorConfig(known={"[x]": "0.25"}, bounds={"[y]": ("c > 0.1",)})
+    )
+    lines = describe(table_of(oscillator(120)), config).split("\n")
+    assert lines[-2:] == ["known: d[x]/dt = 0.25", "bounds: d[y]/dt: c > 0.1"]

@@ -52,12 +52,6 @@ def test_states_are_differentiated_in_time():
     assert dataset.warnings[0].endswith("4 rows at each end of a trajectory are left out.")
 
 
-def test_the_name_of_the_time_column_is_in_the_left_hand_side():
-    columns = oscillator()
-    columns["year"] = columns.pop("t") + 1900
-    assert prepared(columns, time="year", only=("y",)).targets[0].lhs == "dy/dyear"
-
-
 def test_only_some_equations_keep_all_variables():
     dataset = prepared(oscillator(), only=("y",))
     assert dataset.variables == ("y",)
@@ -100,16 +94,6 @@ def test_given_derivatives_are_taken_as_they_are():
     assert prepared(columns, states=("x", "y"), derivatives=("dx", "dy")).targets[0].lhs == "dx/dt"
 
 
-def test_order_two_makes_the_velocity_a_variable():
-    columns = oscillator(100)
-    columns["x_dot"] = columns.pop("y")
-    dataset = prepared(columns, states=("x",), order=2)
-    assert dataset.names == ("x", "x_dot")
-    assert dataset.targets[0].lhs == "d2x/dt2"
-    assert dataset.targets[0].values == pytest.approx(-dataset.inputs[0], abs=1e-8)
-    assert dataset.inputs[1] == pytest.approx(columns["x_dot"][4:-4], abs=1e-9)
-
-
 def test_a_velocity_keeps_out_of_the_way_of_a_column_of_its_name():
     columns = oscillator(100)
     columns["x_dot"] = columns.pop("y")
@@ -126,27 +110,11 @@ def test_awkward_names_get_symbols():
     assert [target.lhs for target in dataset.targets] == ["dlambda/dt", "dv w/dt", "dθ/dt"]
 
 
-def test_a_wrapped_angle_in_degrees_is_unwrapped_into_radians():
-    columns = oscillator(100)
-    columns["y"] = np.degrees(3 * columns["t"]) % 360
-    dataset = prepared(columns, angles=(Angle(column="y", degrees=True),))
-    assert dataset.inputs[1] == pytest.approx(3 * columns["t"][4:-4])
-    assert "Degrees were converted to radians: y." in dataset.warnings
-
-
 def test_given_derivatives_of_an_angle_are_converted_with_it():
     columns = {"y": np.arange(10.0) * 7 % 360, "dy": np.arange(10.0)}
     dataset = prepared(columns, derivatives=("dy",), angles=(Angle(column="y", degrees=True),))
     assert dataset.targets[0].values == pytest.approx(np.radians(columns["dy"]))
     assert dataset.inputs[0] == pytest.approx(np.radians(columns["y"]))
-
-
-def test_dropped_rows_are_bridged():
-    columns = oscillator(100)
-    columns["x"][50] = columns["y"][50] = math.nan
-    dataset = prepared(columns, missing="drop")
-    assert dataset.inputs.shape[1] == 99 - 8
-    assert dataset.targets[0].values == pytest.approx(dataset.inputs[1], abs=1e-8)
 
 
 def test_a_missing_value_costs_that_value_and_not_its_row():
@@ -172,20 +140,6 @@ def test_rows_that_lack_an_unknown_state_are_kept_from_the_search_and_in_the_rec
     assert "missing" not in {row.reason for row in preparation.recording.smoothing[1].excluded_rows}
 
 
-def test_noisy_states_are_smoothed_and_nearly_all_rows_kept():
-    columns = oscillator(200)
-    columns["x"] = columns["x"] + 0.05 * np.random.default_rng(0).standard_normal(200)
-    columns["y"] = columns["y"] + 0.05 * np.random.default_rng(1).standard_normal(200)
-    dataset = prepared(columns)
-    assert 196 <= dataset.inputs.shape[1] < 200
-    assert np.std(np.hypot(*dataset.inputs) - 1.0) < 0.025
-    assert all(0.01 < target.uncertainty < 0.3 for target in dataset.targets)
-    assert all(0.04 < target.noise < 0.1 for target in dataset.targets)
-    left_out = 200 - dataset.inputs.shape[1]
-    doubtful = f"{left_out} of 200 rows have doubtful derivatives (at ends and jumps) and are left out of the search."
-    assert dataset.warnings == (doubtful,)
-
-
 def test_the_paper_preset_keeps_all_rows():
     assert prepared(oscillator(100), preset="paper").inputs.shape == (2, 100)
 
@@ -193,25 +147,6 @@ def test_the_paper_preset_keeps_all_rows():
 def test_the_dataset_is_the_same_every_time():
     table = table_of_samples(trajectories("glider", 0.1, noise=0.02))
     assert prepare(table, JobConfig()).dataset.digest == prepare(table, JobConfig()).dataset.digest
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scales", [(1e-6, 1e6, 0.0), (1.0, 1.0, 1900.0), (1e6, 1e-3, 1e9)])
-def test_units_and_origin_of_time_change_nothing_but_the_scale(scales):
-    sampled = trajectories("lotka_volterra", 0.02)
-    table = table_of_samples(sampled)
-    columns = dict(zip(table.names, table.columns, strict=True))
-    plain = prepare(table_of(columns, table.starts), JobConfig()).dataset
-    columns = {"t": columns["t"] + scales[2], "x": columns["x"] * scales[0], "y": columns["y"] * scales[1]}
-    moved = prepare(table_of(columns, table.starts), JobConfig()).dataset
-    assert abs(moved.inputs.shape[1] - plain.inputs.shape[1]) <= 10  # rows at the limit fall to either side of it
-    unscaled = moved.inputs / np.array(scales[:2])[:, None]
-    apart = np.abs(unscaled[:, :, None] - plain.inputs[:, None, :]).max(axis=0)
-    mine, theirs = np.nonzero(apart < 1e-12)
-    assert len(mine) >= 0.99 * plain.inputs.shape[1]
-    for target, others, scale in zip(plain.targets, moved.targets, scales, strict=False):
-        assert np.abs(others.values[mine] / scale - target.values[theirs]).max() < 1e-9 * target.standard_deviation
-        assert others.uncertainty == pytest.approx(target.uncertainty, rel=0.1)
 
 
 @pytest.mark.slow
@@ -230,11 +165,6 @@ def test_the_truth_is_within_the_floor(system, step, seed):
     assert dataset.inputs.shape[1] >= (0.85 if step == 0.02 else 0.6) * 40 / step
 
 
-def test_rows_by_a_singularity_are_left_out_and_counted():
-    dataset = prepare(table_of_samples(trajectories("shear_flow", 0.02, 4)), JobConfig()).dataset
-    assert any("change too fast for the sampling step" in warning for warning in dataset.warnings)
-
-
 def test_slightly_rounded_data_keep_most_rows():
     """Their derivatives are uncertain by more than is always good enough, but all of them alike."""
     table = table_of_samples(trajectories("bar_magnets", 0.02))
@@ -242,28 +172,6 @@ def test_slightly_rounded_data_keep_most_rows():
     dataset = prepare(table_of(columns, table.starts), JobConfig()).dataset
     assert dataset.inputs.shape[1] > 0.95 * 2000
     assert all(target.noise < 1e-6 for target in dataset.targets)
-
-
-def test_steps_of_the_data_alone_are_no_derivative():
-    """A state that only ever jumps between two values has a slope, but nobody would trust it."""
-    columns = oscillator(40)
-    columns["y"] = np.where(np.arange(40) % 2 == 0, 0.0, 1.0)
-    dataset = prepared(columns)
-    assert dataset.targets[1].uncertainty > 0.01
-
-
-def test_a_state_that_grows_linearly_has_a_constant_derivative():
-    columns = oscillator(100)
-    columns["y"] = 3 * columns["t"]
-    dataset = prepared(columns)
-    assert dataset.inputs.shape == (2, 92)
-    assert dataset.targets[1].values == pytest.approx(np.full(92, 3.0))
-    assert dataset.targets[1].standard_deviation > 0.0
-
-
-def test_objections_to_the_data_reach_the_caller():
-    with pytest.raises(DataError, match="is constant"):
-        prepared({**oscillator(), "y": np.ones(60)})
 
 
 @pytest.mark.parametrize("slope", [1.0 / 3.0, -0.7, math.pi])

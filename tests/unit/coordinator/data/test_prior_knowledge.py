@@ -1,10 +1,9 @@
-"""What is known beforehand, in terms of the data."""
+"""Prior knowledge in terms of the data, by left-hand sides as people write them."""
 
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.prior_knowledge import guessed_programs, known_programs, resolve_prior
-from atoll_coordinator.data.table_summary import describe
+from atoll_coordinator.data.prior_knowledge import LeftSides, known_programs, resolve_prior
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import BASE_OPERATORS, DataConfig, EvolutionConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.errors import UsageError
@@ -26,10 +25,6 @@ def config_of(guesses=(), known=(), operators_of=(), variables_of=(), required_o
 
 def resolved(variables=VARIABLES, **options):
     return resolve_prior(config_of(**options), variables, SYMBOLS)
-
-
-def test_without_prior_knowledge_a_configuration_stays_as_it_is():
-    assert resolve_prior(JobConfig(), VARIABLES, SYMBOLS) == JobConfig()
 
 
 def test_left_hand_sides_become_variables_and_allowed_columns_symbols():
@@ -116,28 +111,6 @@ def test_a_known_equation_is_prepared_beside_the_only_one_sought():
     assert [(name, to_infix(program, dataset.names)) for name, program in programs.items()] == [("y", "-x")]
 
 
-def test_guesses_are_programs_as_well():
-    config = config_of(guesses={"dy": ("2*3*x", "x/y")})
-    dataset = prepare(table_of(oscillator()), config).dataset
-    programs = guessed_programs(dataset, resolve(config, dataset))
-    assert [to_infix(program, dataset.names) for program in programs.pop("y")] == ["6.0*x", "x/y"]
-    assert programs == {}
-
-
-def test_a_guess_for_an_equation_that_is_not_sought_is_refused():
-    config = config_of(guesses={"y": ("x",)}, data=DataConfig(only=("x",)))
-    with pytest.raises(UsageError, match="--guess names 'y', but equations are sought for x"):
-        prepare(table_of(oscillator()), config)
-
-
-def test_velocities_are_variables_of_second_order():
-    config = config_of(
-        guesses={"d2x": ("-x - 0.1*x_dot",)}, variables_of={"x": ("x", "x_dot")}, data=DataConfig(order=2)
-    )
-    dataset = prepare(table_of(oscillator()), config).dataset
-    assert resolve(config, dataset).space.columns_for("x", dataset.names) == (0, 2)
-
-
 def test_an_explicit_regression_has_no_derivatives():
     config = config_of(known={"y": "2*x"}, data=DataConfig(target="y"))
     assert prepare(table_of(oscillator()), config).dataset.variables == ("y",)
@@ -145,10 +118,61 @@ def test_an_explicit_regression_has_no_derivatives():
         prepare(table_of(oscillator()), config_of(known={"dy": "2*x"}, data=DataConfig(target="y")))
 
 
-def test_a_person_is_told_how_it_was_understood():
-    config = config_of(guesses={"x": ("y", "2*y")}, known={"y'": "-x"})
-    assert describe(table_of(oscillator()), config).split("\n")[-3:] == [
-        "known: dy/dt = -x",
-        "guess: dx/dt = y",
-        "guess: dx/dt = 2*y",
-    ]
+OF_COLUMNS = {"x": "x", "v-x": "v_x", "dx": "dx", "u": "u"}
+
+
+def sides(order=1, variables=("x", "v-x")):
+    return LeftSides(variables, OF_COLUMNS, order)
+
+
+@pytest.mark.parametrize("text", ["x", "dx", "dx/dt", "dx/dtime", "x'", " x ", "x [m]"])
+def test_first_derivatives_are_written_in_many_ways(text):
+    assert sides().variable("--known", text) == "x"
+
+
+@pytest.mark.parametrize("text", ["x", "d2x", "d2x/dt2", "d2x/dt^2", "d2x/dt**2", "d2x/dyear2", "x''"])
+def test_second_derivatives_are_written_in_many_ways(text):
+    assert sides(2).variable("--known", text) == "x"
+
+
+@pytest.mark.parametrize("text", ["v-x", "v_x", "dv-x", "dv_x/dt", "v_x'"])
+def test_a_column_may_be_named_by_its_symbol(text):
+    assert sides().variable("--known", text) == "v-x"
+
+
+def test_a_column_comes_before_the_derivative_that_its_name_looks_like():
+    both = sides(variables=("x", "dx"))
+    assert both.variable("--known", "dx") == "dx"
+    assert both.variable("--known", "dx/dt") == "x"
+    assert both.variable("--known", "ddx/dt") == "dx"
+
+
+@pytest.mark.parametrize(
+    ("order", "text", "words"),
+    [
+        (1, "d2x", ["'d2x'", "second derivative", "--order 2"]),
+        (2, "dx/dt", ["'dx/dt'", "first derivative", "d2x", "--order 2"]),
+        (None, "dx", ["'dx'", "x", "as it stands"]),
+        (1, "z", ["--known", "'z'", "x, v-x"]),
+        (1, "dz/dt", ["'dz/dt'"]),
+        (1, "", ["''"]),
+    ],
+)
+def test_what_belongs_to_no_equation_is_refused(order, text, words):
+    with pytest.raises(UsageError) as caught:
+        sides(order).variable("--known", text)
+    assert [word for word in words if word not in str(caught.value)] == []
+
+
+def test_everything_for_one_equation_comes_together_in_the_order_of_the_equations():
+    by_side = {"dv_x": 1, "x'": 2, "v-x": 3}
+    assert list(sides().several("--guess", by_side).items()) == [("x", (2,)), ("v-x", (1, 3))]
+    with pytest.raises(UsageError, match="--allow names the equation of 'v-x' twice"):
+        sides().single("--allow", by_side)
+
+
+def test_variables_are_named_by_column_or_symbol():
+    assert sides().symbols_of("--allow", ("u", "v-x", "v_x", "x [m]")) == ("u", "v_x", "x")
+    for texts, words in ((("w",), "'w', but the variables are x, v-x, dx, u"), ((), "no variable")):
+        with pytest.raises(UsageError, match=words):
+            sides().symbols_of("--allow", texts)

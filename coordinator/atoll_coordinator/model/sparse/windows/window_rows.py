@@ -13,8 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from atoll_coordinator.data.differentiation.interpolation import predict_left_out
-from atoll_coordinator.data.differentiation.noise import estimate_value_noise
+from atoll_coordinator.data.differentiation.interpolation import estimate_value_noise, predict_left_out
 from atoll_coordinator.data.differentiation.smoothing import Signal
 from atoll_coordinator.data.recording import Recording
 from atoll_coordinator.model.sparse.kernels.robust import NORMAL_DEVIATION

@@ -63,27 +63,10 @@ def test_a_state_that_rises_otherwise_does_not_count_the_rows(change):
     assert "counts the rows" not in found(columns)[1]
 
 
-def test_a_counter_alone_is_sought():
-    assert found({"t": 0.1 * np.arange(30.0), "n": np.arange(30.0)})[0].roles.states == ("n",)
-
-
-def test_whole_numbers_are_equal_too():
-    columns = {name: values if name == "t" else np.round(5.0 * values) for name, values in prey().items()}
-    examination, said = found({**columns, "twice": 2.0 * columns["x"]})
-    assert "'twice' is 2*x in every row" in said
-    assert examination.roles.states == ("x", "y")
-
-
 def test_whole_numbers_that_differ_by_one_are_not():
     columns = {name: values if name == "t" else np.round(5.0 * values) for name, values in prey().items()}
     columns["z"] = columns["x"] + (np.arange(200) % 40 == 0)
     assert found(columns)[0].roles.states == ("x", "y", "z")
-
-
-def test_a_total_that_stands_first_is_the_one_that_is_left_out():
-    columns = noisy(prey(), 0.02)
-    examination, _ = found({"t": columns["t"], "total": columns["x"] + columns["y"], **columns})
-    assert examination.roles.states == ("x", "y")
 
 
 @pytest.mark.parametrize(
@@ -158,11 +141,6 @@ def test_a_value_that_stands_for_missing_ones_is_named(value, rows):
     examination, said = found(columns, missing_values=(value,))
     assert "--missing-value" not in said
     assert np.flatnonzero(np.isnan(examination.measurements.columns["y"])).tolist() == sorted(rows)
-
-
-def test_a_number_of_a_run_is_no_missing_value():
-    columns = {"run": np.repeat([1.0, 2.0], 100), **prey()}
-    assert len(found(columns, trajectory="run", missing_values=(1.0,))[0].measurements.ranges) == 2
 
 
 def test_few_values_are_said():

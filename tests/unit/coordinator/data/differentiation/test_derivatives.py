@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
-from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
+from atoll_coordinator.data.differentiation.interpolation import mark_ends
 from atoll_coordinator.data.differentiation.smoothing import Signal
 
 
@@ -47,20 +47,6 @@ def test_noisy_data_are_smoothed(noise):
     assert 0.4 * estimate.uncertainty.mean() < error < 3 * estimate.uncertainty.mean()
 
 
-def test_rounding_to_six_digits_counts_as_little_noise_and_shows_in_the_uncertainty():
-    signals, truth, _ = waves()
-    rounded = [Signal(signal.times, np.round(signal.values, 6)) for signal in signals]
-    estimate = estimate_derivatives(rounded, Differentiation())
-    inner = mark_ends([200, 200]) == 0
-    error = np.abs(estimate.derivative - truth)[inner].mean()
-    assert error < 2 * estimate.uncertainty[inner].mean() < 1e-3
-
-
-def test_the_paper_preset_smooths_always():
-    signals, _, _ = waves()
-    assert not estimate_derivatives(signals, Differentiation(paper=True)).is_interpolated
-
-
 def test_the_second_derivative_of_noisy_data_is_smoothed():
     signals, first, second = waves(noise=0.01)
     estimate = estimate_derivatives(signals, Differentiation(2))
@@ -98,28 +84,12 @@ def test_scale_and_offset_of_the_values_change_nothing_else(exponent, offset, no
     assert others.derivative[inner] / scale == pytest.approx(estimate.derivative[inner], abs=tolerance)
 
 
-def test_ends_of_short_trajectories_are_not_left_out():
-    ends = mark_ends([10, 30])
-    assert ends[:10].sum() == 0
-    assert ends[10:].sum() == 2 * END_ROWS
-    assert ends[10] == ends[-1] == 1.0
-
-
 @pytest.mark.parametrize("rows", [5, 6, 8, 15, 16])
 def test_short_trajectories_have_derivatives(rows):
     times = np.arange(rows) * 0.01
     estimate = estimate_derivatives([Signal(times, np.exp(times))], Differentiation())
     assert estimate.derivative == pytest.approx(np.exp(times), rel=1e-4)
     assert np.isfinite(estimate.uncertainty).all()
-
-
-def test_quantised_data_are_not_free_of_noise():
-    signals, truth, _ = waves()
-    steps = [Signal(signal.times, np.round(signal.values / 0.002) * 0.002) for signal in signals]
-    estimate = estimate_derivatives(steps, Differentiation(), least_noise=0.002 / np.sqrt(12.0))
-    assert not estimate.is_interpolated
-    assert estimate.noise >= 0.002 / np.sqrt(12.0)
-    assert np.abs(estimate.derivative - truth).mean() < 3.0 * estimate.uncertainty.mean()
 
 
 def test_slow_data_in_steps_are_not_known_better_than_to_the_step():

@@ -66,8 +66,3 @@ def test_smoothed_slopes_stay_where_noise_hides_the_differences():
 def test_what_cannot_be_held_is_refused(options, message):
     with pytest.raises(UsageError, match=message):
         prepared(driven(50, 5, 0.1), **options)
-
-
-def test_the_time_is_not_held():
-    with pytest.raises(UsageError, match="--hold names 't', the time"):
-        prepare(table_of(driven(50, 5, 0.1)), JobConfig(data=DataConfig(inputs=("u", "t"), hold=("t",))))

@@ -52,13 +52,6 @@ def test_all_trajectories_of_an_input_are_taken_alike():
     assert not np.allclose(alone, both)
 
 
-@pytest.mark.parametrize("rows", [5, 6, 7])
-def test_short_trajectories_have_slopes(rows):
-    times = np.arange(float(rows))
-    (slopes,) = slopes_of([times], [times**2])
-    assert slopes == pytest.approx(2 * times)
-
-
 def test_a_curve_is_the_cubic_with_its_slopes_and_constant_beyond():
     times = steps(40)
     curve = InputCurve.through(times, np.sin(times), "smooth")
@@ -68,15 +61,6 @@ def test_a_curve_is_the_cubic_with_its_slopes_and_constant_beyond():
     assert curve(times[0] - 1.0) == np.sin(times[0])
     assert curve(times[-1] + 1.0) == np.sin(times[-1])
     assert not len(curve.jumps)
-
-
-def test_pieces_are_the_curve():
-    times = steps(20)
-    for kind in ("smooth", "shape-preserving", "held"):
-        curve = InputCurve.through(times, np.sin(3.0 * times), kind)
-        for t in np.linspace(times[0], curve.until, 100)[:-1]:
-            begin, *powers = curve.pieces[np.searchsorted(curve.pieces[:, 0], t, side="right") - 1]
-            assert sum(c * (t - begin) ** n for n, c in enumerate(powers)) == pytest.approx(curve(t), abs=1e-12)
 
 
 def test_a_held_input_keeps_the_value_of_a_row_until_the_next():
@@ -100,10 +84,6 @@ def test_the_error_of_a_smooth_curve_is_that_between_its_rows(rows):
     curve = InputCurve.through(times, np.sin(times), "smooth")
     error = np.sqrt(np.mean([(curve(t) - np.sin(t)) ** 2 for t in between.tolist()])) / np.std(np.sin(times))
     assert error < relative_curve_error([times], [np.sin(times)], "smooth") < 10.0 * error
-
-
-def test_switched_inputs_have_no_such_error():
-    assert relative_curve_error([np.arange(40.0)], [np.arange(40.0) % 2.0], "shape-preserving") == 0.0
 
 
 def test_a_random_walk_is_unknown_between_its_rows_by_a_quarter_of_the_variance_of_a_step():

@@ -54,21 +54,11 @@ def test_few_values_in_many_rows_show_a_step(levels, step):
     assert (quantisation.kind, quantisation.step) == ("steps", step)
 
 
-@pytest.mark.parametrize("values", [np.tile([1.0, 0.5, -0.5, -1.0, -0.5, 0.5], 30), TIMES > 7.0])
-def test_a_wave_in_step_with_the_rows_and_a_switch_show_none(values):
-    assert find_quantisation([np.asarray(values, np.float64)]) is None
-
-
 @pytest.mark.parametrize(("digits", "step"), [(0, 1.0), (1, 0.1)])
 def test_few_rows_show_the_place_to_which_they_were_written(digits, step):
     """Seven different values and fewer: 2, 1.1, 0.5, 0.3, 0.2, 0.1, 0.1 was not measured to three digits."""
     quantisation = find_quantisation([np.round(2.0 * np.exp(-0.6 * np.arange(7.0)), digits)])
     assert (quantisation.kind, quantisation.step) == ("decimals", pytest.approx(step))
-
-
-def test_few_rows_of_a_line_refute_the_step_that_they_show():
-    line = np.arange(7.0)
-    assert is_refuted(find_quantisation([line]), [signal_of(line)])
 
 
 @pytest.mark.parametrize("rows", [6, 7])

@@ -1,10 +1,19 @@
-"""Loess: its span and degree follow the noise."""
+"""Loess: its span and degree follow the noise; robust loess takes weight from outliers, not from noise."""
 
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.differentiation.noise import estimate_noise
-from atoll_coordinator.data.differentiation.smoothing import Signal, Smoother, select_smoother, smooth
+from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
+from atoll_coordinator.data.differentiation.smoothing import (
+    Signal,
+    Smoother,
+    estimate_noise,
+    fit_robustly,
+    has_heavy_tails,
+    select_smoother,
+    smooth,
+    weigh_by,
+)
 
 
 def noisy(deviation, rows=200, signals=2, seed=0):
@@ -18,11 +27,6 @@ def test_more_noise_is_smoothed_over_more_rows():
     assert spans == sorted(spans)
     assert spans[0] < 10
     assert spans[-1] > 40
-
-
-def test_only_the_degrees_allowed_are_chosen():
-    for degrees in ((2,), (3, 4), (1,)):
-        assert select_smoother(noisy(0.1), degrees).degree in degrees
 
 
 def test_smoothing_is_closer_to_the_truth_than_the_data():
@@ -50,11 +54,6 @@ def test_short_runs_are_smoothed(rows):
     fits = smooth(signals[0], smoother).fits
     assert fits[0] == pytest.approx(signals[0].values, abs=1e-9)
     assert fits[1] == pytest.approx(2 * signals[0].times, abs=1e-7)
-
-
-def test_runs_of_different_lengths_share_a_span():
-    signals = [*noisy(0.1), Signal(np.arange(8.0), np.sin(np.arange(8.0)))]
-    assert np.isfinite(smooth(signals[2], Smoother(50, 4, 0.0)).fits).all()
 
 
 def test_many_rows_are_smoothed_over_spans_of_many_rows():
@@ -102,27 +101,6 @@ def test_a_wave_that_vanishes_in_means_is_not_thinned_away():
     assert np.std(smooth(signals[0], smoother).fits[0] - np.sin(2 * np.pi * times)) < 0.1
 
 
-def test_many_short_runs_are_not_thinned():
-    rng = np.random.default_rng(0)
-    times = np.arange(0.0, 50.0, 0.5)
-    signals = [Signal(times, np.sin(times + phase) + 0.05 * rng.standard_normal(100)) for phase in range(60)]
-    smoother = select_smoother(signals, (3, 4))
-    assert smoother.thinning == 1
-    assert estimate_noise(signals, smoother) == pytest.approx(0.05, rel=0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("rows", [5, 12, 19, 150])
-def test_a_short_run_among_long_ones_is_thinned_less(rows):
-    """Its slopes are still those of its curve, over the same span of time."""
-    times = np.linspace(0.0, 12.0, 12_000)
-    long = Signal(times, np.sin(times) + 0.1 * np.random.default_rng(0).standard_normal(12_000))
-    short = Signal(times[:rows], 3.0 * times[:rows])
-    smoother = select_smoother([long, short], (3, 4))
-    assert smoother.thinning == 6
-    assert smooth(short, smoother).fits[1] == pytest.approx(np.full(rows, 3.0), rel=1e-6)
-
-
 def test_rows_without_weight_do_not_count():
     signals = noisy(0.05, rows=300)
     weights = np.ones(300)
@@ -133,3 +111,96 @@ def test_rows_without_weight_do_not_count():
     smoother = select_smoother(weighted, (3, 4))
     assert smoother.span == pytest.approx(select_smoother(signals, (3, 4)).span, rel=0.6)
     assert estimate_noise(weighted, smoother) == pytest.approx(0.05, rel=0.1)
+
+
+DEGREES = (3, 4)
+
+
+def waves(noise=0.05, share=0.0, size=10.0, rows=200, seed=0):
+    """Return two signals of sin(t), some rows of which are `size` times the noise off, and where those are."""
+    rng = np.random.default_rng(seed)
+    signals, wrong = [], []
+    for phase in (0.0, 1.0):
+        times = 0.05 * np.arange(rows)
+        is_off = rng.uniform(size=rows) < share
+        values = np.sin(times + phase) + noise * rng.standard_normal(rows)
+        values[is_off] += size * noise * rng.choice([-1.0, 1.0], int(is_off.sum()))
+        signals.append(Signal(times, values))
+        wrong.append(is_off)
+    return signals, wrong
+
+
+def slope_error(estimate, rows=200):
+    truth = np.concatenate([np.cos(0.05 * np.arange(rows) + phase) for phase in (0.0, 1.0)])
+    return float(np.sqrt(np.mean((estimate.derivative - truth) ** 2)))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15])
+def test_outliers_are_found_and_good_rows_keep_their_weight(share):
+    signals, wrong = waves(share=share)
+    fit = fit_robustly(signals, DEGREES)
+    for signal, is_off in zip(fit.signals, wrong, strict=True):
+        assert (signal.weights[is_off] == 0.0).all()
+        assert (signal.weights[~is_off] > 0.0).mean() > 0.98
+        assert np.median(signal.weights[~is_off]) > 0.8
+
+
+def test_outliers_hardly_matter_when_smoothing_is_robust():
+    clean = estimate_derivatives(waves()[0], Differentiation())
+    plain = estimate_derivatives(waves(share=0.08)[0], Differentiation())
+    robust = estimate_derivatives(waves(share=0.08)[0], Differentiation(robust=True))
+    assert slope_error(robust) < 1.3 * slope_error(clean) < 0.7 * slope_error(plain)
+    assert robust.noise == pytest.approx(0.05, rel=0.15)
+    assert plain.noise > 0.1
+    assert robust.standard_deviation == pytest.approx(clean.standard_deviation, rel=0.05)
+    assert robust.outliers == int(sum(is_off.sum() for is_off in waves(share=0.08)[1]))
+
+
+def test_without_outliers_robust_smoothing_is_the_ordinary_one():
+    for noise in (0.0, 0.05):
+        signals, _ = waves(noise)
+        plain, robust = (
+            estimate_derivatives(signals, Differentiation()),
+            estimate_derivatives(signals, Differentiation(robust=True)),
+        )
+        assert robust.outliers is None
+        assert robust.is_interpolated == plain.is_interpolated
+        assert robust.derivative.tolist() == plain.derivative.tolist()
+
+
+def test_data_without_noise_keep_their_outliers_away():
+    signals, _ = waves(noise=0.0)
+    values = signals[0].values.copy()
+    values[[20, 50, 90, 120]] += 0.5
+    estimate = estimate_derivatives([Signal(signals[0].times, values), signals[1]], Differentiation(robust=True))
+    assert estimate.outliers is not None
+    assert estimate.outliers >= 4
+    assert estimate.robustness_weights is not None
+    assert estimate.robustness_weights[[20, 50, 90, 120]].tolist() == [0.0] * 4
+    assert slope_error(estimate) < 0.01
+
+
+def test_another_signal_is_weighed_by_the_same_measure():
+    signals, _ = waves(share=0.05)
+    others, wrong = waves(share=0.05, seed=1)
+    fit = fit_robustly(signals, DEGREES)
+    again = weigh_by(fit, others[0])
+    assert (again.weights[wrong[0]] == 0.0).all()
+    assert (again.weights[~wrong[0]] > 0.0).mean() > 0.98
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.0, False), (0.03, True), (0.1, True)])
+def test_heavy_tails_are_seen(share, expected):
+    for seed in range(3):
+        signals, _ = waves(share=share, seed=seed)
+        smoother = select_smoother(signals, DEGREES)
+        assert has_heavy_tails(signals, [smooth(signal, smoother) for signal in signals]) == expected
+
+
+def test_a_jump_is_no_heavy_tail():
+    """A jump that the sampling does not resolve leaves large residuals side by side."""
+    times = 0.1 * np.arange(200)
+    noise = 0.02 * np.random.default_rng(0).standard_normal(200)
+    signals = [Signal(times, np.tanh(8 * np.sin(times)) + noise)]
+    smoother = select_smoother(signals, DEGREES)
+    assert not has_heavy_tails(signals, [smooth(signal, smoother) for signal in signals])

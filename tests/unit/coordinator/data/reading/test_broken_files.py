@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.table_summary import describe
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import DataError
 
@@ -71,6 +71,7 @@ BROKEN: dict[str, tuple[str, str | bytes, str]] = {
     "columns of two lengths": ("a.json", '{"t": [0, 1], "x": [1]}', "whose values are no columns of one length"),
     "an old workbook": ("a.xls", b"any", "a.xls is an Excel workbook of the old format; save it as .xlsx"),
     "a pickle": ("a.pkl", b"any", "a.pkl is a pickle, which may hold programs"),
+    "one column": ("a.csv", "t x y\n0 1\n", "a.csv has one column, 't x y'; separate columns with commas"),
     "one name twice": ("a.csv", "t,x [m],x [s]\n0,1,2\n", "a.csv has 2 columns named 'x'"),
 }
 
@@ -85,12 +86,6 @@ def test_a_broken_file_is_one_sentence_and_code_2(kind: str, tmp_path: Path) -> 
     assert words in str(raised.value)
     assert "\n" not in str(raised.value)
     assert raised.value.exit_code == 2
-
-
-def test_arrays_of_several_lengths_without_a_time_are_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", a=np.zeros(3), b=np.zeros(4))
-    with pytest.raises(DataError, match=r"a\.npz holds arrays of shapes \[\(3,\), \(4,\)\]"):
-        read_table([tmp_path / "a.npz"], DataConfig())
 
 
 @pytest.mark.parametrize("kind", ["external", "virtual"])

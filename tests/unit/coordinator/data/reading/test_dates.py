@@ -1,11 +1,14 @@
-"""Dates and clock times: forms, the order of day and month, midnight, zones, and the unit of times."""
+"""Dates and clock times: forms, order of day and month, midnight, zones, units; which column of dates is the time."""
 
 import datetime
+from pathlib import Path
 
-import numpy as np
 import pytest
 
-from atoll_coordinator.data.reading.dates import NANOSECONDS, Dates, read_dates, times_of, with_clock
+from atoll_coordinator.data.reading.dates import NANOSECONDS, Dates, read_dates, times_of
+from atoll_coordinator.data.reading.files import read_table
+from atoll_core.config import DataConfig
+from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
 S, H, D = (NANOSECONDS[unit] for unit in ("s", "h", "d"))
@@ -74,19 +77,9 @@ def test_day_and_month_do_not_matter_where_all_are_of_one_day():
     assert times_of([dates], (0,), None)[0].tolist() == [0.0, 30.0]
 
 
-def test_each_trajectory_ascends_by_itself():
-    assert dates_of("10/01/2020", "01/02/2020", "10/01/2020", "01/02/2020", starts=(0, 2)).form.startswith("dates day")
-
-
 def test_a_clock_goes_on_past_midnight_within_a_trajectory():
     dates = dates_of("23:00", "01:00", "23:00", "02:00", "04:00", starts=(0, 4))
     assert dates.nanoseconds == (23 * H, 25 * H, 47 * H, 50 * H, 4 * H)
-
-
-def test_missing_dates_stay_missing():
-    times, *_ = times_of([dates_of("2020-01-01", "", "NA", "2020-01-04")], (0,), None)
-    assert np.isnan(times).tolist() == [False, True, True, False]
-    assert times[3] == 3.0
 
 
 @pytest.mark.parametrize(
@@ -105,11 +98,6 @@ def test_the_unit_is_the_longest_that_a_usual_step_has(cells, unit, step):
     assert remark.endswith(f"in {unit} since {'2020-01-01' if cells[0] == '2020-01-01' else '2020-01-01 00:00:00'}")
 
 
-def test_steps_from_one_trajectory_to_the_next_do_not_count():
-    days = dates_of("2020-01-01 00:00", "2021-01-01 00:00", "2021-01-01 01:00", starts=(0, 1))
-    assert times_of([days], (0, 1), None)[1] == "h"
-
-
 def test_files_read_together_have_one_unit_and_one_beginning():
     times, unit, *_ = times_of(
         [dates_of("2020-01-01", "2020-01-02"), dates_of("2020-01-05", "2020-01-06")], (0, 2), None
@@ -124,11 +112,40 @@ def test_a_unit_may_be_asked_for():
         times_of([dates_of("2020-01-01", "2020-01-02")], (0,), "fortnights")
 
 
-def test_a_column_of_dates_and_one_of_clock_times_are_one():
-    dates = with_clock(dates_of("2020-01-01", "2020-01-02"), dates_of("23:00", "01:00"))
-    assert [value - since_1970(2020, 1, 1) for value in dates.nanoseconds] == [23 * H, 25 * H]
-
-
 def test_only_missing_dates_are_refused():
     with pytest.raises(DataError, match="holds none"):
         times_of([Dates((None,), "dates", has_date=True)], (0,), None)
+
+
+def read(folder: Path, header: str, *rows: str, config: DataConfig | None = None) -> Table:
+    (folder / "a.csv").write_text("\n".join([header, *rows, ""]))
+    return read_table([folder / "a.csv"], config or DataConfig())
+
+
+def test_date_and_clock_in_two_columns_are_the_time(tmp_path: Path) -> None:
+    table = read(tmp_path, "Date,Time of day,x", "2020-01-01,23:30,1", "2020-01-02,00:30,2")
+    assert (table.names, table.units, table.column("time").tolist()) == (("time", "x"), ("h", ""), [0.0, 1.0])
+    assert table.skipped == ()
+
+
+def test_a_column_that_is_named_keeps_its_name(tmp_path: Path) -> None:
+    rows = ("2020-01-01,2020-02-01,1", "2020-01-02,2020-02-02,2")
+    table = read(tmp_path, "begin,end,x", *rows, config=DataConfig(time="end"))
+    assert (table.names, table.units, table.skipped) == (("end", "x"), ("d", ""), ("begin",))
+
+
+@pytest.mark.parametrize("header", ["t,date,x", "time,date,x"])
+def test_dates_beside_a_time_of_numbers_are_left_out(header: str, tmp_path: Path) -> None:
+    table = read(tmp_path, header, "0,2020-01-01,1", "1,2020-01-02,2")
+    assert table.skipped == ("date",)
+    assert "text left out: date" in table.read_as
+
+
+def test_dates_without_marks_are_dates_where_their_column_is_called_so(tmp_path: Path) -> None:
+    table = read(tmp_path, "Date,x,n", "20210228,1,20210228", "20210301,2,20210301")
+    assert (table.names, table.column("time").tolist()) == (("time", "x", "n"), [0.0, 1.0])
+    assert table.column("n").tolist() == [20210228.0, 20210301.0]
+    assert read(tmp_path, "date,t,x", "20210228,0,1", "20210301,1,2").skipped == ("date",)
+    assert read(tmp_path, "date,x", "20210228,1", "20211301,2").names == ("date", "x")
+    runs = read(tmp_path, "date,t,x", "20210228,0,1", "20210301,1,2", config=DataConfig(trajectory="date"))
+    assert runs.column("date").tolist() == [20210228.0, 20210301.0]

@@ -7,8 +7,8 @@ import pytest
 
 from atoll.cli.options import parse
 from atoll.cli.request import config_of
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.table_summary import describe
 from atoll_core.errors import DataError, UsageError
 
 

@@ -52,10 +52,6 @@ def test_dialects_read_the_same(read, text):
     assert table.columns.tolist() == [[0.0, 1.0], [1.0, 2.0]]
 
 
-def test_utf_16_of_spreadsheets_is_read(read):
-    assert read("t,θ\n0,1\n".encode("utf-16")).names == ("t", "θ")
-
-
 def test_units_are_split_from_names(read):
     table = read('t [s],"v [m/s]",angle[deg],[x]\n0,1,2,3\n')
     assert table.names == ("t", "v", "angle", "[x]")
@@ -101,12 +97,6 @@ def test_columns_of_text_are_set_aside(read):
     assert table.skipped == ("who",)
 
 
-def test_columns_without_a_name_are_set_aside_unless_empty(read):
-    table = read(",t,x,\n0,0,1,\n1,1,2,\n")
-    assert table.names == ("t", "x")
-    assert table.skipped == ("column 1",)
-
-
 @pytest.mark.parametrize(
     "row", ["-,-", "YYYY-MM-DD,–", "yyyy-mm-dd,m", "hh:mm:ss,-", ",-", "[dd.mm.yyyy HH:MM:SS],", "[-],[-]"]
 )
@@ -138,80 +128,15 @@ def test_parquet_is_read_like_text(tmp_path):
     assert table.places([1]) == "row 2"
 
 
-def test_parquet_keeps_all_digits(tmp_path):
-    values = np.random.default_rng(0).normal(size=50)
-    polars.DataFrame({"x": values}).write_parquet(tmp_path / "a.parquet")
-    assert read_table([tmp_path / "a.parquet"], DataConfig()).column("x").tolist() == values.tolist()
-
-
-def test_npz_is_read(tmp_path):
-    np.savez(tmp_path / "a.npz", t=np.arange(3), x=np.array([1.0, np.nan, 3.0]))
-    table = read_table([tmp_path / "a.npz"], DataConfig())
-    assert table.names == ("t", "x")
-    assert table.rows == 3
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "a.csv is empty; a header line and rows of numbers are expected"),
-        (" \n\n", "a.csv is empty; a header line and rows of numbers are expected"),
-        ("t,x\n", "a.csv has a header but no rows; rows of numbers are expected below it"),
-        ("t,x\n0,1\n1,two\n", "column 'x' of a.csv holds 'two' in line 3 where a number is expected"),
-        ("t,x,x\n0,1,2\n", "a.csv has 2 columns named 'x'; give each column its own name"),
-        ("t,x [m],x [s]\n0,1,2\n", "a.csv has 2 columns named 'x'; give each column its own name"),
-        ("t,x\n0,1\n1,2,3\n", "line 3 of a.csv has 3 cells where the header has 2; correct it"),
-        ("t x y\n0 1\n", "a.csv has one column, 't x y'; separate columns with commas, semicolons or tabs"),
-        (b"t,\xc3\xb8\n0,\xff\n", r"a.csv is not UTF-8 text (byte 8); save it as CSV in UTF-8, or as Parquet"),
-    ],
-)
-def test_what_cannot_be_read_is_said_in_one_sentence(read, text, message):
-    with pytest.raises(DataError) as raised:
-        read(text)
-    assert str(raised.value) == message
-    assert raised.value.exit_code == 2
-
-
-def test_text_in_a_column_that_an_option_names_is_refused(read):
-    with pytest.raises(DataError, match=r"column 'x' of a.csv holds 'one' in line 2 where a number is expected"):
-        read("t,x\n0,one\n1,two\n", config=DataConfig(states=("x",)))
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(DataError, match=r"there is no file .*none\.csv; check its name"):
-        read_table([tmp_path / "none.csv"], DataConfig())
-
-
-def test_a_folder_is_refused(tmp_path):
-    with pytest.raises(DataError, match="is a folder"):
-        read_table([tmp_path], DataConfig())
-
-
-def test_no_file_at_all_is_refused():
-    with pytest.raises(DataError, match="no data file was given"):
-        read_table([], DataConfig())
+def test_what_is_no_file_is_refused(tmp_path):
+    for paths, words in (([], "no data file"), ([tmp_path], "is a folder"), ([tmp_path / "a"], "there is no file")):
+        with pytest.raises(DataError, match=words):
+            read_table(paths, DataConfig())
 
 
 def test_files_with_different_columns_are_refused(read):
     with pytest.raises(DataError, match=r"a.csv and b.csv differ in the columns x, y; files read together"):
         read("t,x\n0,1\n", "t,y\n0,1\n")
-
-
-def test_files_with_different_units_are_refused(read):
-    with pytest.raises(DataError, match="differ in the units"):
-        read("t,x [m]\n0,1\n", "t,x [km]\n0,1\n")
-
-
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-def test_a_file_that_is_not_what_its_name_says_is_refused(read, suffix):
-    with pytest.raises(DataError, match=rf"a\{suffix} "):
-        read("t,x\n0,1\n", suffix=suffix)
-
-
-def test_text_in_numbers_of_parquet_is_named_by_row(tmp_path):
-    polars.DataFrame({"t": ["0", "1", "x"]}).write_parquet(tmp_path / "a.parquet")
-    with pytest.raises(DataError, match=r"column 't' of a.parquet holds 'x' in row 3 where a number is expected"):
-        read_table([tmp_path / "a.parquet"], DataConfig())
 
 
 def test_lists_in_parquet_are_refused(tmp_path):

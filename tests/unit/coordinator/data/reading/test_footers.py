@@ -1,6 +1,5 @@
 """Lines below a table are left out and named; a damaged row is none of them."""
 
-import datetime
 from pathlib import Path
 
 import openpyxl
@@ -9,7 +8,7 @@ import pytest
 
 from atoll.api.tables import table_of
 from atoll_coordinator.data.reading.raw_table import footer_length
-from atoll_core.config import DataConfig, JobConfig
+from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
 
 ROWS = [(0.5 * row, 1.5 * row, 10 - row) for row in range(8)]
@@ -47,19 +46,6 @@ def test_a_footer_is_left_out_and_named(below, separator, above, read) -> None:
     assert phrase in table.read_as
 
 
-def test_the_lines_of_a_footer_are_named(read) -> None:
-    table = read(text("Mean,5.25,6.5", "SD,3.4,2.3", "", "n = 8", "Source: me"))
-    assert table.left_out == ("lines 10 to 14 below the table left out: 'Mean 5.25 6.5', 'SD 3.4 2.3', 'n = 8', …",)
-    sentence = "Not all of what the data hold was read: lines 10 to 14 below the table left out"
-    assert any(warning.startswith(sentence) for warning in _warnings(table))
-
-
-def _warnings(table) -> tuple[str, ...]:
-    from atoll_coordinator.data.columns.examination import examine
-
-    return examine(table, JobConfig()).measurements.warnings
-
-
 @pytest.mark.parametrize("below", [[], ["Total,42,52"], ["", "Source: me"]], ids=lambda below: "".join(below))
 @pytest.mark.parametrize("place", [3, 8], ids=["middle", "last row"])
 @pytest.mark.parametrize("row", DAMAGED)
@@ -74,11 +60,6 @@ def test_a_line_of_text_between_rows_is_no_footer(row, read) -> None:
     lines = text().splitlines()
     with pytest.raises(DataError):
         read("\n".join([*lines[:5], row, *lines[5:]]))
-
-
-def test_a_second_table_is_no_footer(read) -> None:
-    with pytest.raises(DataError):
-        read(text("", "Second run", "t,x,y", "0,1,2", "1,2,3"))
 
 
 @pytest.mark.parametrize("last", ["03-Ma", "03-", "31-Marc"])
@@ -102,11 +83,6 @@ def test_the_last_row_of_names_may_lose_its_end_and_is_refused(read) -> None:
     assert read(f"run,t,x\n{rows}Source: me\n").rows == 12
 
 
-def test_a_word_in_a_single_column_is_refused() -> None:
-    with pytest.raises(DataError, match="holds 'two' in row 3"):
-        table_of({"x": [1.0, 2.0, "two"]}, DataConfig())
-
-
 def test_footers_of_workbooks_frames_and_records(tmp_path: Path) -> None:
     rows = [*ROWS, ("Total", 42.0, 52), ("Source: me", None, None)]
     book = openpyxl.Workbook()
@@ -120,15 +96,6 @@ def test_footers_of_workbooks_frames_and_records(tmp_path: Path) -> None:
         assert [*zip(*table.columns.tolist(), strict=True)] == ROWS
         (phrase,) = table.left_out
         assert phrase.startswith(f"{kind}s {first} to {first + 1} below the table left out: 'Total 42")
-
-
-def test_a_footer_below_dates(tmp_path: Path) -> None:
-    book = openpyxl.Workbook()
-    for row in (("day", "x"), *((datetime.date(2021, 4, day), 0.5 * day) for day in range(1, 7)), ("Total", 10.5)):
-        book.active.append(row)
-    book.save(tmp_path / "a.xlsx")
-    table = table_of(tmp_path / "a.xlsx", DataConfig())
-    assert (table.names, table.rows, len(table.left_out)) == (("time", "x"), 6, 1)
 
 
 def test_a_table_without_a_footer_costs_a_look_at_its_first_rows_and_its_last() -> None:

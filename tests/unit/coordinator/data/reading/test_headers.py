@@ -1,4 +1,4 @@
-"""Headers that do not stand alone in the first line: below names of groups, in comments beside cells of text."""
+"""Where a table begins: headers below names of groups, in comments, below titles and settings, or none at all."""
 
 import numpy as np
 import openpyxl
@@ -41,10 +41,6 @@ def test_two_levels_of_columns_of_pandas_are_a_header(read):
     assert table.columns.tolist() == [[0.0, 0.5], [1.0, 4.0], [2.0, 5.0], [3.0, 6.0]]
 
 
-def test_lines_without_a_cell_above_the_header_are_passed_over(read):
-    assert read(",,\n,,\nt,x,y\n0,1,2\n1,3,4\n").names == ("t", "x", "y")
-
-
 @pytest.mark.parametrize(
     ("text", "names", "units"),
     [
@@ -58,11 +54,6 @@ def test_lines_without_a_cell_above_the_header_are_passed_over(read):
 def test_a_row_of_units_is_no_header(read, text, names, units):
     table = read(text)
     assert (table.names, table.units) == (names, units)
-
-
-def test_one_name_twice_stays_refused(read):
-    with pytest.raises(DataError, match=r"a\.csv has 2 columns named 'x'"):
-        read("t,x,x\ns,m,m\n0,1,2\n1,3,4\n")
 
 
 @pytest.mark.parametrize("mark", ["%", "#", "# "])
@@ -104,12 +95,6 @@ def test_nanoseconds_since_1970_are_times_in_seconds(read):
     assert table.skipped == ("header stamp",)
 
 
-def test_the_only_time_stamps_are_the_time(read):
-    table = read("stamp,x\n" + "".join(f"{STAMP + 3600 * 10**9 * row},{row}\n" for row in range(5)))
-    assert (table.names, table.units) == (("time", "x"), ("h", ""))
-    assert table.column("time").tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
-
-
 @pytest.mark.parametrize(
     ("text", "options"),
     [
@@ -122,11 +107,6 @@ def test_the_only_time_stamps_are_the_time(read):
 def test_times_with_a_unit_and_shorter_numbers_stay_as_they_are(read, text, options):
     times = read(text, **options).column("t")
     assert times[0] > 1e9
-
-
-def test_time_stamps_that_options_name_stay_numbers(read):
-    table = read(f"t,stamp,x\n0,{STAMP},1\n1,{STAMP + 10**9},2\n", inputs=("stamp",))
-    assert table.column("stamp").tolist() == [float(STAMP), float(STAMP + 10**9)]
 
 
 @pytest.mark.parametrize(
@@ -196,3 +176,71 @@ def test_numbers_in_place_of_names_are_no_row(read, header):
     with pytest.raises(DataError, match="holds numbers only"):
         read(header + "\n" + "".join(f"{10 + n / 10},{n}.5\n" for n in range(8)))
     assert read("," + header + "\n" + "".join(f"{n},{10 + n / 10},{n}.5\n" for n in range(8))).rows == 8
+
+
+ROWS = [(0.5 * row, 1.25 + row, 3.5 - row * row) for row in range(12)]
+
+
+def body(form: str = "{},{},{}\n") -> str:
+    return "".join(form.format(*row) for row in ROWS)
+
+
+PREAMBLES = {
+    "lines of text": (
+        "Instrument: FooMeter\nSerial: 123\n\nt,x,y\n" + body(),
+        "lines 1 to 2 above the header left out",
+    ),
+    "a title": ("Run 3 of Monday\nt,x,y\n" + body(), "line 1 above the header left out"),
+    "a title with as many cells": ("Experiment, run 3, by me\nt,x,y\n" + body(), "line 1 above the header left out"),
+    "settings": (
+        "Device,FM-1\nRate,100\nDate,2020-01-01\n\nt,x,y\n" + body(),
+        "lines 1 to 3 above the header left out",
+    ),
+    "settings without a blank line": ("Device,FM-1\nRate,100\nt,x,y\n" + body(), "lines 1 to 2 above"),
+    "settings with empty cells": ("Device,FM-1,\nRate,100,\n,,\nt,x,y\n" + body(), "lines 1 to 2 above"),
+    "sections": ("[Header]\nversion=2\n[Data]\nt\tx\ty\n" + body("{}\t{}\t{}\n"), "lines 1 to 3 above"),
+    "decimal commas": ("Gerät;FM-1\nWert;1,5\n\nt;x;y\n" + body("{};{};{}\n").replace(".", ","), "lines 1 to 2 above"),
+    "spaces": ("made by FM 1\nversion 2\n\n  t   x   y\n" + body("{:8.3f} {:8.3f} {:9.3f}\n"), "lines 1 to 2 above"),
+    "Latin-1": ("Gerät,1\n\nt,x,y\n".encode("latin-1") + body().encode(), "line 1 above the header left out"),
+    "UTF-16": (("Gerät,1\n\nt,x,y\n" + body()).encode("utf-16"), "line 1 above the header left out"),
+    "comments in between": ("Device,FM-1\n# a comment\nRate,100\n\nt,x,y\n" + body(), "lines 1 to 3 above the header"),
+    "units below": ("Device,FM-1\n\nt,x,y\ns,m,m\n" + body(), "line 1 above the header left out; units in line 4"),
+    "groups below": ("Device,FM-1\n\n,ball,\nt,x,y\n" + body(), "header in line 4 below names of groups: ball"),
+    "rows of a logger": (
+        '"TOA5","CR1","8","os","prog"\n"t","x","y"\n"Smp","Wind","Level"\n"","Avg","Avg"\n' + body(),
+        "line 1 above the header left out; lines 3 to 4 below the header left out",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", PREAMBLES)
+def test_what_stands_above_a_header_is_passed_over_and_named(kind, read):
+    text, says = PREAMBLES[kind]
+    table = read(text)
+    assert table.names == ("t", "x", "y")
+    assert np.allclose(table.columns.T, ROWS)
+    assert says in table.read_as
+    assert table.starts == (0,)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("a,b\nzero,one\n0,1\n1,2\n", "column 'a' of a.csv holds 'zero' in line 2"),
+        ("a,b\nc,d\ne,f\n0,1\n1,2\n", "column 'a' of a.csv holds 'c' in line 2"),
+        ("t,x\n0,1\n1,2\n\nt,x\n0,3\n1,4\n", "column 't' of a.csv holds 't' in line 5"),
+    ],
+)
+def test_rows_of_text_of_which_any_may_be_the_header_are_refused(text, sentence, read):
+    with pytest.raises(DataError) as raised:
+        read(text)
+    assert sentence in str(raised.value)
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_dates_with_spaces_below_a_row_of_units_split_nothing(read, separator):
+    rows = [["Date Time", "Temp C"], ["yyyy-mm-dd hh:mm", "degC"]]
+    rows += [[f"2021-03-01 0{hour}:00", f"{hour}.5"] for hour in range(8)]
+    table = read("".join(separator.join(row) + "\n" for row in rows), time="Date Time")
+    assert table.names == ("Date Time", "Temp C")
+    assert table.column("Temp C").tolist() == [hour + 0.5 for hour in range(8)]

@@ -10,7 +10,6 @@ import scipy.io
 
 from atoll_coordinator.data.reading.arrays import read_matlab
 from atoll_coordinator.data.reading.files import read_table
-from atoll_coordinator.data.reading.matlab_child import flat
 from atoll_core.config import DataConfig
 from atoll_core.errors import DataError
 
@@ -22,23 +21,6 @@ def test_a_file_that_ends_its_reader_is_refused(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(sys, "executable", str(tmp_path / "reader"))
     with pytest.raises(DataError, match=r"a\.mat is not a MATLAB file that can be read; save it anew"):
         read_matlab(tmp_path / "a.mat", DataConfig())
-
-
-def test_fields_of_structures_are_arrays_and_what_holds_no_numbers_is_empty() -> None:
-    values = {
-        "x": np.ones(3),
-        "run": {"x": np.zeros(3), "t": np.arange(3)},
-        "cell": np.array([{}], dtype=object),
-        "k": 2.0,
-    }
-    arrays = flat(values)
-    assert {name: array.shape for name, array in arrays.items()} == {
-        "x": (3,),
-        "run.x": (3,),
-        "t": (3,),
-        "cell": (),
-        "k": (),
-    }
 
 
 def _cells(*items: object) -> np.ndarray:
@@ -73,12 +55,6 @@ def test_structures_and_cells_of_runs_are_trajectories(kind: str, lengths: tuple
     assert np.allclose(table.column("x"), 10.0 + table.column("t") ** 2)
     assert table.left_out == ("left out: gain",)
     assert "2 runs" in table.read_as
-
-
-def test_rows_of_a_structure_array_are_rows(tmp_path: Path) -> None:
-    rows = np.array([(0.0, 1.5), (0.5, 2.5), (1.0, 4.5)], dtype=[("t", "f8"), ("x", "f8")])
-    scipy.io.savemat(tmp_path / "a.mat", {"table": rows})
-    assert read_table([tmp_path / "a.mat"], DataConfig()).columns.tolist() == [[0.0, 0.5, 1.0], [1.5, 2.5, 4.5]]
 
 
 def test_runs_of_different_fields_are_refused(tmp_path: Path) -> None:
@@ -171,12 +147,4 @@ def test_cells_that_hold_themselves_are_refused(tmp_path: Path) -> None:
         made.attrs["MATLAB_class"] = np.bytes_("cell")
         made[0, 0] = made[1, 0] = made.ref
     with pytest.raises(DataError, match=r"a\.mat holds more than 8 levels of structures and cells within each other"):
-        read_table([tmp_path / "a.mat"], DataConfig())
-
-
-def test_complex_numbers_of_version_7_3_are_refused(tmp_path: Path) -> None:
-    _written(tmp_path / "a.mat", {"t": np.arange(6.0)})
-    with h5py.File(tmp_path / "a.mat", "r+") as file:
-        file["x"] = np.zeros(6, dtype=[("real", "f8"), ("imag", "f8")])
-    with pytest.raises(DataError, match=r"array 'x' of a\.mat holds complex numbers"):
         read_table([tmp_path / "a.mat"], DataConfig())

@@ -1,9 +1,13 @@
-"""The role of each column, and what is said when the options contradict each other or the file."""
+"""The role and the symbol of each column, units in headers, and messages for contradicting options."""
 
 import pytest
+import sympy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sympy.parsing.sympy_parser import parse_expr
 
-from atoll_coordinator.data.roles.columns import strip_units
-from atoll_coordinator.data.roles.roles import Roles, assign_roles
+from atoll_coordinator.data.roles.columns import are_units, strip_units
+from atoll_coordinator.data.roles.roles import Roles, assign_roles, assign_symbols
 from atoll_core.config import Angle, DataConfig
 from atoll_core.errors import DataError, UsageError
 from tests.unit.coordinator.data.tables import table_of
@@ -117,3 +121,58 @@ def test_a_time_that_begins_anew_is_named_with_what_it_needs(rows, is_named):
     with pytest.raises(DataError) as raised:
         assign_roles(table, DataConfig())
     assert ("(perhaps week; it begins anew: add --trajectory COLUMN, or blank rows)" in str(raised.value)) == is_named
+
+
+def assert_parsed_back(symbols):
+    """Every symbol, in an expression with our functions, is read by sympy as itself."""
+    names = list(symbols.values())
+    local = {name: sympy.Symbol(name) for name in names}
+    text = " + ".join(f"2.5*{name}*sin({name})/cos({name})**2" for name in names)
+    assert parse_expr(text, local_dict=local).free_symbols == set(local.values())
+
+
+def test_identifiers_stay_as_they_are():
+    names = ("S", "I", "N", "E", "O", "Q", "beta", "gamma", "zeta", "θ", "x_1", "t", "pi", "re", "oo")
+    symbols = assign_symbols(names)
+    assert symbols == {name: name for name in names}
+    assert_parsed_back(symbols)
+
+
+def test_keywords_functions_and_other_texts_are_rewritten():
+    symbols = assign_symbols(["lambda", "sin", "v/w", "2nd", "x y", "", "%", "Float", "None"])
+    assert symbols["lambda"] == "lambda_"
+    assert symbols["sin"] == "sin_"
+    assert symbols["v/w"] == "v_w"
+    assert symbols["2nd"] == "x2nd"
+    assert_parsed_back(symbols)
+
+
+def test_rewritten_names_keep_out_of_the_way_of_others():
+    symbols = assign_symbols(["x y", "x_y", "x-y", "lambda", "lambda_"])
+    assert symbols["x_y"] == "x_y"
+    assert symbols["lambda_"] == "lambda_"
+    assert len(set(symbols.values())) == 5
+
+
+@pytest.mark.slow
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.text(max_size=6), min_size=1, max_size=4, unique=True))
+def test_any_names_get_unique_symbols_that_are_parsed_back(names):
+    symbols = assign_symbols(names)
+    assert list(symbols) == names
+    assert len(set(symbols.values())) == len(names)
+    assert_parsed_back(symbols)
+
+
+UNITS = "s|m/s|m s^-2|m·s⁻²|°C|µg/mL|1/min|mol/(L h)|kg*m**2|%|years|W/m2|hPa|mg/dL"
+OTHERS = "zero|two|1.5|1e5|x1||t=0|a rather long remark on a column|north"
+
+
+def test_products_of_powers_of_known_symbols_are_units():
+    assert [text for text in UNITS.split("|") if not are_units([text])] == []
+    assert [text for text in OTHERS.split("|") if are_units([text])] == []
+
+
+def test_beside_a_known_unit_others_may_stand():
+    assert are_units(["years", "pelts"])
+    assert not are_units(["s", "1.5"])

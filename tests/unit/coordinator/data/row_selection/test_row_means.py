@@ -56,13 +56,6 @@ def test_the_correlation_length_is_a_share_of_the_period_however_often_it_is_sam
         assert correlation_length(measurements, estimate) == pytest.approx(expected, rel=0.05, abs=1.0)
 
 
-def test_a_trend_does_not_hide_the_time_scale():
-    columns = wave(5000)
-    columns["x"] = columns["x"] + 3.0 * columns["t"]
-    measurements, (estimate, _) = smoothed(columns)
-    assert correlation_length(measurements, estimate) == pytest.approx(190, rel=0.05)
-
-
 @pytest.mark.parametrize(("rows", "expected"), [(500, 1), (1000, 3), (3000, 7), (10000, 23)])
 def test_means_are_of_as_many_rows_as_there_are_too_many_of(rows, expected):
     """Whole trajectories are compared of 500 rows and less; there is room for rows where an input is switched."""
@@ -102,11 +95,6 @@ def test_what_is_prepared_of_the_same_motion_is_alike():
     assert [preparation.recording.rows_of_mean for preparation in sampled] == [7, 23]
     noises = [preparation.recording.smoothing[0].noise for preparation in sampled]
     assert noises == pytest.approx([0.03 / math.sqrt(n) for n in (7, 23)], rel=0.15)
-
-
-def test_the_paper_preset_takes_rows_as_they_are():
-    preparation = prepare(table_of(wave(10000), (0,)), JobConfig(preset="paper"))
-    assert len(preparation.recording.trajectories[0].times) == 10000
 
 
 def test_trajectories_groups_and_held_out_ones_stay_apart():
@@ -178,22 +166,11 @@ def test_fewer_rows_are_averaged_where_an_input_is_switched_all_the_time():
     assert averaged(columns, inputs=("u",)).row_count == 5000
 
 
-def test_time_as_an_input_is_that_of_the_row():
-    made = averaged(wave(10000), inputs=("t",))
-    assert made.inputs[0][0] == pytest.approx(made.trajectories.times[0] + made.trajectories.offset, abs=1e-12)
-
-
 @pytest.mark.parametrize("count", [3, 4, 7, 20])
 def test_means_of_inputs_follow_a_parabola(count):
     times = np.arange(100.0) ** 1.1
     blocks = even_blocks(100, count)
     assert input_means(blocks, times, times**2 - times) == pytest.approx((times**2 - times)[blocks.centres], rel=1e-9)
-
-
-def test_means_of_inputs_have_less_noise():
-    noise = np.random.default_rng(0).standard_normal(10000)
-    means = input_means(even_blocks(10000, 20), np.arange(10000.0), noise)
-    assert float(np.std(means)) == pytest.approx(1.5 / math.sqrt(20), rel=0.15)
 
 
 def test_cubics_between_rows_follow_a_parabola():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from atoll_coordinator.data.outline import describe
 from atoll_coordinator.data.prepare import prepare
-from atoll_coordinator.data.row_selection.selected_rows import normalize_weights, select_weighty_rows
-from atoll_coordinator.data.table_summary import describe
+from atoll_coordinator.data.row_selection.selected_rows import select_weighty_rows
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool
 from atoll_core.config import DataConfig, JobConfig, SpaceConfig
@@ -83,24 +83,6 @@ def test_equal_weights_change_nothing():
     assert {smoothing.method for smoothing in preparation.recording.smoothing} == {"interpolation"}
 
 
-def test_the_factor_of_weights_does_not_matter():
-    columns = noisy()
-    one, other = prepared(columns), prepared(columns | {"w": 1e-30 * columns["w"]})
-    assert one.recording.trajectories[0].smoothed == pytest.approx(other.recording.trajectories[0].smoothed, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_many_rows_are_thinned_with_their_weights():
-    rows = 20_000
-    columns = oscillator(rows)
-    noise = np.where(np.arange(rows) % 2 == 0, 0.5, 0.05)
-    drawn = np.random.default_rng(1).standard_normal((2, rows))
-    columns |= {name: columns[name] + noise * normal for name, normal in zip("xy", drawn, strict=True)}
-    recording = prepared(columns | {"w": 1.0 / noise**2}).recording
-    weights = recording.trajectories[0].weights
-    assert recording.smoothing[0].noise / np.sqrt(weights.max()) == pytest.approx(0.05, rel=0.1)
-
-
 def test_labels_of_little_weight_are_left_out_of_the_search():
     rng = np.random.default_rng(2)
     columns = {"x": rng.uniform(1.0, 2.0, 50), "w": np.ones(50)}
@@ -147,11 +129,6 @@ def test_most_rows_are_kept_whatever_their_weight():
     assert select_weighty_rows(weights, [*range(100)]) == [*range(60), *range(70, 100)]
 
 
-def test_normalized_weights_are_one_on_average():
-    assert normalize_weights(np.array([1e300, 3e300])) == pytest.approx([0.5, 1.5])
-    assert normalize_weights(np.full(5, 0.1)) is None
-
-
 @pytest.mark.parametrize(("value", "reason"), [(-1.0, "-1"), (np.nan, "an empty cell or NaN"), (np.inf, "inf")])
 def test_wrong_weights_are_refused_in_one_sentence(value, reason):
     columns = noisy()
@@ -162,16 +139,6 @@ def test_wrong_weights_are_refused_in_one_sentence(value, reason):
         f"the weights 'w' hold {reason} in row 3 (line 4 of a.csv); a weight is a number from 0 (a row that is not "
         "used) up, such as 1/variance"
     )
-
-
-def test_weights_that_leave_hardly_a_row_are_refused():
-    columns = noisy()
-    columns["w"][4:] = 0.0
-    with pytest.raises(DataError, match=r"only 4 rows of .* have a weight above zero in 'w'; at least 5 are needed"):
-        prepared(columns)
-    columns["w"][:] = 0.0
-    with pytest.raises(DataError, match="only 0 rows"):
-        prepared(columns)
 
 
 def test_the_column_of_weights_is_no_state_and_has_no_other_part():

@@ -1,6 +1,5 @@
 """Held-out trajectories: chosen as told, seen by nobody, recorded all the same."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -42,33 +41,20 @@ def test_trajectories_are_chosen_by_number_or_by_value(holdout, expected):
 
 
 @pytest.mark.parametrize(
-    ("holdout", "kind", "message"),
+    ("holdout", "kind", "words"),
     [
-        (
-            3,
-            DataError,
-            "--holdout 3 would keep everything from the search: there are 3 trajectories; leave at least one",
-        ),
-        (
-            9,
-            DataError,
-            "--holdout 9 would keep everything from the search: there are 3 trajectories; leave at least one",
-        ),
-        ("run=5", DataError, "--holdout run=5: no trajectory has this value; there are 4, 7, 2.5"),
-        ("run=a", DataError, "--holdout run=a: no trajectory has this value; there are 4, 7, 2.5"),
-        (
-            "x=1",
-            UsageError,
-            "--holdout names column 'x', but trajectories are told apart by column 'run'; "
-            "add --trajectory x, or give the number of trajectories to hold out",
-        ),
-        ("rum=4", DataError, "there is no column 'rum' in a.csv, which has t, x, y, run; did you mean 'run'?"),
+        (3, DataError, "there are 3 trajectories; leave at least one"),
+        (9, DataError, "--holdout 9 would keep everything"),
+        ("run=5", DataError, "no trajectory has this value; there are 4, 7, 2.5"),
+        ("run=a", DataError, "no trajectory has this value"),
+        ("x=1", UsageError, "add --trajectory x, or give the number"),
+        ("rum=4", DataError, "did you mean 'run'?"),
     ],
 )
-def test_what_cannot_be_held_out_is_refused(holdout, kind, message):
+def test_what_cannot_be_held_out_is_refused(holdout, kind, words):
     with pytest.raises(kind) as raised:
         prepared(three(), holdout=holdout)
-    assert str(raised.value) == message
+    assert words in str(raised.value)
     assert raised.value.exit_code == 2
 
 
@@ -88,26 +74,9 @@ def test_trajectories_with_names_are_chosen_by_them(holdout, expected):
     assert measured.trajectories.names == ("big one", "b2", "big one 2")
 
 
-@pytest.mark.parametrize("holdout", ["run=c", "run=2"])
-def test_a_name_that_no_trajectory_has_is_refused(holdout):
-    with pytest.raises(DataError) as raised:
-        named(holdout)
-    assert str(raised.value) == f"--holdout {holdout}: no trajectory has this value; there are big one, b2"
-
-
-def test_one_trajectory_cannot_be_held_out():
-    with pytest.raises(DataError, match="there is only one trajectory; leave at least one"):
-        prepare(table_of(oscillator(60)), JobConfig(data=DataConfig(holdout=1)))
-
-
 def test_without_a_trajectory_column_a_value_means_nothing():
     with pytest.raises(UsageError, match="are told apart by blank rows or files; add --trajectory x"):
         prepare(table_of(oscillator(60), (0, 30)), JobConfig(data=DataConfig(holdout="x=1")))
-
-
-def test_explicit_regression_has_nothing_to_hold_out():
-    with pytest.raises(UsageError, match="--holdout and --target exclude each other"):
-        prepared(three(), target="x", holdout=1)
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
@@ -153,16 +122,6 @@ def test_held_out_rows_have_the_same_targets():
     assert np.abs(target.values + preparation.held_out.inputs[0]).mean() < 0.2
 
 
-def test_held_out_rows_of_clean_data_are_as_certain_as_the_others():
-    columns = three(0.0)
-    columns["x"][60:120] += np.tanh(1e4 * (columns["t"][60:120] - 3.03))
-    preparation = prepared(columns, holdout="run=7")
-    assert preparation.held_out is not None
-    assert 20 < preparation.held_out.inputs.shape[1] < 50
-    slopes = preparation.held_out.targets[0].values
-    assert np.abs(slopes - preparation.held_out.inputs[1]).max() < 0.01
-
-
 def test_given_derivatives_may_be_held_out():
     columns = three() | {"dx": three()["y"], "dy": -three()["x"]}
     preparation = prepared(columns, states=("x", "y"), derivatives=("dx", "dy"), holdout=1)
@@ -173,20 +132,8 @@ def test_given_derivatives_may_be_held_out():
     assert preparation.held_out.targets[0].standard_deviation == preparation.dataset.targets[0].standard_deviation
 
 
-def test_nothing_is_held_out_unless_told():
-    assert prepared(three()).held_out is None
-
-
 def test_a_state_that_varies_only_where_it_is_held_out_is_constant():
     columns = three()
     columns["y"][:120] = 1.0
     with pytest.raises(DataError, match=r"state 'y' of a\.csv is constant"):
         prepared(columns, holdout=1)
-
-
-def test_missing_rows_of_a_held_out_trajectory_are_dropped_too():
-    columns = three()
-    columns["x"][125] = columns["y"][125] = math.nan
-    preparation = prepared(columns, holdout=1, missing="drop")
-    assert preparation.recording is not None
-    assert [len(trajectory.times) for trajectory in preparation.recording.trajectories] == [60, 60, 59]

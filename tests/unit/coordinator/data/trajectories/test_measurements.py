@@ -1,12 +1,19 @@
-"""Checks of measurements: each objection is one sentence that names rows and gives advice."""
+"""Checks of measurements, times of trajectories, and gaps in the times."""
 
 import math
 
 import numpy as np
 import pytest
 
+from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.trajectories.checks import check_no_turns
-from atoll_core.config import Angle, DataConfig
+from atoll_coordinator.data.trajectories.measurements import (
+    distinguish,
+    find_pieces,
+    split_at_gaps,
+    unwrap,
+)
+from atoll_core.config import Angle, DataConfig, JobConfig
 from atoll_core.errors import DataError
 from tests.unit.coordinator.data.tables import measurements_of, oscillator, table_of
 
@@ -30,18 +37,6 @@ def test_nan_is_refused_with_its_rows():
         "column 'x' holds NaN or an empty cell in rows 12, 40 (lines 13, 41 of a.csv), 2 in all; "
         "correct them, or add --missing drop to do without them"
     )
-
-
-def test_infinity_is_refused_and_other_columns_are_mentioned():
-    columns = changed("x", [5], math.inf)
-    columns["y"][7] = math.nan
-    message = refusal(columns)
-    assert "column 'x' holds NaN or infinity in row 6 (line 7 of a.csv), and so do y (2 rows over all)" in message
-
-
-def test_columns_without_a_part_may_hold_anything():
-    columns = changed("y", [5], math.nan)
-    assert measurements_of(table_of(columns), DataConfig(states=("x",))).row_count == 60
 
 
 def test_a_missing_value_of_a_state_costs_that_value_when_told():
@@ -105,18 +100,9 @@ def test_a_constant_state_is_refused():
     assert message.startswith("state 'y' of a.csv is constant (2.5 in every row)")
 
 
-def test_a_constant_target_is_refused():
-    message = refusal(changed("y", slice(None), 2.5), target="y")
-    assert message.startswith("target 'y' of a.csv is constant (2.5 in every row)")
-
-
 def test_a_constant_input_is_only_remarked():
     measurements = measurements_of(table_of(changed("y", slice(None), 2.5)), DataConfig(inputs=("y",)))
-    assert measurements.warnings == ("Column 'y' is constant and of no use to an equation.",)
-
-
-def test_constant_time_is_refused():
-    assert refusal(changed("t", slice(None), 1.0)) == "the time column 't' is constant (1); name another with --time"
+    assert measurements.warnings == ("Column 'y' is constant: no equation can use it.",)
 
 
 def test_repeated_times_are_refused():
@@ -129,13 +115,6 @@ def test_times_that_go_back_are_refused():
     assert message.startswith(
         "time goes back from 0.7000000000000001 to 0.25 at row 9 (line 10 of a.csv); sort the rows, or mark"
     )
-
-
-def test_times_may_start_again_where_a_trajectory_does():
-    columns = {name: np.tile(values, 2) for name, values in oscillator(30).items()}
-    assert len(measurements_of(table_of(columns, starts=(0, 30)), DataConfig()).ranges) == 2
-    columns["run"] = np.repeat([7.0, 3.0], 30)
-    assert len(measurements_of(table_of(columns), DataConfig(trajectory="run")).ranges) == 2
 
 
 @pytest.mark.parametrize(("turn", "name", "option"), [(2 * math.pi, "2 pi", "y"), (360.0, "360", "y:deg")])
@@ -192,12 +171,6 @@ def test_a_marked_angle_is_unwrapped_into_radians(degrees):
     assert measurements.warnings == (("Degrees were converted to radians: y.",) if degrees else ())
 
 
-def test_an_angle_that_only_makes_full_turns_is_constant():
-    columns = oscillator(20)
-    columns["y"] = 360.0 * (np.arange(20) // 5)
-    assert "state 'y' of a.csv is constant" in refusal(columns, angles=(Angle(column="y", degrees=True),))
-
-
 def test_columns_of_text_and_unused_time_are_remarked():
     table = table_of(oscillator(), skipped=("who",))
     warnings = measurements_of(table, DataConfig(target="y")).warnings
@@ -224,12 +197,6 @@ def test_steps_and_rates_without_squares_are_refused(size, values, order, found)
     assert message == f"the values of '{found}' are too large or too small to compute with; choose another unit"
 
 
-def test_an_input_may_be_nothing_but_zeros():
-    columns = oscillator()
-    measurements = measurements_of(table_of(columns | {"y": 0.0 * columns["y"]}), DataConfig(inputs=("y",)))
-    assert measurements.roles.inputs == ("y",)
-
-
 def test_a_fall_in_few_rows_is_no_turn():
     """4.5 to 0.5 is less than a turn by far more than the other steps are long."""
     check_no_turns("x", [np.array([5.4, 4.5, 0.5, 0.7, 1.8])])
@@ -251,6 +218,145 @@ def test_noisy_turns_are_seen(rows, noise):
     assert seen >= 30
 
 
-def test_prey_that_are_eaten_between_two_rows_do_not_turn():
-    """5.6 to 0.2 is about a turn, but nothing goes on as before once it is taken out."""
-    check_no_turns("x", [np.array([4.2, 5.6, 0.2, 0.0, 0.1, 0.0, 0.0, -0.1, -0.1, -0.1])])
+def times_of(columns, starts=(0,)):
+    return measurements_of(table_of(columns, starts), DataConfig(states=("x", "y"), missing="drop")).trajectories.times
+
+
+@pytest.mark.parametrize("start", [0.0, 1900.0, -3.0, 1e9])
+def test_an_offset_of_the_times_costs_no_precision(start):
+    (times,) = times_of(oscillator(501, 0.02, start))
+    assert np.abs(np.diff(times) - 0.02).max() < 1e-14
+
+
+def test_times_are_centred_over_all_trajectories():
+    columns = {name: np.tile(values, 2) for name, values in oscillator(11).items()}
+    columns["t"][11:] += 3.0
+    first, second = times_of(columns, (0, 11))
+    assert first[0] == pytest.approx(-2.0)
+    assert second[-1] == pytest.approx(2.0)
+
+
+def test_uneven_steps_stay_as_they_are():
+    columns = oscillator(20)
+    columns["t"] = np.cumsum(np.random.default_rng(0).uniform(0.1, 0.2, 20))
+    (times,) = times_of(columns)
+    assert np.diff(times) == pytest.approx(np.diff(columns["t"]), rel=1e-12)
+
+
+def test_unwrapping_takes_out_jumps_of_more_than_half_a_turn():
+    angles = np.cumsum(np.random.default_rng(1).uniform(-3.0, 3.0, 100))
+    assert unwrap(np.mod(angles + np.pi, 2 * np.pi) - np.pi) - angles == pytest.approx(
+        np.full(100, round(-angles[0] / (2 * np.pi)) * 2 * np.pi), abs=1e-9
+    )
+
+
+def test_names_that_come_again_get_letters():
+    assert distinguish(["2", "2", "3", "2"]) == ("2", "2b", "3", "2c")
+    assert distinguish(["7", "7", "7b"]) == ("7", "7b", "7bb")
+    many = distinguish(["1"] * 28)
+    assert (many[25], many[26], many[27]) == ("1z", "1aa", "1ab")
+
+
+def without(columns, *ranges):
+    """Leave out half-open ranges of rows."""
+    kept = [row for row in range(len(columns["t"])) if not any(first <= row < last for first, last in ranges)]
+    return {name: np.asarray(values)[kept] for name, values in columns.items()}
+
+
+def split(columns, span=20, starts=(0,), **options):
+    measurements = measurements_of(table_of(columns, starts), DataConfig(**options))
+    return measurements, split_at_gaps(measurements, span)
+
+
+def noisy(columns, noise=0.05):
+    rng = np.random.default_rng(0)
+    return columns | {name: columns[name] + noise * rng.standard_normal(len(columns[name])) for name in "xy"}
+
+
+@pytest.mark.parametrize(
+    ("times", "span", "pieces"),
+    [
+        (np.arange(30.0), 5, [(0, 30)]),
+        (np.array([*range(10), *range(40, 50)]), 30, [(0, 10), (10, 20)]),
+        (np.array([*range(10), *range(40, 50)]), 31, [(0, 20)]),
+        (np.array([*range(10), *range(30, 40)]), 3, [(0, 10), (10, 20)]),
+        (np.array([*range(10), *range(29, 39)]), 3, [(0, 20)]),
+        (np.array([*range(6), *range(40, 41), *range(80, 90)]), 20, [(0, 6), (6, 7), (7, 17)]),
+    ],
+)
+def test_pieces_lie_between_gaps_longer_than_the_span(times, span, pieces):
+    assert find_pieces(times.astype(float), span) == pieces
+
+
+def test_times_drawn_at_random_have_no_gaps():
+    times = np.sort(np.random.default_rng(0).uniform(0.0, 100.0, 10_000))
+    assert len(find_pieces(times, 5)) == 1
+
+
+def test_a_trajectory_is_split_and_its_parts_are_named():
+    columns = without(oscillator(200), (50, 80), (120, 160))
+    measurements, pieces = split(columns, starts=(0, 10))
+    assert pieces.trajectories is not None
+    assert pieces.ranges == ((0, 10), (10, 50), (50, 90), (90, 130))
+    assert pieces.trajectories.names == ("1", "2", "2b", "2c")
+    assert [len(times) for times in pieces.trajectories.times] == [10, 40, 40, 40]
+    assert (
+        np.concatenate(pieces.trajectories.states["x"]).tolist()
+        == np.concatenate(measurements.trajectories.states["x"]).tolist()
+    )
+    sentence = "2 gaps in the times are longer than what is smoothed at a time; trajectories are split there: 2 into "
+    assert pieces.warnings[-1] == sentence + "2, 2b, 2c."
+
+
+def test_short_pieces_are_left_out():
+    columns = without(oscillator(200), (50, 80), (83, 120))
+    _, pieces = split(columns, inputs=("y",))
+    assert pieces.ranges == ((0, 50), (50, 130))
+    assert pieces.warnings[-1] == "3 rows in pieces of fewer than 5 rows between gaps are left out."
+    assert pieces.columns["y"].tolist() == [*columns["y"][:50], *columns["y"][53:]]
+
+
+def test_bursts_too_short_to_be_differentiated_are_bridged():
+    columns = without(oscillator(400), *((first + 3, first + 33) for first in range(0, 330, 33)))
+    columns = {name: values[:32] for name, values in columns.items()}
+    measurements, whole = split(columns)
+    assert whole.ranges == measurements.ranges
+    assert whole.warnings[-1].startswith("10 gaps in the times are bridged although long, because the pieces")
+
+
+def test_a_recording_has_the_pieces_as_trajectories():
+    """Dropped rows may leave a gap: nothing is measured for a while."""
+    columns = noisy(oscillator(300))
+    columns["x"][100:220] = columns["y"][100:220] = math.nan
+    recording = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop"))).recording
+    assert recording is not None
+    assert [(trajectory.name, len(trajectory.times)) for trajectory in recording.trajectories] == [
+        ("1", 100),
+        ("1b", 80),
+    ]
+    assert recording.trajectories[1].times[0] - recording.trajectories[0].times[-1] == pytest.approx(12.1)
+    assert [trajectory.measured.shape for trajectory in recording.trajectories] == [(2, 100), (2, 80)]
+
+
+def test_derivatives_do_not_reach_across_a_long_gap():
+    """What is measured after the gap has nothing to do with what was before."""
+    columns = without(oscillator(300), (100, 200))
+    moved = {name: np.where(np.arange(200) < 100, values, values + 7.0) for name, values in columns.items()}
+    slopes = []
+    for measured in (columns, moved):
+        measured["t"] = columns["t"]
+        recording = prepare(table_of(measured), JobConfig()).recording
+        assert recording is not None
+        slopes.append(np.concatenate([part.slopes for part in recording.trajectories], axis=1))
+    assert slopes[1] == pytest.approx(slopes[0], abs=1e-9)
+
+
+def test_thirty_percent_of_the_rows_may_be_missing():
+    for noise in (0.0, 0.05):
+        columns = noisy(oscillator(400), noise)
+        columns["x"][np.random.default_rng(1).uniform(size=400) < 0.3] = math.nan
+        preparation = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
+        assert preparation.recording is not None
+        assert len(preparation.recording.trajectories) == 1
+        error = np.abs(preparation.dataset.targets[0].values - preparation.dataset.inputs[1])
+        assert error.mean() < (1e-7 if noise == 0.0 else 0.06)

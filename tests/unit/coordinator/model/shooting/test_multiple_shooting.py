@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.data.differentiation.robust import fit_robustly
-from atoll_coordinator.data.differentiation.smoothing import Signal
+from atoll_coordinator.data.differentiation.smoothing import Signal, fit_robustly
 from atoll_coordinator.model.shooting import multiple_shooting
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import measurements_of

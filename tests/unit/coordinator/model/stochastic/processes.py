@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from atoll_coordinator.data.increments.steps import Steps
+from atoll_coordinator.data.increments import Steps
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.text.parsing import from_infix

@@ -1,6 +1,6 @@
 import numpy as np
 
-from atoll_coordinator.data.increments.steps import take_steps
+from atoll_coordinator.data.increments import take_steps
 from atoll_coordinator.data.recording import ProcessRecording, SampledPath
 from atoll_coordinator.model.stochastic.path_ensembles import settle, simulate_ensemble
 from atoll_coordinator.stochastic.paths import Simulator

@@ -1,4 +1,4 @@
-"""What a format holds as a number or a date is that, however the text around it is written."""
+"""Numbers as countries write them; numbers and dates that a format stores as such, whatever the text around them."""
 
 import datetime
 import json
@@ -10,10 +10,74 @@ import openpyxl
 import pytest
 
 from atoll.api.tables import table_of
-from atoll_coordinator.data.reading.cells import NumberCell, cell_of
+from atoll_coordinator.data.reading.cells import read_numbers
 from atoll_core.config import DataConfig
 from atoll_core.data.table import Table
 from atoll_core.errors import DataError
+
+
+def numbers(separator=",", **columns):
+    cells = {name: text.split("|") for name, text in columns.items()}
+    read, remarks = read_numbers("a.csv", cells, [0] * len(next(iter(cells.values()))), separator)
+    return {name: values.tolist() for name, values in read.items()}, remarks
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("1,234.5|6", [1234.5, 6.0]),
+        ("1,234,567|1.5", [1234567.0, 1.5]),
+        ("1.234,5|6", [1234.5, 6.0]),
+        ("0,5|-1,25e-3", [0.5, -0.00125]),
+        ("1 234,5|2", [1234.5, 2.0]),
+        ("1 234.5|2", [1234.5, 2.0]),
+        ("1'234.5|2", [1234.5, 2.0]),
+        ("1 234|5 678", [1234.0, 5678.0]),
+        ("1.234.567|0", [1234567.0, 0.0]),
+        ("0,100|0,103|-0,106", [0.1, 0.103, -0.106]),
+        ("1.00000D+00|9.5d-1|.5D0", [1.0, 0.95, 0.5]),
+    ],
+)
+def test_a_column_tells_how_it_is_written(text, expected):
+    assert numbers("\t", x=text)[0]["x"] == expected
+
+
+@pytest.mark.parametrize(("separator", "expected"), [(",", 1234.0), (";", 1.234)])
+def test_what_separates_cells_decides_where_nothing_else_does(separator, expected):
+    assert numbers(separator, x="1,234|2,345")[0]["x"][0] == expected
+
+
+def test_other_columns_decide_before_that():
+    assert numbers(";", x="1,234|2,345", t="0.5|1.5")[0]["x"] == [1234.0, 2345.0]
+    assert numbers("\t", x="1,234|2,345", t="0,5|1,5")[0]["x"] == [1.234, 2.345]
+
+
+def test_a_group_of_thousands_never_begins_with_zero():
+    read, remarks = numbers(",", t="0,000|0,100", x="4,000|3,715")
+    assert (read, remarks) == ({"t": [0.0, 0.1], "x": [4.0, 3.715]}, ("decimal commas in t, x",))
+
+
+def test_columns_that_contradict_each_other_decide_nothing():
+    with pytest.raises(DataError, match=r"'x' of a\.csv holds '4,000', which may be 4000 or 4;"):
+        numbers(",", t="0,5|1,5", y="0.5|1.5", x="4,000|3,715")
+
+
+def test_points_separate_thousands_where_commas_are_decimal():
+    read, remarks = numbers(";", x="1.234|12.345", t="0,5|1,5")
+    assert read["x"] == [1234.0, 12345.0]
+    assert remarks == ("decimal commas in t", "separators of thousands in x")
+    assert numbers(";", x="1.234|12.5", t="0,5|1,5")[0]["x"] == [1.234, 12.5]
+
+
+def test_points_and_commas_of_three_digits_are_read_as_one_country_writes_them():
+    assert numbers(";", x="1.234|12.345", y="1,234|2,345")[0] == {"x": [1234.0, 12345.0], "y": [1.234, 2.345]}
+
+
+@pytest.mark.parametrize("text", ["1,23,456", "12,34.5", "1.2.3", "1,234 567", "0x10", "1,5,6", "4_002", "1D2", ".D2"])
+def test_other_texts_are_no_numbers(text):
+    with pytest.raises(DataError, match="where a number is expected"):
+        numbers(x=f"1|{text}")
+
 
 Row = Sequence[object]
 Entrance = Callable[[Path, Sequence[str], Sequence[Row]], object]
@@ -84,17 +148,3 @@ def test_dates_of_a_workbook_are_dates_however_texts_are_written(tmp_path: Path)
     table = table_of(path, DataConfig())
     assert table.column("time").tolist() == [0.0, 1.0, 2.0, 3.0]
     assert "since 2021-04-03" in table.read_as
-
-
-def test_a_number_that_a_spreadsheet_has_made_a_date_is_refused(tmp_path: Path) -> None:
-    rows = [(0, 1.5), (1, datetime.datetime(2021, 5, 1)), (2, 2.5)]
-    with pytest.raises(DataError, match=r"column 'x' of a\.xlsx holds '2021-05-01T00:00:00' in line 3 where a number"):
-        table_of(workbook(tmp_path, ("t", "x"), rows), DataConfig())
-
-
-@pytest.mark.parametrize("value", [1, 1.5, True, np.float64(1.5), np.int64(3), np.float32(0.25)])
-def test_numbers_of_all_kinds_are_cells_of_numbers(value: object) -> None:
-    cell = cell_of(value)
-    assert isinstance(cell, NumberCell)
-    assert isinstance(cell.strip(), NumberCell)
-    assert float(cell) == value

@@ -1,4 +1,4 @@
-"""A value that is missing costs that value: what its own rows tell of it, and where they tell nothing."""
+"""Noise by predicted rows, and missing values from a state's own rows."""
 
 import math
 
@@ -6,9 +6,56 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.differentiation.derivatives import Differentiation, estimate_derivatives
-from atoll_coordinator.data.differentiation.missing_values import fill, fill_holes, make_signal
-from atoll_coordinator.data.differentiation.smoothing import smooth
+from atoll_coordinator.data.differentiation.interpolation import (
+    estimate_value_noise,
+    fill,
+    make_signal,
+    predict_left_out,
+)
+from atoll_coordinator.data.differentiation.smoothing import Signal, smooth
 from tests.oracles import missing_values as oracle
+
+NOISE = 0.01
+
+
+def estimated(rows, seed, uneven, amplitude=0.0):
+    """Return the estimated over the true standard deviation of the errors of a wave."""
+    rng = np.random.default_rng(seed)
+    times = 0.05 * np.cumsum(rng.uniform(0.5, 1.5, rows) if uneven else np.ones(rows))
+    values = amplitude * np.sin(times) + NOISE * rng.standard_normal(rows)
+    return estimate_value_noise(*predict_left_out([Signal(times, values)])) / NOISE
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 1.0])
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("rows", [50, 200, 1000])
+def test_the_noise_of_values_is_not_underestimated(rows, uneven, amplitude):
+    """On average over draws; the standard error of each mean is at most 0.05."""
+    ratios = [estimated(rows, seed, uneven, amplitude) for seed in range(100)]
+    assert 0.95 < np.mean(ratios) < 1.2
+
+
+def test_the_noise_of_a_single_long_signal_is_near_the_truth():
+    assert all(0.85 < estimated(4000, seed, uneven=False) < 1.15 for seed in range(5))
+
+
+def test_values_without_noise_have_that_of_their_rounding():
+    times = 0.02 * np.arange(500)
+    assert 1e-17 < estimate_value_noise(*predict_left_out([Signal(times, np.sin(times))])) < 3e-16
+
+
+def test_rows_that_change_little_tell_the_noise_beside_fast_ones():
+    rng = np.random.default_rng(6)
+    times = np.linspace(0.0, 10.0, 400)
+    fast = np.where(times > 3.0, rng.standard_normal(400), 0.0)
+    values = np.sin(times) + fast + NOISE * rng.standard_normal(400)
+    whole, quiet = (
+        estimate_value_noise(*predict_left_out([Signal(times, values)]), is_quiet=is_quiet) / NOISE
+        for is_quiet in (False, True)
+    )
+    assert whole > 10.0 * quiet
+    assert 0.5 < quiet < 6.0
+
 
 ROWS = 120
 TIMES = 0.05 * np.arange(ROWS)
@@ -63,13 +110,6 @@ def test_a_million_rows_take_no_longer_than_each_of_them():
     assert np.flatnonzero(np.isinf(steps)).tolist() == [rows - 1]
 
 
-def test_a_signal_without_holes_stays_as_it_is():
-    signal = make_signal(TIMES, np.sin(TIMES))
-    assert signal.is_measured is None
-    assert signal.measured is signal
-    assert fill_holes(signal).signal is signal
-
-
 def test_without_noise_a_missing_value_has_a_derivative_from_its_neighbours():
     estimate = estimate_derivatives([signal_without([20, 61, 62])], Differentiation())
     assert estimate.is_interpolated
@@ -113,11 +153,6 @@ def test_missing_values_change_no_other_number_by_what_stands_in_for_them():
     assert other.noise == pytest.approx(estimate.noise)
     assert other.has_heavy_tails == estimate.has_heavy_tails
     assert smooth(moved, estimate.smoother).gains[0] == pytest.approx(smooth(signal, estimate.smoother).gains[0])
-
-
-def test_missing_values_are_no_outliers():
-    estimate = estimate_derivatives([signal_without([15, 33, 34], 0.02)], Differentiation(robust=True))
-    assert not estimate.outliers
 
 
 def test_a_trajectory_with_too_few_values_is_not_known_and_decides_nothing():

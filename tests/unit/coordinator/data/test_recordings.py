@@ -1,4 +1,4 @@
-"""The recording: everything that was measured, beside what was made of it."""
+"""The recording: all measurements, and how they were smoothed."""
 
 import math
 
@@ -56,18 +56,6 @@ def test_arrays_are_in_c_order():
             assert array.flags.c_contiguous
 
 
-def test_how_clean_states_were_smoothed():
-    for smoothing in recorded(oscillator(100)).smoothing:
-        assert (smoothing.method, smoothing.span, smoothing.degree, smoothing.outliers) == (
-            "interpolation",
-            None,
-            None,
-            0,
-        )
-        assert 0 <= smoothing.uncertain_rows <= 8
-        assert 0.0 <= smoothing.relative_noise < 1e-12
-
-
 def test_how_noisy_states_were_smoothed():
     columns = noisy()
     recording = recorded(columns)
@@ -81,10 +69,6 @@ def test_how_noisy_states_were_smoothed():
         assert np.std(smoothed - oscillator(200)[name]) < 0.025
 
 
-def test_the_paper_preset_records_parabolas():
-    assert {smoothing.degree for smoothing in recorded(noisy(), preset="paper").smoothing} == {2}
-
-
 def test_the_search_sees_what_is_recorded():
     preparation = prepared(noisy(100), starts=(0, 40), preset="paper")
     recording, dataset = preparation.recording, preparation.dataset
@@ -92,10 +76,6 @@ def test_the_search_sees_what_is_recorded():
     slopes = np.concatenate([trajectory.slopes for trajectory in recording.trajectories], axis=1)
     assert dataset.inputs.tolist() == smoothed.tolist()
     assert [target.values.tolist() for target in dataset.targets] == slopes.tolist()
-
-
-def test_trajectories_are_called_by_their_number():
-    assert [trajectory.name for trajectory in recorded(oscillator(60), (0, 20, 35)).trajectories] == ["1", "2", "3"]
 
 
 def test_trajectories_are_called_by_their_value():
@@ -133,12 +113,3 @@ def test_angles_are_recorded_unwrapped_and_in_radians():
     assert recording.trajectories[0].measured[1] == pytest.approx(3 * columns["t"])
     assert recording.trajectories[0].inputs[0] == pytest.approx(2 * columns["t"])
     assert recording.trajectories[0].input_slopes[0] == pytest.approx(np.full(100, 2.0))
-
-
-def test_equations_that_are_not_sought_leave_their_states_in_the_recording():
-    assert recorded(oscillator(100), only=("y",)).states == ("x", "y")
-
-
-@pytest.mark.parametrize("options", [{"target": "y"}, {"states": ("x",), "derivatives": ("y",)}])
-def test_given_left_hand_sides_have_no_recording(options):
-    assert prepared(oscillator(), **options).recording is None

@@ -1,0 +1,445 @@
+"""From measurements of a stochastic process to regression problems for its drift and its diffusion. Pure.
+
+1. `take_steps`: `Measurements` -> `Steps`: the increments of the states from row to row. Nothing is smoothed.
+2. `noise_shares`, `is_driven`: whether a state has noise of its own, follows states that have, or is smooth.
+3. `bin_moments`: mean and products of steps in bins of neighbouring rows; measurement noise and correlated noises are
+   found by tests.
+4. `assemble_process`: all of these -> `Preparation`: one target for each drift and for each component of the diffusion.
+
+High differences of a path remove smooth motion almost completely and keep the noise: a divided difference over k steps
+is a weighted sum of their increments. What the search sees is made with + - * / and square roots alone, sums exactly
+rounded, so that it has the same bits on every machine. Letters: S states, N steps, V variables, W windows of
+neighbouring steps, M bins.
+"""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate, combinations
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll_coordinator.data.differentiation.derivatives import derivative_standard_deviation
+from atoll_coordinator.data.recording import Preparation, ProcessRecording, SampledPath
+from atoll_coordinator.data.trajectories.measurements import Measurements
+from atoll_coordinator.settings import SETTINGS
+from atoll_core.data.dataset import Dataset, FloatArray, Target
+from atoll_core.errors import DataError
+
+Pair = tuple[int, int]
+Rows = npt.NDArray[np.intp]
+LIMITS = SETTINGS.process
+_DEPENDENT: Final = 1e-9
+"""Guard: a pivot that is smaller than this share of its diagonal is rounding."""
+
+# ------------------------------------------------------------------------------------------------- steps and windows
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """N steps of S states, one trajectory after another.
+
+    `points` (V, N) are where they begin, states first, then inputs, each the mean of its values at both ends; `lengths`
+    (N,) are in the unit of time, `increments` (S, N) the changes of the states. `follows` (N,) is true for a step that
+    begins where the step before it ends.
+    """
+
+    points: FloatArray
+    lengths: FloatArray
+    increments: FloatArray
+    follows: npt.NDArray[np.bool_]
+
+    @cached_property
+    def least_variances(self) -> FloatArray:
+        """The variances (S,) below which the residuals of a state's steps do not count as noise."""
+        sizes = np.median(np.abs(self.increments), axis=1)
+        return np.asarray((LIMITS.least_noise * sizes) ** 2)
+
+
+def take_steps(process: ProcessRecording, *, held_out: bool = False) -> Steps:
+    """Return the steps of the trajectories that take part in fits, or of the held-out trajectories."""
+    states, inputs = len(process.states), len(process.inputs)
+    parts = [(np.zeros((states + inputs, 0)), np.zeros(0), np.zeros((states, 0)), np.zeros(0, np.bool_))]
+    for path in process.paths:
+        if path.held_out is held_out:
+            middles = path.inputs[:, :-1] + 0.5 * (path.inputs[:, 1:] - path.inputs[:, :-1])
+            points = np.concatenate([path.states[:, :-1], middles])
+            follows = np.arange(len(path.times) - 1) > 0
+            parts.append((points, np.diff(path.times), np.diff(path.states), follows))
+    return Steps(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class StepWindows:
+    """Runs of `count` moves that follow each other, each of `lag` steps: the `first` steps (W,) of all."""
+
+    steps: Steps
+    first: Rows
+    count: int
+    lag: int = 1
+
+    def differences(self, state: int) -> FloatArray:
+        """Return the divided difference of one state in each window (W,), over that of Brownian motion of rate one."""
+        differences, variance = np.zeros(len(self.first)), np.zeros(len(self.first))
+        lengths = self._moves(self.steps.lengths)
+        moves = self._moves(self.steps.increments[state])
+        times = [*accumulate((length / lengths[0] for length in lengths), initial=np.zeros_like(lengths[0]))]
+        of_rows = []
+        for i, time in enumerate(times):
+            product = np.ones_like(time)
+            for j, other in enumerate(times):
+                product = product * (time - other) if i != j else product
+            of_rows.append(1.0 / product)
+        weights = [*accumulate(reversed(of_rows[1:]))][::-1]
+        for weight, move, length in zip(weights, moves, lengths, strict=True):
+            differences += weight * move
+            variance += weight * weight * length
+        return np.asarray(differences / np.sqrt(variance))
+
+    def _moves(self, values: FloatArray) -> list[FloatArray]:
+        moves = [np.zeros(len(self.first)) for _ in range(self.count)]
+        for k in range(self.count * self.lag):
+            moves[k // self.lag] += values[self.first + k]
+        return moves
+
+
+def all_windows(steps: Steps, count: int, lag: int = 1) -> StepWindows:
+    """Return the windows that begin with any step, as far as a trajectory goes on."""
+    span = count * lag
+    is_within = np.ones(max(len(steps.lengths) - span + 1, 0), dtype=np.bool_)
+    for k in range(1, span):
+        is_within &= steps.follows[k : k + len(is_within)]
+    return StepWindows(steps, np.flatnonzero(is_within), count, lag)
+
+
+def separate_windows(steps: Steps, count: int) -> StepWindows:
+    """Return windows that have no step in common, one after another from the beginning of each trajectory."""
+    windows = all_windows(steps, count)
+    begins = np.flatnonzero(~steps.follows)
+    place = windows.first - begins[np.searchsorted(begins, windows.first, side="right") - 1]
+    return StepWindows(steps, windows.first[place % count == 0], count)
+
+
+# --------------------------------------------------------------------------------------------- is a state rough at all?
+
+_ROUGHNESS_STEPS: Final = 7
+"""Steps of one difference, which is of the seventh order in the rows at their ends."""
+_OWN: Final = 2.0
+"""Growth of the rate with the lag doubled, as a factor: 1 for noise of a state's own, 4 if it follows a noisy one."""
+_SMOOTH: Final = 2.0**10
+"""The rate of smooth motion grows by 2^13, the rate of noise integrated four times by 2^8."""
+
+
+def noise_shares(steps: Steps) -> FloatArray:
+    """Return about how large noise is relative to the median step, for each state (S,)."""
+    shares = np.zeros(len(steps.increments))
+    for state, increments in enumerate(steps.increments):
+        step, rate = float(np.median(np.abs(increments))), noise_rate(steps, state)
+        shares[state] = math.sqrt(rate * float(np.median(steps.lengths))) / step if step > 0.0 else math.inf
+    return shares
+
+
+def is_driven(steps: Steps, state: int) -> bool:
+    """Tell whether a state moves by noise, but not by noise of its own.
+
+    A state that only follows noisy states is an integral of their noise: its increments over a step h vary as h^3 (h^5
+    if it follows such a state, and so on), so that its rate grows fourfold with the lag doubled; the rate of a state
+    with noise of its own stays.
+    """
+    rate = noise_rate(steps, state)
+    return _OWN * rate < noise_rate(steps, state, lag=2) < _SMOOTH * rate
+
+
+def noise_rate(steps: Steps, state: int, lag: int = 1) -> float:
+    """Return about the variance per time that noise adds to a state, from rows `lag` apart; infinite without such.
+
+    For a path with noise of its own it is about 0.45 of that: the median of the square of a normal number.
+    """
+    differences = all_windows(steps, _ROUGHNESS_STEPS, lag).differences(state)
+    return float(np.median(differences * differences)) if len(differences) else math.inf
+
+
+# --------------------------------------------------------------------------------------------------- correlated noises
+
+_WINDOW_STEPS: Final = 3
+"""Steps of a window: the fewest whose difference removes most of the drift of a step as long as processes allow."""
+_TESTS: Final = 2
+"""Tests of each pair: of a correlation over all steps, and of correlations of either sign in turns."""
+_DOUBLED: Final = 1.28
+"""By what the square of a normal limit grows where its probability, 0.0027 or less, is halved (1.25 to 1.28)."""
+
+
+def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
+    """Return the pairs of states with noise of their own whose noises are correlated, over all or by turns in bins.
+
+    While a step lasts, the drift carries the noise of one state into the other, and both share the drift that bins do
+    not resolve. High differences of the path remove both: weights w of its increments whose sum is zero leave nothing
+    of the carried noise, J B h^2 (sum w)^2 / 2, and next to nothing of smooth motion. In windows without a common step,
+    the product p of two states' differences has either sign with equal probability where their noises are not
+    correlated. Whatever its sizes, the sum of p over the root of the sum of its squares then has mean zero and variance
+    one (Efron 1969), and is normal for many windows.
+
+    All tests together find a correlation where there is none as often as one test by `ProcessSettings.significant` does
+    (Bonferroni).
+    """
+    rough = [state for state in range(len(steps.increments)) if not is_driven(steps, state)]
+    pairs = [*combinations(rough, 2)]
+    doublings = (_TESTS * len(pairs) - 1).bit_length()
+    limit = math.sqrt(LIMITS.significant**2 + _DOUBLED * doublings)
+    windows = separate_windows(steps, _WINDOW_STEPS)
+    places = [np.flatnonzero(np.isin(windows.first, rows)) for rows in bins]
+    differences = {state: windows.differences(state) for state in rough}
+    return [(i, j) for i, j in pairs if max(correlation_scores(differences[i] * differences[j], places)) > limit]
+
+
+def correlation_scores(products: FloatArray, bins: Sequence[Rows]) -> tuple[float, float]:
+    """Return the scores of both tests for products (W,) in bins: about normal where signs are independent.
+
+    The second, a sum over bins that is about chi-square, is made normal by its cube root (Wilson & Hilferty 1931).
+    """
+    sums = [total(products[rows]) for rows in bins]
+    squares = [total(products[rows] * products[rows]) for rows in bins]
+    variance = math.fsum(squares)
+    if not variance > 0.0:
+        return 0.0, 0.0
+    parts = [bin_sum * bin_sum / square for bin_sum, square in zip(sums, squares, strict=True) if square > 0.0]
+    spread = 2.0 / (9.0 * len(parts))
+    mean = math.fsum(parts) / len(parts)
+    root = max(mean, 1.0)
+    for _ in range(64):  # the cube root by Newton's iteration: the same bits on every machine
+        root -= (root - mean / (root * root)) / 3.0
+    return abs(math.fsum(sums)) / math.sqrt(variance), (root - (1.0 - spread)) / math.sqrt(spread)
+
+
+# ----------------------------------------------------------------------------------------------------- moments in bins
+
+
+def total(values: FloatArray) -> float:
+    """Return the sum, correctly rounded."""
+    return math.fsum(values.tolist())
+
+
+def split_into_bins(positions: FloatArray, most: int) -> list[Rows]:
+    """Return the rows of `positions` (V, N) in at most `most` bins of nearly equal numbers of rows, a power of two.
+
+    Bins are the leaves of a k-d tree (Bentley 1975): halved at the median of the variable along which they are widest,
+    as a share of its whole range.
+    """
+    ranges = np.max(positions, axis=1) - np.min(positions, axis=1)
+    bins: list[Rows] = [np.arange(positions.shape[1])]
+    while 2 * len(bins) <= most and min(map(len, bins)) >= 2:
+        halves = []
+        for rows in bins:
+            points = positions[:, rows]
+            widths = np.max(points, axis=1) - np.min(points, axis=1)
+            widest = int(np.argmax(np.divide(widths, ranges, out=np.zeros(len(ranges)), where=ranges > 0.0)))
+            order = rows[np.argsort(points[widest], kind="stable")]
+            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
+        bins = halves
+    return bins
+
+
+@dataclass(frozen=True, eq=False)
+class BinnedMoments:
+    """Moments of steps over their length, in bins.
+
+    `points` (V, M) are the means of where steps begin, `drift` (S, M) the means of increments over their time,
+    `products` has for each pair of states the mean products of the residuals of increments, over the time (M,);
+    `errors` (one for each of `drift`, then for each of `products`) are their mean standard errors. `noise` (S,) is the
+    variance of measurement errors, 0 where none is found.
+    """
+
+    points: FloatArray
+    drift: FloatArray
+    products: dict[Pair, FloatArray]
+    errors: list[float]
+    noise: FloatArray
+
+
+def bin_moments(steps: Steps) -> BinnedMoments:
+    """Return the moments of the steps; where there is measurement noise, positions are positions one step before.
+
+    A position's own errors are errors of the increment as well, with the other sign.
+    """
+    bins, drift, residuals, factors = _drift(steps)
+    noise = measurement_noise(residuals, steps)
+    is_noisy = bool((noise > 0.0).any())
+    if is_noisy:
+        steps = lagged(steps)
+        bins, drift, residuals, factors = _drift(steps)
+        noise = np.where(noise > 0.0, np.maximum(measurement_noise(residuals, steps), noise), 0.0)
+    pairs = [(i, i) for i in range(len(drift))] + correlated_pairs(steps, bins)
+    squares = {pair: products(residuals, steps, pair, corrected=is_noisy) for pair in pairs}
+    points = np.array([[total(positions[rows]) / len(rows) for rows in bins] for positions in steps.points])
+    times = [total(steps.lengths[rows]) for rows in bins]
+    means = {
+        pair: np.array([total(its[rows]) / t * factor for rows, t, factor in zip(bins, times, factors, strict=True)])
+        for pair, its in squares.items()
+    }
+    errors = [_mean_error(values, steps.lengths, bins) for values in (*residuals, *squares.values())]
+    return BinnedMoments(points, drift, means, errors, noise)
+
+
+def _drift(steps: Steps) -> tuple[list[Rows], FloatArray, FloatArray, list[float]]:
+    """Return bins, drifts in the middle of each (S, M), residuals of increments about lines (S, N), and factors.
+
+    There are at most twice the root of the rows as many bins, with enough rows to judge the lines in each. In each bin
+    the drift is a linear function of where steps begin. The factors, one for each bin, correct products of residuals
+    for the fitted coefficients.
+    """
+    rows_in_all, variables = len(steps.lengths), len(steps.points)
+    most = max(min(2 * math.isqrt(rows_in_all), rows_in_all // (2 * (variables + 1))), 1)
+    bins = split_into_bins(steps.points, most)
+    drift = np.zeros((len(steps.increments), len(bins)))
+    residuals = steps.increments.copy()
+    factors = []
+    for number, rows in enumerate(bins):
+        design = [steps.lengths[rows]]  # columns of the coefficients: lengths, and lengths times positions in [-1, 1]
+        for positions in steps.points:
+            away = positions[rows] - total(positions[rows]) / len(rows)
+            widest = float(np.max(np.abs(away)))
+            design.append(away / widest * steps.lengths[rows] if widest > 0.0 else np.zeros(len(rows)))
+        sides = [[total(column * increments[rows]) for increments in steps.increments] for column in design]
+        normal = [[total(one * other) for other in design] for one in design]
+        solved, rank = _solved(normal, sides)
+        for state in range(len(drift)):
+            drift[state, number] = solved[0][state]
+            for column, coefficients in zip(design, solved, strict=True):
+                residuals[state, rows] -= coefficients[state] * column
+        factors.append(len(rows) / (len(rows) - rank) if len(rows) > rank else 1.0)
+    return bins, drift, residuals, factors
+
+
+def _solved(normal: list[list[float]], sides: list[list[float]]) -> tuple[list[list[float]], int]:
+    """Return the solutions X (K, S) of normal X = sides, and the rank; unknowns that are not determined are 0.
+
+    Elimination without exchange of rows, which a positive matrix does not need.
+    """
+    size = len(normal)
+    matrix = [[*row, *side] for row, side in zip(normal, sides, strict=True)]
+    is_determined = []
+    for k in range(size):
+        is_determined.append(matrix[k][k] > _DEPENDENT * normal[k][k])
+        for i in range(k + 1, size):
+            factor = matrix[i][k] / matrix[k][k] if is_determined[k] else 0.0
+            matrix[i] = [entry - factor * pivot for entry, pivot in zip(matrix[i], matrix[k], strict=True)]
+    solution = [[0.0] * len(sides[0]) for _ in range(size)]
+    for k in range(size - 1, -1, -1):
+        if is_determined[k]:
+            for state in range(len(sides[0])):
+                rest = math.fsum(matrix[k][i] * solution[i][state] for i in range(k + 1, size))
+                solution[k][state] = (matrix[k][size + state] - rest) / matrix[k][k]
+    return solution, sum(is_determined)
+
+
+def lagged(steps: Steps) -> Steps:
+    """Return the steps that follow another step, with the positions where that step begins."""
+    rows = np.flatnonzero(steps.follows)
+    follows = steps.follows[rows - 1]
+    points = np.ascontiguousarray(steps.points[:, rows - 1])
+    return Steps(points, steps.lengths[rows], np.ascontiguousarray(steps.increments[:, rows]), follows)
+
+
+def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
+    """Return the variance of measurement errors of each state (S,), 0 where products of neighbours may be chance.
+
+    The residuals r of increments about the drift are independent from step to step; errors e of measurement are not: a
+    step that ends too high begins the next one too high, so that E r_k r_k+1 = - var e (Roll 1984).
+    """
+    variances = np.zeros(len(residuals))
+    rows = np.flatnonzero(steps.follows)
+    for state, residual in enumerate(residuals):
+        neighbours = residual[rows] * residual[rows - 1]
+        covariance, square = total(neighbours), total(neighbours * neighbours)
+        if covariance < 0.0 and covariance * covariance > LIMITS.significant**2 * square:
+            variances[state] = -covariance / len(rows)
+    return variances
+
+
+def products(residuals: FloatArray, steps: Steps, pair: Pair, *, corrected: bool) -> FloatArray:
+    """Return the products of two states' residuals (N,); `corrected` for measurement noise by products of neighbours.
+
+    E r_k^2 = B h + 2 var e and E r_k r_k+1 = - var e, so that the sum of the first and both neighbours is B h.
+    """
+    one, other = residuals[pair[0]], residuals[pair[1]]
+    product = one * other
+    if corrected:
+        rows = np.flatnonzero(steps.follows)
+        mixed = 0.5 * (one[rows] * other[rows - 1] + one[rows - 1] * other[rows])
+        product[rows] += mixed
+        product[rows - 1] += mixed
+    return np.asarray(product)
+
+
+def _mean_error(values: FloatArray, lengths: FloatArray, bins: Sequence[Rows]) -> float:
+    errors = []
+    for rows in bins:
+        time, in_bin = total(lengths[rows]), values[rows]
+        spread = in_bin - total(in_bin) / len(rows)
+        bessel = len(rows) / (len(rows) - 1.0) if len(rows) > 1 else 1.0
+        errors.append(math.sqrt(total(spread * spread) * bessel) / time)
+    return math.fsum(errors) / len(errors)
+
+
+# ------------------------------------------------------------------------------------------------ regression problems
+
+
+def assemble_process(measurements: Measurements, equations: Collection[str], symbols: Mapping[str, str]) -> Preparation:
+    """Return the problems of the `equations`, as far as the data show them, and the recording of a process.
+
+    `symbols` has by column name the name in expressions. Raises DataError for too few steps, or a state without noise.
+    """
+    process = _record(measurements, symbols)
+    steps = take_steps(process)
+    if len(steps.lengths) < LIMITS.fewest_steps:
+        count = f"there are {len(steps.lengths)} steps from row to row"
+        raise DataError(f"{count}; a stochastic process takes at least {LIMITS.fewest_steps}")
+    for number, (state, share) in enumerate(zip(process.states, noise_shares(steps).tolist(), strict=True)):
+        if share < LIMITS.least_noise and not is_driven(steps, number):
+            raise DataError(
+                f"state '{state}' moves without noise, its own or that of a state it follows; leave out --stochastic, "
+                "or make it an input with --inputs if only other states have noise"
+            )
+    moments = bin_moments(steps)
+    process = replace(process, noise=moments.noise, pairs=tuple(moments.products))
+    values = [*moments.drift, *moments.products.values()]
+    targets = []
+    for name, moment, error in zip([*process.states, *process.components], values, moments.errors, strict=True):
+        if name in equations:
+            column = np.ascontiguousarray(moment)
+            scale, lhs = derivative_standard_deviation(name, column), measurements.roles.left_hand_side(name)
+            targets.append(Target(name, lhs, column, error / scale, scale, error / scale))
+    groups = f"{moments.points.shape[1]} groups of neighbouring rows"
+    warnings = [f"The search sees means over {groups}; models are judged by all {len(steps.lengths)} steps."]
+    warnings += [
+        f"Steps of '{state}' undo part of the steps before them: besides the noise of the process there are errors of "
+        f"measurement of about {variance**0.5:.2g}."
+        for state, variance in zip(process.states, moments.noise.tolist(), strict=True)
+        if variance > 0.0
+    ]
+    names, remarks = tuple(symbols.values()), (*measurements.warnings, *warnings)
+    return Preparation(Dataset(names, moments.points, tuple(targets), dict(symbols), remarks), process=process)
+
+
+def _record(measurements: Measurements, symbols: Mapping[str, str]) -> ProcessRecording:
+    roles, whole = measurements.roles, measurements.trajectories
+    assert whole is not None
+    inputs = measurements.inputs
+    paths = []
+    for number, (name, times, held_out) in enumerate(zip(whole.names, whole.times, measurements.held_out, strict=True)):
+        states = np.array([whole.states[state][number] for state in roles.states])
+        acting = np.array([parts[number] for parts in inputs]).reshape(len(inputs), len(times))
+        rows = np.flatnonzero(np.isfinite(states).all(axis=0))
+        states, acting = (np.ascontiguousarray(array[:, rows]) for array in (states, acting))
+        paths.append(SampledPath(name, times[rows], states, acting, held_out))
+    return ProcessRecording(
+        roles.states,
+        tuple(symbols[name] for name in roles.states),
+        roles.inputs,
+        tuple(symbols[name] for name in roles.inputs),
+        whole.offset,
+        tuple(paths),
+    )
