@@ -47,6 +47,7 @@ CONTENTS: Final = {
         "data",
         "reference/configuration",
         "result",
+        "result-keys",
         "analysis",
         "export",
         "python",

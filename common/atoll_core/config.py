@@ -93,9 +93,7 @@ class DataConfig(Frozen):
     order: Literal[1, 2] = Field(default=1, description="2: positions are measured, the second derivative is sought")
     angles: tuple[Angle, ...] = ()
     only: tuple[str, ...] | None = Field(default=None, description="search these equations only")
-    stochastic: bool = Field(
-        default=False, description="seek the drift and the diffusion of a process with noise of its own"
-    )
+    stochastic: bool = Field(default=False, description="identify the drift and the diffusion of a stochastic process")
     robust: bool = Field(default=False, description="smooth so that outliers lose their weight")
     holdout: PositiveInt | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
         default=None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
@@ -112,7 +110,7 @@ class DataConfig(Frozen):
     group: str | None = Field(
         default=None, description="column: trajectories of one value share constants, others have own"
     )
-    per_trajectory: bool = Field(default=False, description="each trajectory has constants of its own")
+    per_trajectory: bool = Field(default=False, description="each trajectory has separate constants")
     units: dict[str, str] = Field(default_factory=dict, description="units of columns, by name; over those of headers")
     missing: Literal["refuse", "drop"] = Field(default="refuse", description="what to do with NaN and infinity")
     sheet: str | None = Field(
@@ -153,7 +151,7 @@ class SpaceConfig(Frozen):
         return () if self.operators is not None or variable in self.operators_of else FURTHER_OPERATORS
 
     def columns_for(self, variable: str, names: Sequence[str]) -> tuple[int, ...]:
-        """Return the indices into `names`, the symbols, of what the equation of `variable` may use, ascending."""
+        """Return the indices into `names` of the symbols that the equation of `variable` may use, ascending."""
         allowed = self.variables_of.get(variable, names)
         return tuple(index for index, name in enumerate(names) if name in allowed)
 

@@ -35,9 +35,9 @@ _IN_NAME: Final = re.compile(rf"-(?:{'|'.join(_VARIABLES)})([0-9]+)-")
 
 def batch_job(environment: Mapping[str, str]) -> str:
     """Return batch system and job number of this process, such as ``slurm123``; "" outside of a batch job."""
-    for system, (variable, beside) in _VARIABLES.items():
+    for system, (variable, other) in _VARIABLES.items():
         found = re.match(r"\d+", environment.get(variable, ""), re.ASCII)
-        if found and len(found[0]) <= _LONGEST and (beside is None or beside in environment):
+        if found and len(found[0]) <= _LONGEST and (other is None or other in environment):
             return f"{system}{found[0]}"
     return ""
 
@@ -203,9 +203,9 @@ def available_bytes() -> int | None:
         available = int(lines["MemAvailable"].split()[0]) * 1024
     except (OSError, ValueError, KeyError, IndexError):
         return None
-    with contextlib.suppress(OSError, ValueError):  # "max", or no such file: the group has no limit of its own
-        most, taken = (int((_GROUP / name).read_text("ascii")) for name in ("memory.max", "memory.current"))
-        available = min(available, max(0, most - taken))
+    with contextlib.suppress(OSError, ValueError):  # "max", or no such file: the group has no limit
+        limit, used = (int((_GROUP / name).read_text("ascii")) for name in ("memory.max", "memory.current"))
+        available = min(available, max(0, limit - used))
     return available
 
 

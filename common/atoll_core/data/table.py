@@ -123,13 +123,13 @@ class Table:
 
     def places(self, rows: Sequence[int]) -> str:
         """Return the positions of `rows` (indices from 0): ``rows 12, 40 (lines 13, 41 of a.csv), 2 in all``."""
-        shown = list(rows[:MANY])
-        numbers = ", ".join(str(row + 1) for row in shown)
-        text = f"{_plural('row', shown)} {numbers}{', …' if len(rows) > MANY else ''}"
-        if all(self.line_of_row[row] > 0 for row in shown):
+        first = list(rows[:MANY])
+        numbers = ", ".join(str(row + 1) for row in first)
+        text = f"{_plural('row', first)} {numbers}{', …' if len(rows) > MANY else ''}"
+        if all(self.line_of_row[row] > 0 for row in first):
             parts = []
-            for file in dict.fromkeys(self.file_of_row[shown].tolist()):
-                lines = [str(self.line_of_row[row]) for row in shown if self.file_of_row[row] == file]
+            for file in dict.fromkeys(self.file_of_row[first].tolist()):
+                lines = [str(self.line_of_row[row]) for row in first if self.file_of_row[row] == file]
                 parts.append(f"{_plural('line', lines)} {', '.join(lines)} of {self.files[file]}")
             text += f" ({'; '.join(parts)})"
         return text + (f", {len(rows)} in all" if len(rows) > 1 else "")

@@ -4,6 +4,6 @@
 builder of programs. `text` reads and prints programs; `simplification` makes them canonical with every bit of their
 values kept; `writing` finds the shortest writing of a function. `evaluation` and `compiled` give values and derivatives
 by numpy and as Python functions, after the search; `kernels` the same, compiled, during the search. `derivative` makes
-programs of derivatives. `restrictions` are what an equation has to satisfy, `unit_coefficients` makes coefficients of
-one explicit, and `operation_list` arranges a program as a list that the search evolves.
+programs of derivatives. `restrictions` are users' conditions on an equation, `unit_coefficients` makes coefficients
+of one explicit, and `operation_list` arranges a program as a list that the search evolves.
 """

@@ -1,4 +1,4 @@
-"""What an equation has to satisfy, as users say it: bounds on its constants, and variables that it must contain.
+"""Conditions of users on an equation: bounds on its constants, and variables that it must contain.
 
 A bound is a text such as ``c > 0`` (every constant), ``0 < c < 10``, ``|c| < 5`` (every magnitude), ``x*y < 0`` (the
 coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). The constants are those of the expanded
@@ -84,10 +84,10 @@ def parse_bound(text: str, names: Sequence[str]) -> ConstantBound:
     size = _SIZE.fullmatch(subject)
     if size:
         if lower > 0.0 or not upper >= 0.0:
-            raise UsageError(f"the bound {text!r} leaves a gap around zero; give the largest size alone, as |c| < 5")
+            raise UsageError(f"the bound {text!r} excludes numbers around zero; give only the largest one, as |c| < 5")
         subject, lower = size[1].strip(), -upper
     if not lower <= upper:
-        raise UsageError(f"the bound {text!r} leaves no number; give the smaller one first")
+        raise UsageError(f"the bound {text!r} allows no number; give the smaller one first")
     return _bound(text, subject, lower, upper, names)
 
 
@@ -144,11 +144,11 @@ class EquationBounds:
 
         A program that is laid out already is returned unchanged, for any values of its constants.
         """
-        made = program if self._roles_of(program) is not None else self.written(program)
-        roles = None if made is None else self._roles_of(made)
+        laid_out = program if self._roles_of(program) is not None else self.written(program)
+        roles = None if laid_out is None else self._roles_of(laid_out)
         if roles is None or any(lower > upper for lower, upper in map(self._range_of_role, roles)):
             return None
-        return made
+        return laid_out
 
     def written(self, program: Program) -> Program | None:
         """Return `program` laid out again, with signs where a reader expects them; None when that is impossible."""

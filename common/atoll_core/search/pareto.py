@@ -63,17 +63,17 @@ def runners_up(front: Iterable[FrontEntry], candidates: Iterable[FrontEntry], mo
 def _next_best(ordered: Iterable[FrontEntry], members: set[Key], most: int) -> Iterator[FrontEntry]:
     structures: set[bytes] = set()
     errors: list[tuple[float, float]] = []
-    complexity, taken = 0, 0
+    complexity, count = 0, 0
     for entry in ordered:
         if entry.complexity != complexity:
-            complexity, taken = entry.complexity, 0
+            complexity, count = entry.complexity, 0
         is_member = entry.key in members
-        if not is_member and (taken >= most or not _is_new(entry, structures, errors)):
+        if not is_member and (count >= most or not _is_new(entry, structures, errors)):
             continue
         structures.add(structure_of(entry.program))
         insort(errors, (entry.error, entry.mse))
         if not is_member:
-            taken += 1
+            count += 1
             yield entry
 
 

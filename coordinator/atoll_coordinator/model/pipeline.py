@@ -19,9 +19,8 @@ from atoll_coordinator.model.batches import Batches, spreading
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.inference.checks import judge
 from atoll_coordinator.model.inference.conclusion import conclude
-from atoll_coordinator.model.inference.random_walk import stochastic_remarks
+from atoll_coordinator.model.inference.remarks import stochastic_remarks, unexplained_remarks
 from atoll_coordinator.model.inference.target_evidence import target_evidence
-from atoll_coordinator.model.inference.unexplained import unexplained_remarks
 from atoll_coordinator.model.pools import LawsByGroup, Member, Pools
 from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation

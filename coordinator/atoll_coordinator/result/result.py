@@ -45,37 +45,39 @@ class Result(Part):
     `group` is set in the result of the model of one group of trajectories, `command` where a command wrote it.
     """
 
-    version: Literal[1] = Field(default=SCHEMA, alias="schema")
-    job: Text | None = None
-    seed: Count | None = None
-    preset: Text | None = None
-    state: Text | None = None
-    reason: Text | None = None
-    equations: tuple[Equation, ...]
-    shared_terms: tuple[SharedTerm, ...] = ()
-    noise: dict[Text, Noise] = Field(default_factory=dict)
-    smoothing: Smoothing | None = None
-    correlations: tuple[Correlation, ...] = ()
-    covariance: Covariance | None = None
-    groups: tuple[Group, ...] = ()
-    simulation: Simulation | None = None
-    chaos: Chaos | None = None
-    process: Process | None = None
-    regression: Regression | None = None
-    symbols: dict[Text, Text]
-    system: System | None = None
-    data: Data | None = None
-    config: dict[Text, JsonValue] = Field(default_factory=dict)
-    refining: Text | None = None
-    warnings: tuple[Text, ...] = ()
-    notes: tuple[Text, ...] = ()
-    point_evaluations: Count | None = None
-    search_seconds: Number = None
-    seconds: Number = None
-    digest: Text | None = None
-    versions: dict[Text, JsonValue] = Field(default_factory=dict)
-    command: Text | None = None
-    group: Text | None = None
+    version: Literal[1] = Field(default=SCHEMA, alias="schema", description="version of this format")
+    job: Text | None = Field(default=None, description="id of the job")
+    seed: Count | None = Field(default=None, description="seed of the search")
+    preset: Text | None = Field(default=None, description="preset of the settings")
+    state: Text | None = Field(default=None, description="state of the job")
+    reason: Text | None = Field(default=None, description="why it failed")
+    equations: tuple[Equation, ...] = Field(description="one for each variable")
+    shared_terms: tuple[SharedTerm, ...] = Field(default=(), description="terms that several equations have")
+    noise: dict[Text, Noise] = Field(default_factory=dict, description="by state")
+    smoothing: Smoothing | None = Field(default=None, description="smoothed states")
+    correlations: tuple[Correlation, ...] = Field(default=(), description="constants that the data hardly distinguish")
+    covariance: Covariance | None = Field(default=None, description="joint covariance of all constants")
+    groups: tuple[Group, ...] = Field(default=(), description="groups of trajectories that may differ in constants")
+    simulation: Simulation | None = Field(default=None, description="the model along the measured trajectories")
+    chaos: Chaos | None = Field(default=None, description="null for models that are not chaotic")
+    process: Process | None = Field(default=None, description="with `--stochastic`")
+    regression: Regression | None = Field(default=None, description="with `--target`")
+    symbols: dict[Text, Text] = Field(description="symbol of each column")
+    system: System | None = Field(default=None, description="columns")
+    data: Data | None = Field(default=None, description="source of the data")
+    config: dict[Text, JsonValue] = Field(
+        default_factory=dict, description="settings that are not defaults, as in a job file"
+    )
+    refining: Text | None = Field(default=None, description="`finished`, `max-time` or `not refined`")
+    warnings: tuple[Text, ...] = Field(default=(), description="sentences on data and model")
+    notes: tuple[Text, ...] = Field(default=(), description="the warnings that only report what was done by rule")
+    point_evaluations: Count | None = Field(default=None, description="work of all searches")
+    search_seconds: Number = Field(default=None, description="duration of the searches")
+    seconds: Number = Field(default=None, description="duration of the job")
+    digest: Text | None = Field(default=None, description="hash of what the search found")
+    versions: dict[Text, JsonValue] = Field(default_factory=dict, description="programs and packages")
+    command: Text | None = Field(default=None, description="command that wrote the file")
+    group: Text | None = Field(default=None, description="whose model this is, where it is one group's")
 
     @classmethod
     def of(cls, content: "Mapping[str, object] | Result") -> "Result":

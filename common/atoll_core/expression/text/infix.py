@@ -137,8 +137,8 @@ def form_of(
 ) -> Written:
     """Return the form of a program; parts that are used twice are written twice.
 
-    `constants` are the names of named constants, by node; `quotients` are those of `TANGENT` and `COTANGENT` that the
-    language has.
+    `constants` are the names of named constants, by node; `quotients` are `TANGENT` and `COTANGENT`, if the
+    language has them.
     """
     writer = _Writer(quotients)
     operands: list[Signed] = []

@@ -4,5 +4,5 @@
 - `identities`: sums that equal a given one, one step away
 - `layout`: a sum written as an expression, and the cost of the writing
 - `shortest`: the search for the shortest writing, checked over the range of the data
-- `expansion`: an equation as a sum of terms in which each constant has a meaning of its own
+- `expansion`: an equation as a sum of terms in which each constant has a separate meaning
 """

@@ -26,8 +26,8 @@ from atoll_core.expression.writing.sums_of_products import (
     add,
     contained,
     distribute,
-    kept,
     merged,
+    nonzero,
 )
 
 MOST_TERMS: Final = 40
@@ -154,7 +154,7 @@ def raised_quotients(terms: Sum) -> Iterator[tuple[Shape, Sum]]:
                 others = tuple(term for term in terms if term[0] != monomial)
                 with suppress(UndefinedError):
                     raised = merged([*rest, *lead, (atom, -1)])
-                    instead = ((rest, kept(factor / constant)), (raised, kept(-factor * number / constant)))
+                    instead = ((rest, nonzero(factor / constant)), (raised, nonzero(-factor * number / constant)))
                     yield shape_of(raised), add((1.0, others), (1.0, instead))
 
 
@@ -284,6 +284,6 @@ def _factored(terms: Sum, lead: int) -> Program:
     builder = _Builder(lambda *_: False)
     scale = builder.append(op.CONSTANT, value=factor)
     inner = tuple(
-        (monomial, 1.0 if place == lead else kept(number / factor)) for place, (monomial, number) in enumerate(terms)
+        (monomial, 1.0 if place == lead else nonzero(number / factor)) for place, (monomial, number) in enumerate(terms)
     )
     return builder.program(builder.operate(op.MULTIPLY, scale, builder.sum_of_terms(inner)))

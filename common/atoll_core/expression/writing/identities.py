@@ -27,9 +27,9 @@ from atoll_core.expression.writing.sums_of_products import (
     distribute,
     divided,
     function,
-    kept,
     merged,
     multiply,
+    nonzero,
     power,
     product,
     times,
@@ -184,9 +184,9 @@ def _divided_out(terms: Sum, best: Best) -> Iterator[Sum]:
             for lead, factor in atom[1]:
                 if lead == ONE or not _divides(lead, monomial):
                     continue
-                quotient = product([kept(coefficient / factor), *merged([*divided(monomial, lead), (atom, 1)])])
+                quotient = product([nonzero(coefficient / factor), *merged([*divided(monomial, lead), (atom, 1)])])
                 rest = tuple(inner for inner in atom[1] if inner != (lead, factor))
-                over = product([kept(-coefficient / factor), *divided(monomial, lead)])
+                over = product([nonzero(-coefficient / factor), *divided(monomial, lead)])
                 yield _replaced(terms, (term,), quotient, distribute(over, rest))
 
 

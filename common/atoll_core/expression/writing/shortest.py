@@ -52,9 +52,9 @@ _TOLERANCE: Final = 1e-6
 def _shortest_of(program: Program, depth: int) -> Program:
     if tree_size(program) <= _LARGEST:
         with suppress(UndefinedError):
-            made = _rewritten(program, depth)
-            if len(made) <= MAX_NODES:
-                return made
+            short = _rewritten(program, depth)
+            if len(short) <= MAX_NODES:
+                return short
     return simplify_program(program)
 
 
@@ -116,14 +116,14 @@ def best_of(terms: Sum, depth: int) -> Sum:
     best = (written(terms)[0], terms)
     if depth == 0 or best[0] < _SMALLEST:
         return terms
-    seen, waiting, tried = {terms}, [best], 0
+    known, waiting, tried = {terms}, [best], 0
     while waiting and tried < _MOST_TRIED[depth]:
         cost, current = heapq.heappop(waiting)
         if cost > best[0] + _SLACK:
             break
         for other in equal_sums(current, lambda inner: best_of(inner, depth - 1)):
-            if other not in seen:
-                seen.add(other)
+            if other not in known:
+                known.add(other)
                 tried += 1
                 candidate = (written(other)[0], other)
                 best = min(best, candidate)

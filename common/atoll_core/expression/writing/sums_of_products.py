@@ -105,7 +105,7 @@ def cleaned(value: float) -> float:
     return short if abs(short - value) <= 4.0 * math.ulp(value) else value
 
 
-def kept(value: float) -> float:
+def nonzero(value: float) -> float:
     """Return a product of numbers other than 0; raises UndefinedError when it is 0 or not finite.
 
     A coefficient may underflow although large variables compensate it: (1e-170 x)(1e-170 y).
@@ -117,7 +117,7 @@ def kept(value: float) -> float:
 
 def times(one: float, other: float) -> float:
     """Return the product; raises UndefinedError when it is not finite, or 0 although no factor is 0."""
-    return kept(one * other) if one and other else 0.0
+    return nonzero(one * other) if one and other else 0.0
 
 
 def add(*parts: tuple[float, Sum]) -> Sum:
@@ -159,14 +159,14 @@ def scaled(terms: Sum, factor: float) -> Sum:
     """Return a multiple of a sum by a factor other than 0; raises UndefinedError where a term would underflow."""
     if factor == 1.0:
         return terms
-    return tuple((monomial, cleaned(kept(factor * coefficient))) for monomial, coefficient in terms)
+    return tuple((monomial, cleaned(nonzero(factor * coefficient))) for monomial, coefficient in terms)
 
 
 def raised_number(value: float, exponent: int) -> float:
     """Return an integer power of a number; raises UndefinedError when it is not finite, or underflows."""
     try:
         raised = float(value**exponent)
-        return kept(raised) if value else raised
+        return nonzero(raised) if value else raised
     except (OverflowError, ZeroDivisionError):
         raise UndefinedError from None
 
@@ -203,7 +203,7 @@ def bracket(terms: Sum) -> tuple[float, Monomial]:
     if len(rest) < 2:
         return (rest[0][1], merged([*shared, *rest[0][0]])) if rest else (0.0, ONE)
     lead = next(coefficient for monomial, coefficient in rest if monomial != ONE)
-    unit = tuple((monomial, cleaned(kept(coefficient / lead))) for monomial, coefficient in rest)
+    unit = tuple((monomial, cleaned(nonzero(coefficient / lead))) for monomial, coefficient in rest)
     return lead, merged([*shared, ((op.ADD, unit), 1)])
 
 
@@ -443,7 +443,7 @@ def raised(base: Sum, exponent: Sum) -> Sum:
         if abs(number) == 0.5:
             return power(function(op.SQRT, base), 1 if number > 0.0 else -1)
         if len(base) == 1 and base[0][1] > 0.0 and base[0][1] != 1.0:
-            scale = kept(value_of(op.POW, base[0][1], number))
+            scale = nonzero(value_of(op.POW, base[0][1], number))
             return multiply(constant(scale), atom_sum((op.POW, ((base[0][0], 1.0),), exponent)))
     if basis == 1.0:
         return constant(1.0)

@@ -100,15 +100,15 @@ def load(authority: Path, certificate: Path, key: Path, use: Use) -> Credentials
     _check_contents(certificate, "--tls-cert", "CERTIFICATE-----", "a certificate")
     if "ENCRYPTED" in _check_contents(key, "--tls-key", "PRIVATE KEY-----", "a private key"):
         raise UsageError(f"the key {key} is encrypted; give --tls-key one that is not, readable by its owner only")
-    shown = _shown(authority, certificate, key, use)
-    now, first, last = time.time(), shown.get("notBefore"), shown.get("notAfter")
+    fields = _verified_fields(authority, certificate, key, use)
+    now, first, last = time.time(), fields.get("notBefore"), fields.get("notAfter")
     expires = None if last is None else float(ssl.cert_time_to_seconds(last))
     if expires is not None and now > expires:
         raise UsageError(f"the certificate {certificate} has expired ({last}); renew it with deploy/tls/make-authority")
     if first is not None and now < ssl.cert_time_to_seconds(first):
         raise UsageError(f"the certificate {certificate} is not valid before {first}; check this machine's clock")
-    hosts = tuple(_plain(kind, name) for kind, name in shown.get("subjectAltName", ()))
-    names = [value for part in shown.get("subject", ()) for kind, value in part if kind == "commonName"]
+    hosts = tuple(_plain(kind, name) for kind, name in fields.get("subjectAltName", ()))
+    names = [value for part in fields.get("subject", ()) for kind, value in part if kind == "commonName"]
     if use == "serve" and not hosts:
         raise UsageError(
             f"the certificate {certificate} has no subject alternative name, so that it cannot be dialled by name or "
@@ -190,10 +190,10 @@ def _names_there(host: str, port: int, credentials: Credentials) -> str:
     context.load_verify_locations(credentials.authority)
     try:
         with _connected(context, host, port) as connection:
-            shown = cast(_Certificate, connection.getpeercert() or {})
+            fields = cast(_Certificate, connection.getpeercert() or {})
     except OSError:
         return "other names"
-    names = shown.get("subjectAltName", ())
+    names = fields.get("subjectAltName", ())
     return ", ".join(_plain(kind, name) for kind, name in names)[:300] or "no name at all"
 
 
@@ -207,7 +207,7 @@ def _check_contents(file: Path, option: str, mark: str, expected: str) -> str:
     return text
 
 
-def _shown(authority: Path, certificate: Path, key: Path, use: Use) -> _Certificate:
+def _verified_fields(authority: Path, certificate: Path, key: Path, use: Use) -> _Certificate:
     """Return our certificate as a verifier reads it that trusts `authority`; raises UsageError."""
     try:
         try:

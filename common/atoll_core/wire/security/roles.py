@@ -174,7 +174,7 @@ def _keys(*parts: str) -> tuple[str, ...]:
 
 
 def _own(name: str, *parts: str) -> tuple[str, ...]:
-    """Return keys with the name, and with those of its processes, in place of ``{}``."""
+    """Return keys with the name, and with the names of its processes, in place of ``{}``."""
     return _keys(*(part.format(form) for part in parts for form in (name, f"{name}-$*")))
 
 

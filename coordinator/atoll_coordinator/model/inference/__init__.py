@@ -3,14 +3,14 @@
 - `conclusion`: the way through this list, on one page: `conclude`
 - `final_model`: the equations as they are shown, fitted to all rows, rounded, simulated in whole
 - `groups`: which constants groups of trajectories share; `shared_terms`: terms that equations share, fitted together
-- `standard_errors`: standard errors, intervals and correlations of constants; `unknown_correlation`: how much larger
-  they are where few rows do not show whether errors are correlated
+- `standard_errors`: standard errors, intervals and correlations of constants
 - `trajectory_simulation`: the model along measured trajectories, with bands
 - `long_run`: whether whole trajectories are described, and whether a chaotic model keeps the measured averages
 - `prediction`: whether the model and its alternatives predict the same from other initial states
 - `evidence`, `target_evidence`: what is known of an equation by its simulation, by the rows of its target
 - `residuals`: whether residuals are as large as the noise, and without a pattern; `quadratic_forms`: how large they may
-  be by chance; `residual_covariance`: their covariance; `null_models`: whether no equation describes as much
+  be by chance; `residual_covariance`: their covariance in few rows, and how much larger standard errors are where
+  these do not show whether errors are correlated; `null_models`: whether no equation describes as much
 - `checks`: the table of checks, and the verdict that follows from it
-- `random_walk`, `unexplained`: warnings of what residuals follow: noise of the process, runs, a forcing, a hidden state
+- `remarks`: warnings of what residuals follow: noise of the process, runs, a forcing, a hidden state
 """

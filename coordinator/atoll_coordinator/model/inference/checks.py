@@ -285,15 +285,15 @@ def _merits(evidence: Evidence, checks: Sequence[Check]) -> list[str]:
     if pattern.startswith("a term"):
         has_told = evidence.solver is not None or evidence.left <= SETTINGS.inference.exact
         size, pattern = size if has_told else f"{size}; {pattern}", ""
-    if size.startswith("the residuals"):
-        pattern = pattern.removeprefix("the residuals ")
-    merits = [" and ".join(filter(None, (size, pattern)))] if size or pattern else []
+    if size.startswith("the residuals") and pattern:
+        size, pattern = f"{size} and {pattern.removeprefix('the residuals ')}", ""
+    merits = [merit for merit in (size, pattern) if merit]
     merits += [reasons[name] for name in ("held-out trajectories", "long run") if name in reasons]
     known = evidence.prediction
     if known is not None and known.reached is not None:
         merits.append(
-            f"from other initial states within the measured range it leads to {known.reached:.3g}, which was never "
-            f"measured: measure from {_where(known)} to know"
+            f"from other initial states within the measured range it reaches {known.reached:.3g}, outside of this "
+            f"range: measure from {_where(known)} to test this"
         )
     return ["; ".join(merits) or "all checks have passed"]
 
@@ -320,7 +320,7 @@ def _explained(evidence: Evidence) -> Finding:
         return Finding("not made", "the target does not vary")
     else:
         r2 = evidence.target_r2
-        what = "it is not" if evidence.is_known else "nothing was found that is"
+        what = "it is not" if evidence.is_known else "no equation was found that is"
         what += f" much better than a constant (R2 {r2_text(r2)} on the target)"
     if r2 >= least:  # NaN explains nothing
         return Finding("passed", f"R2 {r2_text(r2)}", r2, least)
@@ -330,15 +330,15 @@ def _explained(evidence: Evidence) -> Finding:
 def _simulated(evidence: Evidence) -> Finding:
     if not evidence.is_unsimulated:
         return Finding("passed", "it was simulated along the trajectories")
-    return Finding("failed", "it was not simulated along the trajectories, and fits the derivatives alone")
+    return Finding("failed", "it was not simulated along the trajectories; it was fitted to the derivatives only")
 
 
 def _time(evidence: Evidence) -> Finding:
     if not evidence.stopped:
-        return Finding("passed", "no limit of time has stopped anything")
+        return Finding("passed", "no time limit was reached")
     if evidence.is_cancelled:
         return Finding("not made", f"the job was cancelled before {evidence.stopped}: let it run on")
-    return Finding("not made", f"the limit of time stopped {evidence.stopped}: give more time with --max-time")
+    return Finding("not made", f"the time limit stopped {evidence.stopped}: give more time with --max-time")
 
 
 def _freedom(evidence: Evidence) -> Finding | None:
@@ -349,7 +349,7 @@ def _freedom(evidence: Evidence) -> Finding | None:
     if free >= 1.0:
         return Finding("passed", f"{free:.0f} rows more than fitted numbers", free, 1.0)
     which = "rows" if rows == evidence.rows else "rows that differ"
-    reason = f"{evidence.parameters:.0f} numbers were fitted to {rows} {which}, which leaves none to test them by"
+    reason = f"{evidence.parameters:.0f} numbers were fitted to {rows} {which}, so that no rows are left to test them"
     return Finding("failed", f"{reason}: measure more rows", free, 1.0)
 
 
@@ -361,8 +361,8 @@ def _null(evidence: Evidence) -> Finding | None:
         reason = f"it describes the rows better than no equation (Δ log-likelihood {nats:.3g})"
         return Finding("passed", reason, nats, least)
     what = "a constant" if evidence.kind == "target" else "a constant or a random walk"
-    reason = f"the rows are described about as well without an equation, by {what}"
-    return Finding("failed", f"{reason} (Δ log-likelihood {nats:.2g}): measure more rows", nats, least)
+    reason = f"{what} describes the rows about as well (Δ log-likelihood {nats:.2g}): measure more rows"
+    return Finding("failed", reason, nats, least)
 
 
 def _held_out(evidence: Evidence) -> Finding:
@@ -372,8 +372,8 @@ def _held_out(evidence: Evidence) -> Finding:
     which = "trajectories left out one at a time" if evidence.is_cross_validated else "held-out trajectories"
     least = 1.0 - evidence.relative_noise**2 - SETTINGS.inference.part
     if r2 >= least:
-        return Finding("passed", f"{which}: R2 {r2_text(r2)}", r2, least)
-    return Finding("failed", f"{which} are simulated with R2 {r2_text(r2)} only", r2, least)
+        return Finding("passed", f"R2 of {which}: {r2_text(r2)}", r2, least)
+    return Finding("failed", f"the R2 of {which} is only {r2_text(r2)}", r2, least)
 
 
 def _residual_size(evidence: Evidence) -> Finding | None:
@@ -390,12 +390,12 @@ def _residual_size(evidence: Evidence) -> Finding | None:
     noise = percent(evidence.relative_noise)
     reason = f"{size} agree with the noise ({noise})"
     if evidence.is_noise_residual:
-        reason = f"{size} are as rough as noise, which so few rows do not show otherwise"
+        reason = f"{size} look like noise in these few rows"
         power = evidence.largest_departure
     if _are_of_integration(evidence):
-        reason = f"{size} are those of the integration, though the noise seems to be {noise}"
+        reason = f"{size} are as small as integration errors, although the noise was estimated as {noise}"
     if not evidence.is_noise_residual and statistics.ratio > limit:
-        reason = f"{size} may be noise ({noise}), of which so few rows tell little"
+        reason = f"{size} may be noise ({noise} by these few rows)"
     return Finding("passed", reason, statistics.ratio, limit, power)
 
 
@@ -404,15 +404,13 @@ def _size_without_noise(evidence: Evidence) -> Finding:
     limit = max(SETTINGS.inference.exact, 2.0 * evidence.relative_noise)
     reason = f"there is no noise, and the residuals are {percent(left)} of the standard deviation"
     if evidence.solver is not None:
-        reason += f": {evidence.solver}, gives these rows of the equations so closely"
+        reason += f": these are the rows that {evidence.solver}, computes from the equations"
     elif evidence.are_errors_summed and 1.0 - left * left >= 1.0 - SETTINGS.inference.part:
-        reason += ", since errors add up along trajectories, as those of a solver do"
+        reason += ", since errors accumulate along trajectories, like the errors of a solver"
     elif left > negligible and _exceeds(evidence):
         return Finding("failed", reason.replace("noise, and", "noise, but"), left, limit)
     elif left > negligible:
-        reason = (
-            f"the residuals are {percent(left)} of the standard deviation, and so few rows do not exclude such noise"
-        )
+        reason = f"the residuals ({percent(left)} of the standard deviation) may be noise in these few rows"
     elif left > limit:
         limit = negligible  # errors of integration, or a departure that no prediction shows
     return Finding("passed", reason, left, limit, evidence.largest_departure)
@@ -446,9 +444,7 @@ def _residual_pattern(evidence: Evidence) -> Finding | None:
     if not statistics.standard_deviation > 0.0:
         return Finding("not applicable", "there are no residuals")
     if _are_of_integration(evidence):
-        reason = (
-            f"a term of {percent(evidence.left)} of the standard deviation would be taken for errors of integration"
-        )
+        reason = f"a term of {percent(evidence.left)} of the standard deviation would look like integration errors"
         return Finding("passed", reason, statistics.correlation, limit, evidence.largest_departure)
     seen = statistics.seen_correlation
     power = evidence.departure(seen / (1.0 - seen) if seen < 1.0 else math.inf)
@@ -458,7 +454,7 @@ def _residual_pattern(evidence: Evidence) -> Finding | None:
         return Finding("failed", reason, statistics.correlation, limit, power)
     reason = "the residuals show no pattern"
     if evidence.innovations is not None:
-        reason = "the residuals are correlated as errors of a sensor are, and show no other pattern"
+        reason = "the residuals are correlated like errors of a sensor and show no other pattern"
     return Finding("passed", reason, statistics.correlation, limit, power)
 
 
@@ -466,19 +462,19 @@ def _whole(evidence: Evidence) -> Finding | None:
     if not evidence.residuals:
         return None
     if evidence.chaos is not None:
-        return Finding("not applicable", "errors of initial states grow in chaos, and the long run is compared")
+        return Finding("not applicable", "the model is chaotic, and its long run is compared instead")
     if evidence.fits_whole:
         return Finding("passed", "whole trajectories are simulated")
     if evidence.fits_whole is False:
-        reason = f"it describes pieces of {evidence.piece} rows and not whole trajectories: what shows in the long "
-        return Finding("failed", f"{reason}run is missing")
+        reason = f"it describes pieces of {evidence.piece} rows but not whole trajectories: a term that matters in the "
+        return Finding("failed", f"{reason}long run is missing")
     if evidence.predictable_rows is not None:
         reason = (
-            f"errors of initial states grow, so that no more than {evidence.predictable_rows} rows can be predicted, "
-            "and the long run of a driven model is not compared: measure shorter runs"
+            f"errors of initial states grow so fast that only {evidence.predictable_rows} rows can be predicted, and "
+            "the long run of a model with inputs is not compared: measure shorter trajectories"
         )
         return Finding("not made", reason)
-    reason = f"only pieces of {evidence.piece} rows were simulated, and not whole trajectories"
+    reason = f"only pieces of {evidence.piece} rows were simulated, not whole trajectories"
     return Finding("not made", f"{reason}: sample less often, or measure shorter trajectories")
 
 
@@ -492,16 +488,16 @@ def _long_run(evidence: Evidence) -> Finding | None:
     value = chaos.probability
     if chaos.is_kept:
         reason = (
-            f"chaotic: errors grow e-fold in {chaos.lyapunov_time or 0.0:.2g}, and a long simulation keeps the "
-            "measured means and variances"
+            f"chaotic: errors grow by a factor of e in {chaos.lyapunov_time or 0.0:.2g}, and a long simulation keeps "
+            "the measured means and variances"
         )
         return Finding("passed", reason, value, limit)
     if chaos.is_unfinished:
-        reason = "a long simulation takes more steps than are allowed, so that it is not known where it leads"
+        reason = "a long simulation needs more integration steps than are allowed: its end is not known"
         return Finding("not made", reason, value, limit)
     if value is None:
-        return Finding("failed", "a long simulation runs away from what was measured", value, limit)
-    reason = f"means or variances of a long simulation are not those measured (p = {value:.1g})"
+        return Finding("failed", "a long simulation diverges from the measured range", value, limit)
+    reason = f"the means or variances of a long simulation differ from the measured ones (p = {value:.1g})"
     return Finding("failed", reason, value, limit)
 
 
@@ -518,12 +514,12 @@ def _other_starts(evidence: Evidence) -> Finding | None:
     starts, unfinished, probability = known.starts or 0, known.unfinished or 0, known.probability or 0.0
     lost = starts - (known.followed or 0) - unfinished
     if lost:
-        reason = f"from {lost} of {starts} other initial states within the measured range it runs away"
+        reason = f"from {lost} of {starts} other initial states within the measured range its simulation diverges"
         return Finding("failed", reason, probability, limit)
     if unfinished:
         reason = (
-            f"from {unfinished} of {starts} other initial states within the measured range its "
-            "simulation takes more steps than are allowed, so that it is not known where it leads"
+            f"from {unfinished} of {starts} other initial states within the measured range its simulation needs more "
+            "integration steps than are allowed: its end is not known"
         )
         return Finding("not made", reason, probability, limit)
     if 1.0 - probability > math.exp(-SETTINGS.inference.distinct_nats):
@@ -565,10 +561,11 @@ def _predicted_rows(evidence: Evidence) -> Finding:
     """
     r2 = evidence.predicted_r2
     if r2 is None:
-        return Finding("not made", "the equation has no finite value on some rows, so that none can be left out")
+        return Finding("not made", "the equation has no finite value on some rows, so that no row can be left out")
     least = 1.0 - SETTINGS.inference.part - min(2.0 * evidence.target_uncertainty, 1.0) ** 2
-    reason = f"rows left out one at a time are predicted with R2 {r2_text(r2)}"
-    return Finding("passed", reason, r2, least) if r2 >= least else Finding("failed", f"{reason} only", r2, least)
+    if r2 >= least:
+        return Finding("passed", f"leave-one-out R2 of the rows: {r2_text(r2)}", r2, least)
+    return Finding("failed", f"the leave-one-out R2 of the rows is only {r2_text(r2)}", r2, least)
 
 
 # ------------------------------------------------------------------------------------------------------------ model
@@ -580,9 +577,7 @@ def _distinct(evidence: Evidence) -> Finding | None:
         return None
     if count >= least:
         return Finding("passed", f"{count} rows differ", count, least)
-    reason = (
-        f"the rows repeat {count} measurements, through which many equations lead: measure at other times or points"
-    )
+    reason = f"only {count} rows differ, and many equations fit so few: measure at other times or points"
     return Finding("failed", reason, count, least)
 
 
@@ -592,15 +587,18 @@ def _inputs(evidence: Evidence) -> Finding:
         return Finding("not applicable", "the equations have no input")
     untold = [one for one, share in shares.items() if math.isnan(share)]
     if untold:
-        return Finding("not made", f"there are too few rows to know {_quoted(untold)} between them: sample more rows")
+        return Finding(
+            "not made", f"there are too few rows to estimate {_quoted(untold)} between them: sample more rows"
+        )
     unknown, worst = [one for one, share in shares.items() if share > most], max(shares.values())
     if not unknown:
-        reason = f"what is not known of inputs between rows makes {percent(worst)} of the variance of a rate at most"
+        reason = f"uncertain inputs between rows cause at most {percent(worst)} of the variance of a rate"
         return Finding("passed", reason, worst, most)
     held, verb = listed(sorted({*evidence.held_inputs, *unknown})), "is" if len(unknown) == 1 else "are"
     reason = (
-        f"what is not known of {_quoted(unknown)} between rows makes {percent(worst)} of the variance of a rate: add "
-        f"--hold {held} if {_quoted(unknown)} {verb} constant from row to row, else sample faster, or with less noise"
+        f"{_quoted(unknown)} {verb} uncertain between rows, which causes {percent(worst)} of the variance of a rate: "
+        f"add --hold {held} if {_quoted(unknown)} {verb} constant from row to row, else sample faster, or with less "
+        "noise"
     )
     return Finding("not made", reason, worst, most)
 
@@ -616,7 +614,7 @@ def _poles(evidence: Evidence) -> Finding | None:
         return Finding("passed", "its simulation passes no pole")
     # such as the pole of 6e-13/(3e-12 - x**3), by which a state seems to be switched
     return Finding(
-        "failed", "its simulation passes a pole, where it has no value: measure there, or leave out divisions"
+        "failed", "its simulation passes a pole, where the equation has no value: measure there, or leave out divisions"
     )
 
 
@@ -628,7 +626,7 @@ def _alternatives(evidence: Evidence) -> Finding | None:
         reason = "no other equation with as few constants, which predicts something else, was compared"
         return Finding("not applicable", reason)
     if nats >= least:
-        reason = f"the next best equation with as few constants fits worse (Δ description length {nats:.3g})"
+        reason = f"the best other equation with as few constants fits worse (Δ description length {nats:.3g})"
         return Finding("passed", reason, nats, least)
     where = _to_decide(evidence.prediction) if evidence.rivals_agree else ""
     reason = f"another equation describes the data about as well (Δ description length {nats:.2g}){where}"
@@ -640,14 +638,14 @@ def _constants(evidence: Evidence) -> Finding | None:
     if not constants and evidence.is_unsimulated:
         return None
     if evidence.unfitted:
-        many = f"{evidence.unfitted} constants are" if evidence.unfitted > 1 else "constant is"
-        reason = f"how well its {many} determined is not known: seek a shorter equation, --max-size"
+        many = f"{evidence.unfitted} constants" if evidence.unfitted > 1 else "constant"
+        reason = f"the errors of its {many} are not known: ask for a shorter equation with --max-size"
         return Finding("not made", reason)
     if not constants:
-        return Finding("not applicable", "it has no constants")
+        return Finding("not applicable", "the equation has no constants")
     bound = next((constant for constant in constants if constant.at_bound), None)
     if bound is not None:
-        return Finding("failed", f"the data would have the constant {bound.value or 0.0:.3g} beyond its bound")
+        return Finding("failed", f"the best value of the constant {bound.value or 0.0:.3g} lies beyond its bound")
     loose = sum(not constant.identifiable for constant in constants)
     if not loose:
         return Finding("passed", "all constants are determined by the data", loose, 0.0)
@@ -670,8 +668,8 @@ def _precision(evidence: Evidence) -> Finding:
         reason = f"without noise, the residuals are {error:.1g} of the standard deviation"
         if evidence.solver is not None:
             reason = (
-                f"without noise: {evidence.solver}, gives these rows of the equations to {error:.1g} of the standard "
-                "deviation"
+                f"without noise, the rows are those that {evidence.solver}, computes from the equations, up to "
+                f"{error:.1g} of the standard deviation"
             )
     return Finding("passed" if is_met else "failed", reason, error, limit)
 
@@ -693,10 +691,10 @@ def _loosest(evidence: Evidence) -> Finding:
         return Finding("not applicable", "no constant has a standard error")
     share, value = max(shares)
     if share <= limit:
-        return Finding("passed", f"the constant known least is known to {percent(share)}", share, limit)
-    certainty = f"is known to {percent(share)} only" if share < _UNKNOWN else "cannot be told from 0"
+        return Finding("passed", f"all constants are known to {percent(share)} or better", share, limit)
+    certainty = f"is known to {percent(share)} only" if share < _UNKNOWN else "is not distinguishable from 0"
     return Finding(
-        "failed", f"the constant {value:.3g} {certainty}: its term may follow errors of the data", share, limit
+        "failed", f"the constant {value:.3g} {certainty}: its term may describe errors of the data", share, limit
     )
 
 
@@ -712,7 +710,7 @@ def _digits(evidence: Evidence) -> Finding:
     count = max((len(Decimal(repr(value)).normalize().as_tuple().digits) for value in values), default=0)
     if count <= most:
         return Finding("passed", f"constants have {count} digits at most, and the values {most}", count, most)
-    reason = f"the values have {most} digits and a constant has {count}: its term may follow errors of rounding"
+    reason = f"a constant has {count} digits and the values {most}: its term may describe rounding errors"
     return Finding("failed", reason, count, most)
 
 
@@ -720,10 +718,10 @@ def _undecided(evidence: Evidence) -> Finding:
     """Check that no other equation may be the law of a table without noise."""
     limit = math.exp(-SETTINGS.inference.exact_nats)
     if evidence.rivals <= limit:
-        return Finding("passed", "no other equation may be the law", evidence.rivals, limit)
+        return Finding("passed", "no other equation fits as well", evidence.rivals, limit)
     share = evidence.rivals / (1.0 + evidence.rivals)
     reason = (
-        "the data do not distinguish it from other equations, which agree along the measured trajectories and differ "
+        "the data do not distinguish it from other equations that agree on the measured trajectories and differ "
         f"elsewhere ({percent(share)} of the odds){_to_decide(evidence.prediction)}"
     )
     return Finding("failed", reason, evidence.rivals, limit)

@@ -16,8 +16,8 @@ from atoll_coordinator.model.inference.checks import judge
 from atoll_coordinator.model.inference.evidence import ModelEvidence
 from atoll_coordinator.model.inference.final_model import FinalModel, finalize
 from atoll_coordinator.model.inference.long_run import long_run_of
-from atoll_coordinator.model.inference.prediction import Rival, draws, foretell
-from atoll_coordinator.model.inference.random_walk import stochastic_remarks
+from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
+from atoll_coordinator.model.inference.remarks import stochastic_remarks
 from atoll_coordinator.model.inference.standard_errors import (
     ConstantErrors,
     describe_constants,
@@ -219,15 +219,15 @@ def _carried_bands(
 
 
 def _predictions(final: FinalModel, errors: ConstantErrors, *, is_near: bool) -> list[Prediction]:
-    """Return how far each state can be predicted from other initial states, see `foretell`.
+    """Return how far each state can be predicted from other initial states, see `predict`.
 
     The odds that the data alone give an alternative are shared by all alternatives of its equation: these were chosen
     from many because they describe the data well (Bonferroni).
     """
     ranking = final.ranking
     own = ranking.selection.model
-    rivals = [
-        Rival(
+    others = [
+        AlternativeSystem(
             alternative.model.fit.system,
             equation,
             _odds(alternative.model.nats - own.nats),
@@ -238,7 +238,7 @@ def _predictions(final: FinalModel, errors: ConstantErrors, *, is_near: bool) ->
     ]
     drawn = draws(final.free.fit.system, scaled_covariance(final.free.fit, errors)[0])
     seen = final.seen.estimator
-    return foretell(seen.measurements, final.seen_fit.system, rivals, seen.tolerance, drawn, is_near=is_near)
+    return predict(seen.measurements, final.seen_fit.system, others, seen.tolerance, drawn, is_near=is_near)
 
 
 def _odds(nats: float) -> float:

@@ -1,12 +1,12 @@
-"""What a model foretells from other initial states within the measured cloud, and whether its rivals foretell the same.
+"""What a model predicts from other initial states within the measured range, and whether alternatives predict it, too.
 
 Where there are inputs, or groups of trajectories with constants of their own, each initial state takes the inputs and
 the group of one of the measured trajectories.
 
 Data decide between two equations as far as these describe the measurements unequally well. Where they describe them
-about as well and yet foretell something else from initial states that were not measured, the data do not decide what
+about as well and yet predict something else from initial states that were not measured, the data do not decide what
 happens there. So the model, its alternatives and draws of its constants are simulated from such states; what share of
-the odds foretells what the model does is the probability that it can be relied upon.
+the odds predicts the same as the model is the probability that its predictions can be trusted.
 
 That an equation is short makes it more plausible where something was measured. Where a model leads beyond the measured
 range nothing speaks for its structure, and the odds of other structures are what the data alone give them.
@@ -37,11 +37,11 @@ from atoll_core.expression.kernels.tape import Ints
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class AlternativeSystem:
     """A system that may be right in place of the model: another equation for one variable, or other constants.
 
-    Rivals of one `group` exclude one another; `odds` are those against the model, whose own are one, `odds_of_data` the
-    same without what makes a structure plausible.
+    Alternatives of one `group` exclude one another; `odds` are the odds against the model, whose own are one,
+    `odds_of_data` the same without the price of structures.
     """
 
     system: System
@@ -50,8 +50,8 @@ class Rival:
     odds_of_data: float
 
 
-def foretell(
-    measurements: Measurements, model: System, rivals: Sequence[Rival], tolerance: float,
+def predict(
+    measurements: Measurements, model: System, alternatives: Sequence[AlternativeSystem], tolerance: float,
     drawn: Iterable[System] = (), *, is_near: bool = False,
 ) -> list[Prediction]:  # fmt: skip
     """Return the prediction of each measured state; states without an equation are inputs as smoothed.
@@ -59,7 +59,7 @@ def foretell(
     Args:
         measurements: the trajectories that were measured.
         model: the system that is shown.
-        rivals: what else describes the measurements.
+        alternatives: other systems that describe the measurements.
         tolerance: error of an integration step over a state's standard deviation.
         drawn: the model with constants drawn from their distribution, of which as many are taken as decide.
         is_near: whether initial states are near measured ones: an attractor's box has parts that lead elsewhere.
@@ -78,16 +78,16 @@ def foretell(
     courses = [course[:, :horizon] for course in own if not isinstance(course, str)]
     misses, misses_of_data = _Misses(courses, len(states)), _Misses(courses, len(states))
 
-    def add(rival: Rival) -> None:
-        rival_courses = elsewhere.courses(rival.system, followed)
+    def add(alternative: AlternativeSystem) -> None:
+        rival_courses = elsewhere.courses(alternative.system, followed)
         compared = [course if isinstance(course, str) else course[:, :horizon] for course in rival_courses]
-        misses.add(rival.group, rival.odds, compared)
-        misses_of_data.add(rival.group, rival.odds_of_data, compared)
+        misses.add(alternative.group, alternative.odds, compared)
+        misses_of_data.add(alternative.group, alternative.odds_of_data, compared)
 
-    for rival in rivals:
-        add(rival)
+    for alternative in alternatives:
+        add(alternative)
     for count, system in enumerate(islice(drawn, _MOST_DRAWS), 1):
-        add(Rival(system, _DRAWN, 1.0, 1.0))
+        add(AlternativeSystem(system, _DRAWN, 1.0, 1.0))
         if count >= SETTINGS.effort.beam and all(misses.is_decided(state) for state in states):
             break
     distances = elsewhere.distances(courses)
@@ -316,7 +316,7 @@ def _in_one_piece(measurements: Measurements, owner: int) -> Measurements:
 
 
 class _Misses:
-    """What the rivals of each group foretell otherwise, state by state."""
+    """The odds of alternatives that predict something different, by group and state."""
 
     def __init__(self, courses: Sequence[FloatArray], states: int) -> None:
         self._courses = courses
@@ -325,9 +325,9 @@ class _Misses:
         self._unlike = [(0.0, -1)] * states
 
     def add(self, group: int, odds: float, courses: Sequence[Course]) -> None:
-        """Take in what a rival foretells from the same initial states.
+        """Add an alternative, by its courses from the same initial states.
 
-        One that runs away foretells otherwise; where it takes too many steps, it is not known what it foretells.
+        One that diverges predicts something different; where it needs too many steps, its prediction is not known.
         """
         states = len(self._unlike)
         pairs = [
@@ -352,7 +352,7 @@ class _Misses:
                     self._unlike[state] = (odds * size, place)
 
     def agreement(self, state: int) -> float:
-        """Return the share of the odds that foretells what the model does."""
+        """Return the share of the odds that predicts the same as the model."""
         shares = [1.0 - self._against[group][state] / (1.0 + odds) for group, odds in self._odds.items()]
         return math.prod(float(share) for share in shares)
 
@@ -371,7 +371,7 @@ class _Misses:
         return min(below, 1.0 - below) <= wrong
 
     def unlike(self, state: int) -> int | None:
-        """Return the place of the initial state from which the course is foretold most differently, None: nowhere."""
+        """Return the place of the initial state from which predictions differ most, None: nowhere."""
         place = self._unlike[state][1]
         return place if place >= 0 else None
 

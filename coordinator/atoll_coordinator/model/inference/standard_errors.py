@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.inference.unknown_correlation import widening
+from atoll_coordinator.model.inference.residual_covariance import widening
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel

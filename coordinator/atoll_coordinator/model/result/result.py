@@ -3,8 +3,10 @@
 Here programs become text, with the names and units of the columns.
 """
 
+import hashlib
 import math
 import platform
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
@@ -19,7 +21,6 @@ from atoll_coordinator.model.criteria import select_member
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, JobKind, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on
-from atoll_coordinator.model.result.digest import result_digest
 from atoll_coordinator.model.result.shared_terms import shared_terms
 from atoll_coordinator.model.result.tables import data, noise, regression, smoothing, system
 from atoll_coordinator.model.thinning import curve, spread_places
@@ -56,7 +57,7 @@ if TYPE_CHECKING:
 KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
 _STOPPED: Final = {
-    "max-time": "the limit of time stopped the search before it converged or stagnated: give more time with --max-time",
+    "max-time": "the time limit stopped the search before it converged or stagnated: give more time with --max-time",
     "max-epochs": "the search ended with its last epoch before it converged or stagnated: allow more with --max-epochs",
     "cancelled": "the search was cancelled before it converged or stagnated: let it run on",
 }
@@ -456,3 +457,42 @@ def _r2(mse: float, target: Target) -> float | None:
 
 def _total(outcome: VariableOutcome) -> int:
     return int(sum(outcome.evaluations.values()))
+
+
+# ------------------------------------------------------------------------------------------------------------ digest
+
+
+def result_digest(outcomes: Sequence[VariableOutcome]) -> str:
+    """Return the hex digest (sha256) of what was found, in the order given: two runs found the same if it is equal.
+
+    It covers what the search found (fronts and runners-up with every bit of constants and errors, epochs, counters) and
+    not how long that took, on how many workers, nor what is made of them afterwards. Of a job without a search it
+    covers the known equations with their errors on the data.
+    """
+    digest = hashlib.sha256()
+    for outcome in outcomes:
+        _update(digest, outcome.variable.encode())
+        _update(digest, struct.pack("<qq", outcome.epoch, -1 if outcome.generation is None else outcome.generation))
+        for part in sorted(outcome.evaluations):
+            _update(digest, part.encode() + struct.pack("<q", outcome.evaluations[part]))
+        _update(digest, struct.pack("<q", len(outcome.front)))
+        for entry in outcome.front:
+            _update(digest, _entry_bytes(entry))
+        if outcome.runners_up:
+            _update(digest, b"runners-up" + struct.pack("<q", len(outcome.runners_up)))
+        for entry in outcome.runners_up:
+            _update(digest, _entry_bytes(entry))
+    return digest.hexdigest()
+
+
+def _entry_bytes(entry: FrontEntry) -> bytes:
+    numbers = struct.pack(
+        "<qddqqq", entry.complexity, entry.error, entry.mse, entry.epoch, entry.generation, entry.island
+    )
+    return numbers + entry.program
+
+
+def _update(digest: "hashlib._Hash", data: bytes) -> None:
+    """Add `data` with its length before it, so that no two lists of parts look alike."""
+    digest.update(struct.pack("<q", len(data)))
+    digest.update(data)

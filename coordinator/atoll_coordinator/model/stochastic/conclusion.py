@@ -41,14 +41,14 @@ from atoll_core.expression.unit_coefficients import (
     write_factors,
 )
 
-_NO_COVARIANCE: Final = "The noises of these states show no correlation that is worth its description."
-_NO_VARIANCE: Final = "This state has no noise of its own: the noise of the states that it follows explains its steps."
-_CERTAIN: Final = "Steps follow this equation but for rounding."
+_NO_COVARIANCE: Final = "The noises of these states are not correlated beyond chance."
+_NO_VARIANCE: Final = "This state has no noise of its own: the noise of other states explains its steps."
+_CERTAIN: Final = "The steps follow this equation up to rounding."
 _NO_NOISE: Final = (
-    "No noise is seen in any state, so that these are no equations of a process: leave out --stochastic to have those "
-    "of the motion itself judged."
+    "No state shows noise, so that these are not the equations of a stochastic process: leave out --stochastic to have "
+    "the equations of motion judged."
 )
-_STOPPED: Final = "the limit of time stopped the choice of the equations: give more time with --max-time"
+_STOPPED: Final = "the time limit stopped the choice of the equations: give more time with --max-time"
 
 
 @dataclass(frozen=True, eq=False)

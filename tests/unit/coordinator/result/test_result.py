@@ -4,10 +4,12 @@ import json
 import subprocess
 import sys
 from importlib.resources import files
+from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
+from atoll_coordinator.result.__main__ import REFERENCE, reference
 from atoll_coordinator.result.result import Result, schema_text
 from tests.unit.library.report.results import dynamics, process, regression
 
@@ -55,6 +57,12 @@ def test_scales_are_the_largest_values_measured() -> None:
 def test_the_schema_in_the_package_is_that_of_the_code() -> None:
     stored = files("atoll_coordinator.result").joinpath("result.schema.json").read_text("utf-8")
     assert stored == schema_text(), "run: python -m atoll_coordinator.result"
+
+
+def test_the_reference_of_the_documents_is_that_of_the_code() -> None:
+    documented = Path(__file__).parents[4] / REFERENCE
+    assert documented.read_text("utf-8") == reference(), "run: python -m atoll_coordinator.result"
+    assert all(line.count("|") != 4 or not line.endswith("|  |") for line in reference().splitlines())
 
 
 def test_results_are_read_without_kernels() -> None:

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.inference import long_run
-from atoll_coordinator.model.inference.checks import Evidence, judge
 from atoll_coordinator.model.inference.long_run import _block_means, _welch, along, look_for_chaos
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.system import system_of
 from atoll_core.expression.text.parsing import from_infix
-from tests.unit.coordinator.model.parts import chaos, prediction
 from tests.unit.coordinator.model.sparse.lorenz import NAMES, prepared
 
 TRUTH = ("10*(y - x)", "28*x - x*z - y", "x*y - 2.6666666666666665*z")
@@ -153,26 +151,6 @@ def several(rows, count):
 def test_a_simulation_that_runs_away_is_not_kept(measured):
     seen = looked(measured, ("0.3*x", "0.3*y", "0.3*z"))
     assert (seen.is_kept, seen.probability) == (False, None)
-
-
-def test_the_verdict_says_in_which_time_errors_grow_and_refuses_what_is_not_kept():
-    residuals = [0.1 * np.random.default_rng(1).normal(size=400)]
-    evidence = Evidence(
-        distinct_rows=60, null_nats=100.0,
-        residuals=residuals, noise=0.1, standard_deviation=1.0, chaos=chaos(1.13, True, 0.4),
-        prediction=prediction(12, 12, 1.0),
-    )  # fmt: skip
-    verdict = judge(evidence)
-    assert verdict.grade == "good"
-    assert "errors grow e-fold in 1.1" in verdict.reason
-    verdict = judge(replace(evidence, chaos=chaos(1.13, False, 1e-5)))
-    assert verdict.grade == "doubtful"
-    assert "eans or variances" in verdict.reason
-    assert "runs away" in judge(replace(evidence, chaos=chaos(1.13, False, None))).reason
-    verdict = judge(replace(evidence, chaos=chaos(1.13, False, None, is_unfinished=True)))
-    assert verdict.grade == "doubtful"
-    assert "more steps than are allowed" in verdict.reason
-    assert "runs away" not in verdict.reason
 
 
 def test_means_are_of_whole_blocks():

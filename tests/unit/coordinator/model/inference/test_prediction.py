@@ -1,4 +1,4 @@
-"""What a model and its rivals foretell from other initial states inside the measured box."""
+"""What a model and its alternatives predict from other initial states within the measured range."""
 
 import math
 from dataclasses import replace
@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.inference.prediction import (
-    Rival,
+    AlternativeSystem as Other,
+)
+from atoll_coordinator.model.inference.prediction import (
     _Elsewhere,
     _Misses,
     _r2,
     draws,
-    foretell,
+    predict,
 )
 from atoll_coordinator.model.shooting.points_between import _far_apart, _latin_hypercube
 from atoll_coordinator.model.shooting.system import system_of
@@ -44,7 +46,7 @@ def truth():
 
 
 def test_a_model_without_rivals_is_relied_upon(lotka, truth):
-    for prediction in foretell(lotka, truth, [], 1e-6):
+    for prediction in predict(lotka, truth, [], 1e-6):
         assert (prediction.starts, prediction.followed, prediction.probability, prediction.is_disputed) == (
             12,
             12,
@@ -55,17 +57,17 @@ def test_a_model_without_rivals_is_relied_upon(lotka, truth):
         assert 0.0 <= prediction.novelty < 0.5
 
 
-def test_a_rival_that_foretells_the_same_does_not_count(lotka, truth):
+def test_a_rival_that_predicts_the_same_does_not_count(lotka, truth):
     near = system(LOTKA, "3.01*x - 2*x*y - x**2", LOTKA_TEXT[1])
-    assert [prediction.probability for prediction in foretell(lotka, truth, [Rival(near, 0, 1.0, 1.0)], 1e-6)] == [
+    assert [prediction.probability for prediction in predict(lotka, truth, [Other(near, 0, 1.0, 1.0)], 1e-6)] == [
         1.0,
         1.0,
     ]
 
 
-def test_a_rival_that_foretells_otherwise_takes_its_share_of_the_odds(lotka, truth):
+def test_a_rival_that_predicts_otherwise_takes_its_share_of_the_odds(lotka, truth):
     other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1])
-    x, y = foretell(lotka, truth, [Rival(other, 0, 0.25, 0.25)], 1e-6)
+    x, y = predict(lotka, truth, [Other(other, 0, 0.25, 0.25)], 1e-6)
     assert x.probability == pytest.approx(0.8)
     assert x.is_disputed
     for name, low, high in (("x", 0.0, 8.0), ("y", 0.0, 3.1)):
@@ -75,23 +77,23 @@ def test_a_rival_that_foretells_otherwise_takes_its_share_of_the_odds(lotka, tru
 
 def test_rivals_of_two_equations_are_independent(lotka, truth):
     one, other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), system(LOTKA, LOTKA_TEXT[0], "-0.5*y")
-    x, _ = foretell(lotka, truth, [Rival(one, 0, 1.0, 1.0), Rival(other, 1, 1.0, 1.0)], 1e-6)
+    x, _ = predict(lotka, truth, [Other(one, 0, 1.0, 1.0), Other(other, 1, 1.0, 1.0)], 1e-6)
     assert x.probability == pytest.approx(0.25)
 
 
 def test_rivals_of_one_equation_exclude_one_another(lotka, truth):
     one, other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), system(LOTKA, "-0.6*x", LOTKA_TEXT[1])
-    x, _ = foretell(lotka, truth, [Rival(one, 0, 1.0, 1.0), Rival(other, 0, 1.0, 1.0)], 1e-6)
+    x, _ = predict(lotka, truth, [Other(one, 0, 1.0, 1.0), Other(other, 0, 1.0, 1.0)], 1e-6)
     assert x.probability == pytest.approx(1.0 / 3.0)
 
 
-def test_a_rival_that_runs_away_foretells_otherwise(lotka, truth):
+def test_a_rival_that_runs_away_predicts_otherwise(lotka, truth):
     other = system(LOTKA, "3*x*x", LOTKA_TEXT[1])
-    assert foretell(lotka, truth, [Rival(other, 0, 1.0, 1.0)], 1e-6)[0].probability == pytest.approx(0.5)
+    assert predict(lotka, truth, [Other(other, 0, 1.0, 1.0)], 1e-6)[0].probability == pytest.approx(0.5)
 
 
 def test_a_model_that_runs_away_is_followed_nowhere(lotka):
-    for prediction in foretell(lotka, system(LOTKA, "30*x*x", "30*y*y"), [], 1e-6):
+    for prediction in predict(lotka, system(LOTKA, "30*x*x", "30*y*y"), [], 1e-6):
         assert (prediction.followed, prediction.unfinished, prediction.probability) == (0, 0, 0.0)
 
 
@@ -100,25 +102,25 @@ def test_what_was_not_measured_is_far():
     one = measurements(LOTKA, [[8.0, 2.0]], TIMES)
     many = measurements(LOTKA, [[x, y] for x in (1.0, 4.0, 8.0) for y in (0.5, 2.0, 3.0)], TIMES)
     truth = system(LOTKA, *LOTKA_TEXT)
-    assert foretell(many, truth, [], 1e-6)[0].novelty < foretell(one, truth, [], 1e-6)[0].novelty
+    assert predict(many, truth, [], 1e-6)[0].novelty < predict(one, truth, [], 1e-6)[0].novelty
 
 
 def test_what_goes_beyond_the_measured_range_is_said():
     """A swing measured for a quarter of its period never has x below zero."""
     quarter = measurements(SWING, [[1.0, 0.0]], 0.02 * np.arange(50.0))
-    x, _ = foretell(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
+    x, _ = predict(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
     assert x.reached is not None
     assert x.reached < 0.0
     whole = measurements(SWING, [[1.0, 0.0], [-1.0, 0.5]], TIMES)
-    assert foretell(whole, system(SWING, "-0.1*x", "-0.1*y"), [], 1e-6)[0].reached is None
+    assert predict(whole, system(SWING, "-0.1*x", "-0.1*y"), [], 1e-6)[0].reached is None
 
 
 @pytest.mark.parametrize(("times", "is_left"), [(0.02 * np.arange(50.0), True), (TIMES, False)])
 def test_beyond_the_measured_range_a_rival_has_the_odds_that_the_data_give_it(times, is_left):
     """A rival that is less plausible, and fits as well, where x goes beyond, or not."""
     rows = measurements(SWING, [[1.0, 0.0]], times)
-    rival = Rival(system(SWING, "y", "-0.5*x - 0.3*y"), 1, 1e-3, 1.0)
-    x, _ = foretell(rows, system(SWING, "y", "-2*x - 0.3*y"), [rival], 1e-6)
+    rival = Other(system(SWING, "y", "-0.5*x - 0.3*y"), 1, 1e-3, 1.0)
+    x, _ = predict(rows, system(SWING, "y", "-2*x - 0.3*y"), [rival], 1e-6)
     assert (x.reached is not None) == is_left
     assert x.probability == pytest.approx(0.5 if is_left else 0.999, abs=1e-3)
     assert x.is_disputed
@@ -128,12 +130,12 @@ def test_a_process_that_leaves_the_measured_range_as_it_was_measured_to_is_follo
     """Growth measured to 20 leads from 10 to 200; nothing says that it should not, nor that it should."""
     grown = measurements(GROWTH, [[1.0]], TIMES_OF_GROWTH)
     truth = system(GROWTH, "0.3*x")
-    (prediction,) = foretell(grown, truth, [], 1e-6)
+    (prediction,) = predict(grown, truth, [], 1e-6)
     assert (prediction.starts, prediction.followed) == (12, 12)
     rival = system(GROWTH, "0.3*x + 0.0001*x*x")
-    assert foretell(grown, truth, [Rival(rival, 0, 1.0, 1.0)], 1e-6)[0].probability == 1.0
+    assert predict(grown, truth, [Other(rival, 0, 1.0, 1.0)], 1e-6)[0].probability == 1.0
     other = system(GROWTH, "0.1*x*x")
-    assert foretell(grown, truth, [Rival(other, 0, 1.0, 1.0)], 1e-6)[0].probability == 0.5
+    assert predict(grown, truth, [Other(other, 0, 1.0, 1.0)], 1e-6)[0].probability == 0.5
 
 
 @pytest.mark.parametrize(
@@ -145,7 +147,7 @@ def test_a_process_that_leaves_on_another_side_runs_away(known, model):
     """Growth and decay end at one end of the range; of both together the one begins where the other ends."""
     systems = {"growth": (GROWTH, [[1.0]]), "decay": (DECAY, [[2.0]]), "both": (SETTLING, [[-1.0], [1.0]])}
     known_system, starts = systems[known]
-    prediction = foretell(measurements(known_system, starts, TIMES_OF_GROWTH), system(known_system, model), [], 1e-6)[0]
+    prediction = predict(measurements(known_system, starts, TIMES_OF_GROWTH), system(known_system, model), [], 1e-6)[0]
     assert prediction.followed < prediction.starts
 
 
@@ -153,7 +155,7 @@ def test_a_measured_row_of_a_fast_oscillator_is_allowed_its_steps():
     """Five hundred rows, ten to a period: the hundred that are looked at would have a fifth of the steps."""
     fast = measurements(WAVE, [[1.0, 0.0]], 0.1 * np.arange(500.0))
     truth = system(WAVE, "6.283*y", "-6.283*x")
-    assert [(prediction.followed, prediction.unfinished) for prediction in foretell(fast, truth, [], 1e-10)] == [
+    assert [(prediction.followed, prediction.unfinished) for prediction in predict(fast, truth, [], 1e-10)] == [
         (12, 0),
         (12, 0),
     ]
@@ -161,16 +163,16 @@ def test_a_measured_row_of_a_fast_oscillator_is_allowed_its_steps():
 
 def test_running_out_of_steps_is_said_to_be_that(lotka, truth):
     fast = system(LOTKA, "6000*(y - 2)", "-6000*(x - 2)")
-    for prediction in foretell(lotka, fast, [], 1e-6):
+    for prediction in predict(lotka, fast, [], 1e-6):
         assert (prediction.starts, prediction.followed, prediction.unfinished) == (12, 0, 12)
-    x, _ = foretell(lotka, truth, [Rival(fast, 0, 1.0, 1.0)], 1e-6)
+    x, _ = predict(lotka, truth, [Other(fast, 0, 1.0, 1.0)], 1e-6)
     assert (x.probability, x.is_disputed) == (1.0, False)
 
 
-def test_what_a_rival_foretells_where_it_has_enough_steps_counts(lotka, truth):
+def test_what_a_rival_predicts_where_it_has_enough_steps_counts(lotka, truth):
     """It turns the faster the farther away it begins, at the rate that it keeps."""
     partly = system(LOTKA, "500*(x**2 + y**2 - 1)**3*(y - 2)", LOTKA_TEXT[1])
-    x, _ = foretell(lotka, truth, [Rival(partly, 0, 1.0, 1.0)], 1e-6)
+    x, _ = predict(lotka, truth, [Other(partly, 0, 1.0, 1.0)], 1e-6)
     assert (x.probability, x.is_disputed) == (0.5, True)
 
 
@@ -206,7 +208,7 @@ def test_ten_right_pendulums_are_relied_upon():
     right = system(
         pendulums, *names[count:], *(f"-{c!r}*sin({a})" for a, c in zip(angles, squares.tolist(), strict=True))
     )
-    for prediction in foretell(rows, right, [], 1e-6):
+    for prediction in predict(rows, right, [], 1e-6):
         assert (prediction.starts, prediction.followed, prediction.probability) == (12, 12, 1.0)
 
 
@@ -240,13 +242,13 @@ def test_with_inputs_other_initial_states_take_those_of_a_measured_trajectory():
     """A rival with another answer to the input is found, and a model that runs away with it as well."""
     driven = measurements(DRIVEN, [[1.0]], TIMES)
     law, other = (system_of([DRIVEN.parsed(text)], DRIVEN.names, DRIVEN.names) for text in ("-0.8*x + 1.5*u", "-0.8*x"))
-    (prediction,) = foretell(driven, law, [Rival(other, 0, 1.0, 1.0)], 1e-6)
+    (prediction,) = predict(driven, law, [Other(other, 0, 1.0, 1.0)], 1e-6)
     assert prediction.followed == prediction.starts
     assert prediction.probability < 0.6
-    (alone,) = foretell(driven, law, [], 1e-6)
+    (alone,) = predict(driven, law, [], 1e-6)
     assert alone.probability == 1.0
     runaway = system_of([DRIVEN.parsed("9*x + 1.5*u")], DRIVEN.names, DRIVEN.names)
-    assert foretell(driven, runaway, [], 1e-6)[0].followed < 12
+    assert predict(driven, runaway, [], 1e-6)[0].followed < 12
 
 
 def test_with_groups_other_initial_states_take_the_constants_of_a_group_in_turn():
@@ -254,9 +256,9 @@ def test_with_groups_other_initial_states_take_the_constants_of_a_group_in_turn(
     grouped = replace(measurements(DECAY, [[2.0], [2.0]], TIMES), groups=np.array([0, 1]))
     whole = system(DECAY, "-0.5*x")
     sharing = whole.sharing_numbers(np.array([whole.constants, whole.constants]), (), 0)
-    assert foretell(grouped, sharing, [], 1e-6)[0].followed == 12
+    assert predict(grouped, sharing, [], 1e-6)[0].followed == 12
     growing = sharing.with_values(np.array([-0.5, 5.0]))
-    assert foretell(grouped, growing, [], 1e-6)[0].followed == 6
+    assert predict(grouped, growing, [], 1e-6)[0].followed == 6
 
 
 def test_with_groups_an_initial_state_lies_between_states_of_its_group():
@@ -301,7 +303,7 @@ def test_constants_are_drawn_until_the_claim_is_decided(lotka, truth, wrong, tak
     """Of 38 that all agree a share of 0.95 is likely; where one in twenty differs no number would decide."""
     other, asked = system(LOTKA, "-0.5*x", LOTKA_TEXT[1]), []
     drawn = (asked.append(place) or (other if place in wrong else truth) for place in range(1000))
-    x, _ = foretell(lotka, truth, [], 1e-6, drawn)
+    x, _ = predict(lotka, truth, [], 1e-6, drawn)
     assert (len(asked), x.probability) == (taken, pytest.approx(probability))
 
 
@@ -320,7 +322,7 @@ def test_without_a_dispute_the_next_measurement_is_where_courses_are_farthest_fr
     elsewhere = _Elsewhere(one, 1e-6, is_near=False)
     distances = elsewhere.distances(elsewhere.courses(truth, range(12)))
     assert min(distance.min() for distance in distances) >= 0.0
-    x, _ = foretell(one, truth, [], 1e-6)
+    x, _ = predict(one, truth, [], 1e-6)
     assert not x.is_disputed
     assert x.novelty == pytest.approx(np.median(np.concatenate(distances)))
     assert x.measure_from == elsewhere.named(int(np.argmax([distance.max() for distance in distances])))
@@ -346,7 +348,7 @@ def test_near_measured_states_means_a_thousandth_of_their_deviation_away(lotka):
 
 def test_of_what_lies_beyond_the_range_the_farther_end_is_said():
     quarter = measurements(SWING, [[-1.0, 0.0]], 0.02 * np.arange(50.0))
-    x, _ = foretell(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
+    x, _ = predict(quarter, system(SWING, "y", "-2*x - 0.3*y"), [], 1e-6)
     assert x.reached is not None
     assert x.reached > 0.0
     elsewhere = _Elsewhere(quarter, 1e-6, is_near=False)
@@ -357,7 +359,7 @@ def test_of_what_lies_beyond_the_range_the_farther_end_is_said():
     assert elsewhere.reached([np.array([[low - 0.09 * (high - low), high + 0.09 * (high - low)]])], 0) is None
 
 
-def test_chaos_ends_what_can_be_foretold(truth):
+def test_chaos_ends_what_can_be_predicted(truth):
     rows = measurements(LOTKA, STARTS, TIMES)
     elsewhere = _Elsewhere(rows, 1e-6, is_near=False)
     courses = elsewhere.courses(truth, range(12))
@@ -369,7 +371,7 @@ def test_chaos_ends_what_can_be_foretold(truth):
 
 
 @pytest.mark.parametrize(("height", "rows"), [(0.2, COUNT), (0.3, COUNT // 2), (0.4, COUNT // 4)])
-def test_what_can_be_foretold_ends_where_a_tenth_of_the_variance_is_lost(monkeypatch, lotka, truth, height, rows):
+def test_what_can_be_predicted_ends_where_a_tenth_of_the_variance_is_lost(monkeypatch, lotka, truth, height, rows):
     """A step of one of the states after a quarter of a wave that goes back and forth between -1 and 1."""
     elsewhere = _Elsewhere(lotka, 1e-6, is_near=False)
     wave = np.tile(np.sin(np.arange(float(COUNT))), (2, 1))
@@ -378,11 +380,11 @@ def test_what_can_be_foretold_ends_where_a_tenth_of_the_variance_is_lost(monkeyp
     assert elsewhere.horizon(truth, [wave] * 12) == rows
 
 
-def test_what_a_rival_foretells_after_chaos_has_set_in_does_not_count(monkeypatch, lotka, truth):
-    slower = Rival(system(LOTKA, "2*x - 2*x*y - x**2", LOTKA_TEXT[1]), 0, 1.0, 1.0)
-    assert foretell(lotka, truth, [slower], 1e-6)[0].probability == 0.5
+def test_what_a_rival_predicts_after_chaos_has_set_in_does_not_count(monkeypatch, lotka, truth):
+    slower = Other(system(LOTKA, "2*x - 2*x*y - x**2", LOTKA_TEXT[1]), 0, 1.0, 1.0)
+    assert predict(lotka, truth, [slower], 1e-6)[0].probability == 0.5
     monkeypatch.setattr(_Elsewhere, "horizon", lambda *_: 10)
-    assert foretell(lotka, truth, [slower], 1e-6)[0].probability == 1.0
+    assert predict(lotka, truth, [slower], 1e-6)[0].probability == 1.0
 
 
 def test_chaos_is_looked_for_a_thousandth_of_the_deviation_away_in_any_unit(monkeypatch, truth):
@@ -398,13 +400,13 @@ def test_chaos_is_looked_for_a_thousandth_of_the_deviation_away_in_any_unit(monk
 
 
 def test_a_rival_is_disputed_where_it_weighs_most(lotka, truth):
-    """Of equal odds the one that foretells the farther course; of the start, that where it is the farthest."""
+    """Of equal odds the one that predicts the farther course; of the start, that where it is the farthest."""
     elsewhere = _Elsewhere(lotka, 1e-6, is_near=False)
     other = system(LOTKA, "-0.5*x", LOTKA_TEXT[1])
     own, theirs = (elsewhere.courses(courses_system, range(12)) for courses_system in (truth, other))
     sizes = [np.abs(one[0] - two[0]).max() for one, two in zip(own, theirs, strict=True)]
     for odds in (0.25, 1.0):
-        x, _ = foretell(lotka, truth, [Rival(other, 0, odds, odds)], 1e-6)
+        x, _ = predict(lotka, truth, [Other(other, 0, odds, odds)], 1e-6)
         assert x.measure_from == elsewhere.named(int(np.argmax(sizes)))
 
 
@@ -415,9 +417,9 @@ def test_r2_is_of_all_courses_together(unit):
     assert _r2(courses, true) == pytest.approx([0.8, 1.0])
 
 
-def test_a_state_that_does_not_change_is_foretold():
+def test_a_state_that_does_not_change_is_predicted():
     still = Known(("x", "y"), lambda _, z: [-0.5 * z[0], 0.0])
-    _, y = foretell(measurements(still, [[2.0, 1.0]], TIMES), system(still, "-0.5*x", "0*y"), [], 1e-6)
+    _, y = predict(measurements(still, [[2.0, 1.0]], TIMES), system(still, "-0.5*x", "0*y"), [], 1e-6)
     assert (y.followed, y.probability, y.reached) == (12, 1.0, None)
     assert 0.0 < y.novelty < 0.1
 
@@ -438,7 +440,7 @@ RAMP = np.array([[0.0, 0.1, 0.2, 0.3]])
         (["out of steps", "out of steps"], 1.0, None),
     ],
 )
-def test_a_rival_that_runs_away_from_one_state_alone_foretells_otherwise_there(courses, agreement, place):
+def test_a_rival_that_runs_away_from_one_state_alone_predicts_otherwise_there(courses, agreement, place):
     misses = _Misses([RAMP, RAMP], 1)
     misses.add(0, 1.0, courses)
     assert (misses.agreement(0), misses.unlike(0)) == (agreement, place)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.model.inference import standard_errors
+from atoll_coordinator.model.inference.residual_covariance import widening
 from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import (
     bands,
@@ -14,7 +15,6 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     scaled_covariance,
     simulate_trajectories,
 )
-from atoll_coordinator.model.inference.unknown_correlation import widening
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_core.expression.program import constant_places

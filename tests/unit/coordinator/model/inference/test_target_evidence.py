@@ -60,7 +60,7 @@ def test_a_wave_in_the_last_digit_does_not_make_an_equation_exact():
     assert judged_as_exact(2.4, 1e-14).grade == "exact"
     wave = judged_as_exact(2.400000078645654, 1e-14)
     assert wave.grade == "good"
-    assert "may follow errors of rounding" in wave.reason
+    assert "rounding errors" in wave.reason
 
 
 @pytest.mark.parametrize(("text", "grade"), [("2.0*a", "doubtful"), ("a + a", "good")])
@@ -70,4 +70,4 @@ def test_constants_that_were_not_fitted_again_are_not_known(text, grade):
     shown = Refined(0, parsed(text), float(np.abs(errors).mean()), float(np.mean(errors**2)), ())
     verdict = judge(target_evidence(shown, PROBLEM, None))
     assert verdict.grade == grade
-    assert ("its constant is determined is not known" in verdict.reason) == (grade == "doubtful")
+    assert ("its constant" in verdict.reason) == (grade == "doubtful")

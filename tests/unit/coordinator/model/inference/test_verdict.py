@@ -11,42 +11,68 @@ from atoll_coordinator.model.inference.checks import RULES, Evidence, judge, mak
 from atoll_coordinator.model.inference.residuals import residual_statistics
 from atoll_coordinator.model.refinement import JobKind
 from atoll_coordinator.result.equations import Check
-from atoll_core.data.dataset import FloatArray
-from tests.unit.coordinator.model.parts import chaos, constant, prediction
-
-KNOWN = (constant(3.0, 2.98, 0.02, (2.94, 3.02)), constant(1.0, 1.01, 0.02, (0.97, 1.05)))
-SURE = prediction(12, 12, 0.99, measure_from={"x": 1.0, "y": 2.0})
-
-
-def noise(sd: float, seed: int = 0, rows: int = 100) -> tuple[FloatArray, ...]:
-    draw = np.random.default_rng(seed)
-    return tuple(draw.normal(0.0, sd, rows) for _ in range(4))
-
-
-def waves(sd: float) -> tuple[FloatArray, ...]:
-    return tuple(sd * np.sqrt(2.0) * np.sin(np.linspace(0.0, 12.0, 100) + start) for start in range(4))
-
-
-NOISY = Evidence(
-    error=0.3, target_uncertainty=0.2, target_r2=0.9, residuals=noise(0.1), parameters=3.0, noise=0.1,
-    standard_deviation=2.0, constants=KNOWN, alternative=9.0, prediction=SURE, null_nats=500.0, piece=500,
-    distinct_rows=400,
+from tests.unit.coordinator.model.inference.cases import (
+    CLEAN,
+    CRUMB,
+    EXACT_TARGET,
+    FAILED,
+    NOISY,
+    NOT_MADE,
+    OF_TARGETS,
+    SENTENCES,
+    SHARP,
+    SURE,
+    TARGET,
+    UNSIMULATED,
+    noise,
+    sentences,
+    waves,
 )  # fmt: skip
-SHARP = (constant(3.0, 3.0, 2e-9, (3.0, 3.0)), constant(1.0, 1.0, 2e-9, (1.0, 1.0)))
-CLEAN = Evidence(
-    error=1e-12, target_uncertainty=1e-9, target_r2=1.0, residuals=waves(1e-9), parameters=3.0, noise=0.0,
-    standard_deviation=2.0, constants=SHARP, prediction=SURE, null_nats=500.0, piece=500,
-    distinct_rows=400,
-)  # fmt: skip
-TARGET = Evidence(
-    kind="target", error=0.05, target_r2=0.99, predicted_r2=0.99, residuals=noise(0.1), parameters=3.0, noise=0.1,
-    standard_deviation=2.0, constants=KNOWN, null_nats=500.0, distinct_rows=400,
-)  # fmt: skip
-EXACT_TARGET = replace(TARGET, error=3e-14, residuals=noise(1e-14), noise=0.0, constants=SHARP)
+from tests.unit.coordinator.model.parts import chaos, constant
 
 
 def outcomes(evidence: Evidence) -> dict[str, str]:
     return {check.name: check.outcome for check in judge(evidence).checks}
+
+
+def test_sentences_are_those_in_the_file() -> None:
+    """Their words are pinned here and in no other test."""
+    written = SENTENCES.read_text("utf-8")
+    assert sentences() == written, "run: python -m tests.unit.coordinator.model.inference.cases"
+
+
+def cases(by_name: dict[str, tuple[dict[str, object], ...]]) -> list[tuple[str, dict[str, object]]]:
+    return [(name, change) for name, changes in by_name.items() for change in changes]
+
+
+@pytest.mark.parametrize(("name", "change"), cases(FAILED))
+def test_a_check_that_fails_makes_an_equation_doubtful(name: str, change: dict[str, object]) -> None:
+    verdict = judge(replace(NOISY, **change))
+    assert verdict.grade == ("no model" if name == "explained variance" else "doubtful")
+    assert outcomes(replace(NOISY, **change))[name] == "failed"
+
+
+@pytest.mark.parametrize(("name", "change"), cases(NOT_MADE))
+@pytest.mark.parametrize("evidence", [NOISY, CLEAN, replace(NOISY, kind="groups")], ids=["noisy", "clean", "groups"])
+def test_a_check_that_was_not_made_has_not_passed(evidence: Evidence, name: str, change: dict[str, object]) -> None:
+    changed = replace(evidence, **change)
+    assert judge(changed).grade == "doubtful"
+    assert outcomes(changed)[name] == "not made"
+
+
+@pytest.mark.parametrize(("grade", "change"), cases(OF_TARGETS))
+def test_a_target_goes_through_the_same_table(grade: str, change: dict[str, object]) -> None:
+    assert judge(replace(TARGET, **change)).grade == grade
+
+
+def test_a_good_equation_may_be_chaotic_or_lead_outside_of_the_measured_range() -> None:
+    assert judge(replace(NOISY, chaos=chaos(2.0, True, 0.3), fits_whole=None)).grade == "good"
+    beyond = judge(replace(NOISY, prediction=SURE.replaced(reached=3.51)))
+    assert (beyond.grade, "3.51" in beyond.reason) == ("good", True)
+
+
+def test_r2_is_never_rounded_up() -> None:
+    assert "0.9999" in judge(replace(NOISY, held_out_r2=0.99996)).reason
 
 
 def test_every_check_applies_to_some_kind_of_job_and_every_kind_has_checks() -> None:
@@ -75,14 +101,14 @@ def test_of_checks_that_apply_all_have_a_reason_and_passed(evidence: Evidence) -
 
 def test_every_check_of_what_was_not_simulated_is_named() -> None:
     """None is left out in silence, and the sentence says once what is missing."""
-    bare = replace(NOISY, residuals=(), null_nats=None, is_unsimulated=True, distinct_rows=None, alternative=None)
+    bare = replace(NOISY, **UNSIMULATED)
     verdict = judge(bare)
     made = {check.name: check.outcome for check in verdict.checks}
     assert set(made) == {rule.name for rule in RULES if "trajectories" in rule.kinds and not rule.is_exactness}
     assert made["simulation"] == "failed"
     others = ("residual size", "residual pattern", "poles", "no equation", "distinct rows", "alternative equations")
     assert {made[name] for name in (*others, "long run")} == {"not made"}
-    assert verdict.reason == "It was not simulated along the trajectories, and fits the derivatives alone."
+    assert verdict.reason.count("not simulated") == 1
 
 
 def test_residuals_of_integration_have_a_pattern_whatever_the_noise_is_taken_for() -> None:
@@ -92,101 +118,10 @@ def test_residuals_of_integration_have_a_pattern_whatever_the_noise_is_taken_for
     assert outcomes(replace(NOISY, residuals=waves(0.05)))["residual pattern"] == "failed"
 
 
-def test_a_small_misfit_without_noise_says_what_it_may_hide() -> None:
-    verdict = judge(replace(CLEAN, residuals=waves(1e-3)))
-    assert verdict.grade == "good"
-    assert "would be taken for errors of integration" in verdict.reason
-
-
-def test_the_long_run_of_a_driven_model_whose_errors_grow_was_not_tested() -> None:
-    """Its own growth of errors is no excuse: a wrong model may have it, too."""
-    driven = judge(replace(NOISY, fits_whole=None, predictable_rows=244))
-    assert driven.grade == "doubtful"
-    assert "no more than 244 rows can be predicted" in driven.reason
-    assert outcomes(replace(NOISY, fits_whole=False, predictable_rows=244))["whole trajectories"] == "failed"
-
-
-def test_a_target_without_a_value_on_a_row_says_so() -> None:
-    verdict = judge(replace(TARGET, residuals=(), null_nats=None, distinct_rows=None, predicted_r2=None))
-    assert verdict.grade == "doubtful"
-    assert "no finite value on some rows" in verdict.reason
-    assert "trajectories" not in verdict.reason
-
-
-def test_residuals_like_the_noise_are_good() -> None:
-    verdict = judge(replace(NOISY, held_out_r2=0.995))
-    assert verdict.grade == "good"
-    assert verdict.reason == (
-        "The residuals (5 % of the standard deviation) agree with the noise (5 %) and show no pattern; held-out "
-        "trajectories: R2 0.995."
-    )
-
-
 def test_a_simulation_without_noise_and_without_error_is_exact() -> None:
     verdict = judge(CLEAN)
     assert verdict.grade == "exact"
-    assert verdict.reason == "Without noise, the residuals are 5e-10 of the standard deviation."
     assert {"precision", "other laws", "precision of constants"} <= set(outcomes(CLEAN))
-    said = judge(replace(CLEAN, solver="solve_ivp, RK45, rtol=0.001, atol=1e-06")).reason
-    assert said.startswith("Without noise: solve_ivp, RK45, rtol=0.001, atol=1e-06, gives these rows")
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"alternative": 1.24}, "(Δ description length 1.2)"),
-        ({"alternative": -1.24}, "(Δ description length -1.2)"),
-        ({"residuals": waves(0.1)}, "of the residual variance follows a pattern"),
-        ({"residuals": noise(0.17)}, "are 1.7 times the noise"),
-        ({"held_out_r2": 0.3}, "held-out trajectories are simulated with R2 0.3 only"),
-        ({"held_out_r2": 0.3, "is_cross_validated": True}, "left out one at a time are simulated with R2 0.3 only"),
-        ({"constants": (KNOWN[0], KNOWN[1].replaced(identifiable=False))}, "1 of 2 constants are not determined"),
-        ({"constants": (KNOWN[1].replaced(identifiable=False),)}, "Its constant is not determined"),
-        ({"constants": (KNOWN[1].replaced(value=0.5, at_bound=True),)}, "have the constant 0.5 beyond its bound"),
-        ({"residuals": waves(0.1), "noise": 0.0}, "there is no noise, but the residuals are 5 %"),
-        ({"fits_whole": False}, "it describes pieces of 500 rows and not whole trajectories"),
-        ({"passes_pole": True}, "its simulation passes a pole"),
-        ({"distinct_rows": 4}, "the rows repeat 4 measurements"),
-        ({"null_nats": 4.5}, "about as well without an equation"),
-        ({"parameters": 400.0, "residuals": noise(0.01)}, "400 numbers were fitted to 400 rows"),
-        ({"prediction": SURE.replaced(probability=0.7)}, "70 % of the odds agree): measure from x = 1, y = 2"),
-        ({"prediction": SURE.replaced(followed=10)}, "From 2 of 12 other initial states within the measured range it"),
-        ({"chaos": chaos(2.0, False, 0.001)}, "means or variances of a long simulation are not those measured"),
-        ({"chaos": chaos(2.0, False, None)}, "a long simulation runs away"),
-    ],
-)
-def test_a_check_that_fails_makes_an_equation_doubtful(change: dict[str, object], said: str) -> None:
-    verdict = judge(replace(NOISY, **change))
-    assert verdict.grade == "doubtful"
-    assert said.lower() in verdict.reason.lower()
-    assert "failed" in outcomes(replace(NOISY, **change)).values()
-
-
-@pytest.mark.parametrize(
-    ("change", "name", "said"),
-    [
-        ({"stopped": "the choice of the equations"}, "time", "limit of time stopped the choice of the equations"),
-        ({"prediction": None, "unpredicted": "for a reason"}, "other initial states", "not tested: for a reason"),
-        ({"fits_whole": None}, "whole trajectories", "only pieces of 500 rows were simulated"),
-        ({"prediction": SURE.replaced(followed=9, unfinished=3)}, "other initial states", "takes more steps"),
-        ({"chaos": chaos(2.0, False, None, is_unfinished=True)}, "long run", "a long simulation takes more steps"),
-        (
-            {"unknown_inputs": {"u": 0.3, "w 1": 0.2, "v": 0.01}, "held_inputs": ("h",)},
-            "inputs between rows",
-            "not known of 'u' and 'w 1' between rows makes 30 % of the variance of a rate: add --hold 'h,u,w 1'",
-        ),
-        ({"unfitted": 6}, "constants", "how well its 6 constants are determined is not known"),
-        ({"unknown_inputs": {"u": math.nan}}, "inputs between rows", "too few rows to know 'u' between them"),
-    ],
-)
-@pytest.mark.parametrize("evidence", [NOISY, CLEAN, replace(NOISY, kind="groups")], ids=["noisy", "clean", "groups"])
-def test_a_check_that_was_not_made_has_not_passed(
-    evidence: Evidence, change: dict[str, object], name: str, said: str
-) -> None:
-    changed = replace(evidence, **change)
-    assert judge(changed).grade == "doubtful"
-    assert said.lower() in judge(changed).reason.lower()
-    assert outcomes(changed)[name] == "not made"
 
 
 def test_a_test_that_would_have_seen_nothing_has_not_passed() -> None:
@@ -197,7 +132,6 @@ def test_a_test_that_would_have_seen_nothing_has_not_passed() -> None:
     assert size.power is not None
     assert size.power > 0.1
     assert judge(blind).grade == "doubtful"
-    assert "The check of residual size cannot detect errors of the model below" in judge(blind).reason
     same_noise = replace(NOISY, residuals=noise(0.6), noise=0.6)
     assert judge(same_noise).grade == "good"
 
@@ -229,10 +163,9 @@ def test_few_interpolated_rows_do_not_exclude_noise() -> None:
 
 @pytest.mark.parametrize("part", ["constants", "unit_coefficients"])
 def test_a_term_that_may_follow_errors_of_a_solver_is_not_exact(part: str) -> None:
-    crumb = constant(4.6e-07, 4.6e-07, 4.6e-08, (3.6e-07, 5.6e-07))
-    verdict = judge(replace(CLEAN, **{part: (*SHARP, crumb)}))
+    verdict = judge(replace(CLEAN, **{part: (*SHARP, CRUMB)}))
     assert verdict.grade == "good"
-    assert "the constant 4.6e-07 is known to 10 % only" in verdict.reason
+    assert "4.6e-07" in verdict.reason
 
 
 def test_an_equation_that_others_agree_with_on_the_curve_alone_is_not_exact() -> None:
@@ -240,19 +173,9 @@ def test_an_equation_that_others_agree_with_on_the_curve_alone_is_not_exact() ->
     assert judge(replace(CLEAN, rivals=0.0049)).grade == "exact"
     unsure = judge(replace(CLEAN, rivals=0.0052, rivals_agree=True))
     assert unsure.grade == "good"
-    assert unsure.reason.endswith("differ elsewhere (0.52 % of the odds): measure from x = 1, y = 2 to decide.")
+    assert "measure from x = 1, y = 2" in unsure.reason
     doubted = judge(replace(CLEAN, rivals=1.0, rivals_agree=True, alternative=0.0))
     assert doubted.grade == "doubtful"
-    assert doubted.reason == (
-        "Another equation describes the data about as well (Δ description length 0): "
-        "measure from x = 1, y = 2 to decide."
-    )
-
-
-def test_what_is_good_may_lead_where_nothing_was_measured() -> None:
-    verdict = judge(replace(NOISY, prediction=SURE.replaced(reached=3.51)))
-    assert verdict.grade == "good"
-    assert "leads to 3.51, which was never measured: measure from x = 1, y = 2 to know" in verdict.reason
 
 
 def test_a_factor_of_one_that_another_can_stand_for_is_no_doubt() -> None:
@@ -267,50 +190,12 @@ def test_two_doubts_are_enough() -> None:
     assert "another equation" not in reason
 
 
-@pytest.mark.parametrize("residuals", [noise(1.9), (np.array([0.1, np.nan, 0.1]),)])
-def test_a_simulation_that_explains_little_or_does_not_end_is_no_model(residuals: tuple[FloatArray, ...]) -> None:
-    verdict = judge(replace(NOISY, residuals=residuals))
-    assert verdict.grade == "no model"
-    assert "explains too little" in verdict.reason
-
-
-@pytest.mark.parametrize(
-    ("change", "grade", "said"),
-    [
-        ({}, "good", "rows left out one at a time are predicted with R2 0.99"),
-        ({"target_uncertainty": 0.04}, "doubtful", "uncertain by 4 %"),
-        ({"predicted_r2": 0.8}, "doubtful", "predicted with R2 0.8 only"),
-        ({"predicted_r2": None}, "doubtful", "none can be left out"),
-        ({"residuals": waves(0.1)}, "doubtful", "follows a pattern"),
-        ({"null_nats": -3.0}, "doubtful", "about as well without an equation"),
-        ({"distinct_rows": 3}, "doubtful", "the rows repeat 3 measurements"),
-        ({"parameters": 400.0}, "doubtful", "leaves none to test them by"),
-        ({"stopped": "the choice of the equation"}, "doubtful", "give more time"),
-        ({"target_r2": 0.02}, "no model", "nothing was found that is much better than a constant"),
-        ({"target_r2": 0.02, "is_known": True}, "no model", "it is not much better than a constant"),
-        ({"error": math.inf, "target_r2": None}, "no model", "not finite"),
-    ],
-)
-def test_a_target_goes_through_the_same_table(change: dict[str, object], grade: str, said: str) -> None:
-    verdict = judge(replace(TARGET, **change))
-    assert verdict.grade == grade
-    assert said.lower() in verdict.reason.lower()
-    assert not verdict.reason[0].islower()
-    assert verdict.reason.endswith(".")
-
-
 def test_an_exact_target_stands_out_from_chance_by_odds_of_200() -> None:
     assert judge(EXACT_TARGET).grade == "exact"
     assert "level of rounding" in judge(EXACT_TARGET).reason
     assert judge(replace(EXACT_TARGET, null_nats=5.0)).grade == "good"
     assert judge(replace(EXACT_TARGET, null_nats=2.0)).grade == "doubtful"
     assert judge(replace(EXACT_TARGET, target_uncertainty=1e-3)).grade == "good"
-
-
-def test_a_model_that_was_not_simulated_along_its_trajectories_is_doubtful() -> None:
-    verdict = judge(Evidence(error=3e-14, target_r2=1.0, is_unsimulated=True))
-    assert verdict.grade == "doubtful"
-    assert "not simulated along the trajectories" in verdict.reason
 
 
 QUIET = replace(CLEAN, noise=1.5e-5, residuals=noise(2e-5))
@@ -331,7 +216,7 @@ def test_a_constant_is_known_to_a_share_of_its_estimate() -> None:
     below = constant(-3.0, -3.0, 0.3, (-3.0, -3.0))
     assert "the constant -3 is known to 10 % only" in judge(replace(CLEAN, constants=(below,))).reason
     crumb = constant(-1e-12, -1e-12, 1e-9, (-2e-9, 2e-9))
-    assert "the constant -1e-12 cannot be told from 0" in judge(replace(CLEAN, constants=(crumb,))).reason
+    assert "the constant -1e-12" in judge(replace(CLEAN, constants=(crumb,))).reason
     assert judge(replace(CLEAN, constants=())).grade == "exact"
     assert judge(replace(CLEAN, constants=(constant(0.5, 0.5),))).grade == "exact"
 
@@ -345,27 +230,8 @@ def test_noise_takes_its_part_of_what_held_out_trajectories_can_be_predicted() -
 def test_errors_that_add_up_along_trajectories_may_be_larger_but_not_large() -> None:
     verdict = judge(replace(CLEAN, are_errors_summed=True, residuals=waves(0.02)))
     assert verdict.grade == "good"
-    assert "since errors add up along trajectories" in verdict.reason
     assert judge(replace(CLEAN, residuals=waves(0.02))).grade == "doubtful"
     assert judge(replace(CLEAN, are_errors_summed=True, residuals=waves(0.8))).grade == "doubtful"
-
-
-def test_a_chaotic_model_that_keeps_means_and_variances_is_good() -> None:
-    verdict = judge(replace(NOISY, chaos=chaos(2.0, True, 0.3), fits_whole=None))
-    assert verdict.grade == "good"
-    assert "chaotic: errors grow e-fold in 2" in verdict.reason
-
-
-def test_what_is_followed_nowhere_is_not_blamed_on_alternatives() -> None:
-    reason = judge(replace(NOISY, prediction=prediction(12, 0, 0.0))).reason
-    assert reason == "From 12 of 12 other initial states within the measured range it runs away."
-
-
-@pytest.mark.parametrize(
-    ("r2", "text"), [(0.99996, "R2 0.9999."), (0.98765, "R2 0.9876."), (-math.inf, "R2 -inf only")]
-)
-def test_what_is_not_quite_explained_is_never_rounded_up(r2: float, text: str) -> None:
-    assert text in judge(replace(NOISY, held_out_r2=r2)).reason
 
 
 def test_a_wild_measurement_decides_unless_there_are_outliers() -> None:
@@ -400,6 +266,5 @@ def test_noise_that_is_known_from_the_residuals_alone_is_said_to_be() -> None:
     rough = replace(NOISY, residuals=noise(0.1), noise=0.1, is_noise_residual=True)
     check = next(check for check in judge(rough).checks if check.name == "residual size")
     assert (check.outcome, check.power) == ("passed", rough.largest_departure)
-    assert "as rough as noise" in check.reason
     large = replace(rough, residuals=noise(1.0), noise=1.0)
     assert outcomes(large)["residual size"] == "not made"  # a quarter of the variance is no small departure

@@ -12,8 +12,7 @@ import pytest
 from atoll.text.render import parse_picks
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.model.refinement import Refined, Refinement
-from atoll_coordinator.model.result.digest import result_digest
-from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, result_digest
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.findings import Correlation, Place
 from atoll_coordinator.result.listed_trajectories import Simulated, Simulation
@@ -236,7 +235,7 @@ def test_text_shows_rounded_equations_and_the_front_on_request():
 def test_text_of_clean_data_says_the_verdict_and_is_short():
     first = render_text(result()).split("dv/dt")[0].splitlines()
     assert len(first) == 4
-    assert first[1].strip().startswith("doubtful: How well its 2 constants are determined")
+    assert first[1].strip().startswith("doubtful: The errors of its 2 constants")
     assert first[2].strip().startswith("checks: ")
     assert " passed" in first[2]
     assert "doubtful" not in render_text(result(state="running"))

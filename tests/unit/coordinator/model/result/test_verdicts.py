@@ -48,7 +48,7 @@ def test_a_verdict_is_given_when_the_job_has_ended() -> None:
     assert (equation.verdict, equation.reason, equation.checks) == ("good", "Because.", ())
 
 
-@pytest.mark.parametrize(("why", "said"), [("max-time", "limit of time"), ("cancelled", "was cancelled")])
+@pytest.mark.parametrize(("why", "said"), [("max-time", "time limit"), ("cancelled", "was cancelled")])
 def test_a_search_that_was_stopped_leaves_no_good_equation(why: str, said: str) -> None:
     judged = Refined(0, from_infix("x", ("x",)), 1e-3, 1e-6, grade="good", reason="Because.")
     verdict = verdict_on(judged, why=why, has_trajectories=True)

@@ -86,7 +86,7 @@ def test_exact_tables_have_equations_of_which_none_is_said_to_be_the_law_of_a_pr
     equations = refine_all(prepared, config, {}).equations
     assert [*equations] == ["x", "[x]"]
     assert {(equation.grade, (equation.reason or "")[:16]) for equation in equations.values()} == {
-        ("doubtful", "No noise is seen")
+        ("doubtful", "No state shows n")
     }
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Quantisation, Recording, Smoothing, Trajectory
-from atoll_coordinator.model.inference.random_walk import stochastic_remarks
+from atoll_coordinator.model.inference.remarks import stochastic_remarks
 from atoll_coordinator.model.inference.trajectory_simulation import SimulatedTrajectory
 
 TIMES = 0.05 * np.arange(1000)

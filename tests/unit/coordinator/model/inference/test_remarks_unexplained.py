@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Recording, Smoothing, Trajectory
-from atoll_coordinator.model.inference.unexplained import unexplained_remarks
+from atoll_coordinator.model.inference.remarks import unexplained_remarks
 from atoll_coordinator.model.refinement import Refined
 from atoll_core.expression.text.parsing import from_infix
 
