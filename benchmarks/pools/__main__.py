@@ -15,12 +15,23 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from atoll.terminal.output import note, say
-from benchmarks.harness.command_line import option, positive, program, verb, verbs, workers
+from atoll.terminal.output import note, say, table
+from atoll_coordinator.settings import Settings
+from benchmarks.harness.command_line import option, positive, program, verb, verbs, whole, workers
 from benchmarks.harness.parallel import in_parallel
-from benchmarks.pools.campaign import POOLS, REFERENCE, has_table, judge_pool, requests, titles
+from benchmarks.pools.campaign import (
+    POOLS,
+    REFERENCE,
+    changes_of,
+    has_table,
+    judge_pool,
+    requests,
+    sample,
+    titles,
+    with_settings,
+)
 from benchmarks.pools.cases import LISTED_VARIABLE, REAL_VARIABLE, Folders
-from benchmarks.pools.outcomes import read_reference, report, seconds_of, write_reference
+from benchmarks.pools.outcomes import effect, read_reference, report, seconds_of, write_reference
 from benchmarks.pools.stored import keep_pools
 
 
@@ -44,6 +55,12 @@ FOLDERS: Final = (
             option("--accept", action="store_true", help="write what is found as the new reference"),
         ),
         verb(
+            "settings", "halve and double each setting, and count what changes", workers(),
+            option("--stages", nargs="+", default=[], metavar="STAGE", help="such as selection; default: all"),
+            option("--pools", type=whole, default=12, help="drawn pools, the quickest of each kind (%(default)d)"),
+            option("--out", type=Path, metavar="FILE", help="file of lines, gone on with if it exists"),
+        ),
+        verb(
             "keep", "search the pools that are missing", *FOLDERS, workers(),
             option("--max-time", type=positive, default=20.0, help="end of a search in seconds (%(default)g)"),
         ),
@@ -51,6 +68,8 @@ FOLDERS: Final = (
 )  # fmt: skip
 def main(options: Namespace) -> int:
     """Do what the options ask for."""
+    if options.verb == "settings":
+        return _try_settings(options)
     folders = Folders(options.cases, options.real)
     wanted = [title for title in titles() if not options.only or any(word in title for word in options.only)]
     for title in wanted:
@@ -71,6 +90,26 @@ def main(options: Namespace) -> int:
     if options.accept:
         write_reference(REFERENCE, judged)
     return 0 if is_as_good else 1
+
+
+def _try_settings(options: Namespace) -> int:
+    reference = read_reference(REFERENCE)
+    wanted = sample(reference, options.pools, 5.0)
+    before = with_settings("", wanted, options.workers)
+    baseline = {one.title: one for one in before}
+    heads = ("setting", "right, gained", "lost", "grades changed", "newly false", "failed", "seconds, ratio")
+    done = options.out.read_text("utf-8").splitlines() if options.out and options.out.exists() else []
+    rows = {line.split("\t")[0]: tuple(line.split("\t")) for line in done}
+    for change in changes_of(Settings()):
+        if change.text in rows or (options.stages and change.name.partition(".")[0] not in options.stages):
+            continue
+        rows[change.text] = (change.text, *effect(with_settings(change.text, wanted, options.workers), baseline))
+        note(", ".join(rows[change.text]))
+        if options.out:
+            with options.out.open("a", encoding="utf-8") as stream:
+                stream.write("\t".join(rows[change.text]) + "\n")
+    say(table(heads, list(rows.values())))
+    return 0
 
 
 if __name__ == "__main__":

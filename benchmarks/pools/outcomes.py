@@ -100,6 +100,17 @@ def report(outcomes: Sequence[PoolOutcome], reference: Mapping[str, PoolOutcome]
     return "\n".join([*lines, *failures]), not failures and not (right.is_worse or honest.is_worse)
 
 
+def effect(outcomes: Sequence[PoolOutcome], reference: Mapping[str, PoolOutcome]) -> tuple[str, ...]:
+    """Return in cells what a change does: forms gained and lost, grades changed, false ones, ratio of seconds."""
+    pairs = [pair for one in outcomes if one.failure is None for pair in _pairs(one, reference[one.title])]
+    right = _test([(bool(now.is_right), bool(before.is_right)) for now, before in pairs])
+    grades = sum(now.grade != before.grade for now, before in pairs)
+    false = sum(now.is_false and not before.is_false for now, before in pairs)
+    failed = sum(one.failure is not None for one in outcomes)
+    seconds = sum(map(seconds_of, outcomes)) / sum(seconds_of(reference[one.title]) for one in outcomes)
+    return f"{right.gained}", f"{right.lost}", f"{grades}", f"{false}", f"{failed}", f"{seconds:.2f}"
+
+
 def _row(name: str, outcomes: Sequence[PoolOutcome], reference: Mapping[str, PoolOutcome]) -> tuple[str, ...]:
     before = [reference[one.title] for one in outcomes if one.title in reference]
     now, then = _counts(outcomes), _counts(before)

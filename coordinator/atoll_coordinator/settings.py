@@ -4,8 +4,10 @@ Numbers of presentation stand where they are used, and so do mathematical consta
 the sizes of compiled kernels and the numerics of minimisers and integrators.
 """
 
-from dataclasses import dataclass
-from typing import Final
+import ast
+import os
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 Rounds = tuple[tuple[int, int], ...]
 """How a comparison is narrowed down: in each round the steps of a fit, and how many systems stay."""
@@ -479,5 +481,30 @@ class Settings:
     process: ProcessSettings = ProcessSettings()
 
 
-SETTINGS: Final = Settings()
+VARIABLE: Final = "ATOLL_TRY_SETTINGS"
+"""Variable of the environment with other values, such as ``selection.least_gain=0.2 effort.steps=80``: for measurements
+of what a number changes (``benchmarks.pools settings``). Results with other values are not those of this engine."""
+
+
+def with_changes(settings: Settings, text: str) -> Settings:
+    """Return settings with other values, ``STAGE.NAME=VALUE`` separated by spaces.
+
+    Raises:
+        ValueError: There is no such setting, or the value is of another kind.
+    """
+    for word in text.split():
+        name, _, value = word.partition("=")
+        stage_name, _, field = name.partition(".")
+        stage: Any = getattr(settings, stage_name, None)
+        if stage_name not in vars(settings) or field not in vars(stage):
+            raise ValueError(f"{VARIABLE} has {word!r}, but there is no setting {name!r}; write STAGE.NAME=VALUE")
+        changed = ast.literal_eval(value)
+        if type(changed) is not type(vars(stage)[field]):
+            raise ValueError(f"{VARIABLE} has {word!r}, but {name} is a value such as {vars(stage)[field]}")
+        changed_stage: Any = replace(stage, **{field: changed})
+        settings = replace(settings, **{stage_name: changed_stage})
+    return settings
+
+
+SETTINGS: Final = with_changes(Settings(), os.environ.get(VARIABLE, ""))
 """The values in use."""

@@ -79,7 +79,7 @@ def test_pages_agree_with_each_other() -> None:
 
 def test_how_long_kernels_take_is_said_alike() -> None:
     pages = [(ROOT / "docs" / name).read_text("utf-8") for name in ("troubleshooting.md", "how-to/notebooks.md")]
-    doctor = (ROOT / "coordinator" / "atoll" / "cli" / "doctor" / "machine.py").read_text("utf-8")
+    doctor = (ROOT / "coordinator" / "atoll" / "cli" / "doctor.py").read_text("utf-8")
     assert all("about a minute" in text for text in (*pages, doctor))
 
 

@@ -295,7 +295,7 @@ def test_a_router_that_does_not_know_a_name_is_named_as_the_probable_cause(
             bob = dialling(router, load(*lab.files("bob"), use="connect"))
             with (
                 pytest.raises(
-                    UnreachableError, match="access control on the way does probably not know the name 'bob-"
+                    UnreachableError, match="access control of the router probably does not know the name 'bob-"
                 ),
                 connected(bob, wait_s=1.0),
             ):

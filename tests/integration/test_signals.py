@@ -179,10 +179,10 @@ def test_a_hang_up_has_a_coordinator_read_its_limits_again_and_ends_nothing(tmp_
     log = tmp_path / "coordinator.log"
     with serve_with_limits(tmp_path, "") as process:
         process.send_signal(signal.SIGHUP)
-        until(lambda: "limits and roster are read again" in log.read_text())
+        until(lambda: "limits and roster were read again" in log.read_text())
         (tmp_path / "limits.toml").write_text("[total]\nrunning = none\n")
         process.send_signal(signal.SIGHUP)
-        until(lambda: "limits and roster stay as they were" in log.read_text())
+        until(lambda: "the old ones stay in force" in log.read_text())
         assert process.poll() is None
         process.send_signal(signal.SIGTERM)
         assert process.wait(LIMIT_S) == 0

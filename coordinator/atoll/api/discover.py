@@ -1,4 +1,8 @@
-"""`discover` and `submit`: from data to a model, by a service on this machine or elsewhere."""
+"""`discover` and `submit`: from data to a model, by a service elsewhere or on this machine.
+
+The local service is a process with its own workers, one for each number of workers that was asked for. It is started by
+the first call, kept for later ones, and ends with this interpreter. A fork of this interpreter does not use it.
+"""
 
 import atexit
 import contextlib
@@ -35,12 +39,12 @@ from atoll_core.wire.messages.views import JobView, Workforce
 
 
 def is_notebook() -> bool:
-    """Tell whether this interpreter is the kernel of a notebook."""
+    """Tell whether this interpreter runs a notebook."""
     return "ipykernel" in sys.modules
 
 
 class NotebookDisplay(Display):
-    """The lines of the plain display, in their place."""
+    """The lines of the plain display, updated in place."""
 
     def __init__(self) -> None:
         import IPython.display
@@ -51,7 +55,7 @@ class NotebookDisplay(Display):
         self._shown: list[str] = []
 
     def show(self, view: JobView, workforce: Workforce, now: float) -> None:
-        """Write the lines anew when they have changed."""
+        """Update the lines if they have changed."""
         del now
         lines = plain_lines(view, workforce, "")
         if lines != self._shown and self._handle is not None:
@@ -59,7 +63,7 @@ class NotebookDisplay(Display):
             self._handle.update(self._html(f"<pre>{html.escape(chr(10).join(lines))}</pre>"))
 
     def print_note(self, sentence: str) -> None:
-        """Write the sentence on stderr, which a notebook shows."""
+        """Print the sentence on stderr, which a notebook shows."""
         note(sentence)
 
 
@@ -72,7 +76,7 @@ class LocalService:
     """The process of `atoll.api.host`, with its workers."""
 
     def __init__(self, workers: int) -> None:
-        """Start it; raises AtollError with its reason when it does not listen in time."""
+        """Start it; raises AtollError with the reason if it does not listen in time."""
         self.workers = workers
         self.owner = os.getpid()
         command = [sys.executable, "-P", "-m", "atoll.api.host", str(workers), str(self.owner)]
@@ -85,12 +89,12 @@ class LocalService:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it runs, and is ours: a fork has inherited that of its parent."""
+        """Whether it is running and belongs to this process, not to the parent of a fork."""
         return self.owner == os.getpid() and self._process.poll() is None
 
     @property
     def reason(self) -> str:
-        """Why it has ended by itself; "" where it has not said, as when it was killed."""
+        """Why it has ended; "" if unknown, for example if it was killed."""
         pipe = self._process.stdout
         if pipe is None or pipe.closed:
             return ""
@@ -99,7 +103,7 @@ class LocalService:
         return str(json.loads(lines[-1]).get("error", "")) if lines else ""
 
     def close(self) -> None:
-        """End it and wait, within a limit, until it is gone with all that it has started."""
+        """End it and wait, within a limit, until it and its workers are gone."""
         if self.owner != os.getpid():
             return
         for pipe in (self._process.stdin, self._process.stdout):
@@ -113,7 +117,7 @@ class LocalService:
             self._process.wait()
 
     def _heard(self) -> str:
-        """Return where it listens."""
+        """Return the address at which it listens."""
         pipe = self._process.stdout
         assert pipe is not None
         line, end = b"", time.monotonic() + _START_LIMIT_S
@@ -127,20 +131,20 @@ class LocalService:
                 if not part:
                     break
                 line += part
-        said = json.loads(line) if line.strip() else {"error": "the local service ended as it began; see stderr"}
+        said = json.loads(line) if line.strip() else {"error": "the local service ended at once; see stderr"}
         if "endpoint" not in said:
             raise AtollError(said["error"])
         return str(said["endpoint"])
 
 
 _services: Final[dict[int, LocalService]] = {}
-"""By number of workers: another call may still use that of another number."""
+"""By number of workers: a running call may still use a service with another number."""
 
 
 def local_address(workers: int | None = None) -> str:
-    """Return the address of the local service, started if there is none, or none with so many workers.
+    """Return the address of the local service, which is started unless there is one with this number of workers.
 
-    `workers`: None: as many as there are, or else one for each core that may be used.
+    `workers` None: any number; a new service gets one for each usable core.
     """
     if workers is not None and not (isinstance(workers, Integral) and 1 <= workers <= MOST_WORKERS):
         raise UsageError(f"workers must be a whole number from 1 to {MOST_WORKERS}, but {workers!r} was given")
@@ -156,7 +160,7 @@ def local_address(workers: int | None = None) -> str:
 
 
 def check_service(address: str) -> None:
-    """Raise AtollError when `address` is that of a local service that has ended."""
+    """Raise AtollError if `address` belongs to a local service that has ended."""
     ended = [service for service in [*_services.values()] if service.endpoint == address and not service.is_alive]
     if ended:
         why = ended[0].reason or "it was killed"
@@ -164,14 +168,14 @@ def check_service(address: str) -> None:
 
 
 def close() -> None:
-    """End the local services, if there are any; the next call starts another."""
+    """End all local services; the next call starts another."""
     with _LOCK:
         while _services:
             _services.popitem()[1].close()
 
 
 def _forget_lock() -> None:
-    """In a fork, another thread of the parent may have held it."""
+    """Renew the lock in a fork: another thread of the parent may have held it."""
     global _LOCK
     _LOCK = threading.Lock()  # type: ignore[misc]
     _services.clear()
@@ -188,12 +192,12 @@ _INSTEAD: Final = {"report": "write the page of the model that comes back with m
 
 
 class Job:
-    """A job that was submitted. Every call opens a connection of its own and closes it: nothing of it stays behind."""
+    """A job that was submitted. Every call opens and closes its own connection, so nothing needs to be closed."""
 
     def __init__(self, id: str, address: str | Whereabouts, read_as: str = "") -> None:
-        """`id` of a job of the coordinator at `address`; `is_interrupted`: a Ctrl-C ended it.
+        """`id` of a job of the coordinator at `address`; `is_interrupted`: Ctrl-C has ended it.
 
-        `read_as` says how its data were read, "" where that is not known.
+        `read_as` tells how its data were read, "" if unknown.
         """
         self.id = id
         self.read_as = read_as
@@ -201,21 +205,21 @@ class Job:
         self._address = address
 
     def progress(self) -> JobView:
-        """Return how far it has come: state, epoch and best equation of each variable."""
+        """Return its progress: state, and epoch and best equation of each variable."""
         with connected(self._address, CONNECT_LIMIT_S) as client:
             return client.status(self.id)
 
     def wait(self, timeout: float | None = None, *, progress: bool | None = None) -> Self:
-        """Wait until it has ended, showing its progress; a Ctrl-C ends the job and keeps its best equations.
+        """Wait until it has ended, and show its progress; Ctrl-C cancels the job and keeps its best equations.
 
-        `timeout`: seconds after which TimeoutError is raised; the job goes on. `progress` is as of `discover`.
+        `timeout`: seconds after which TimeoutError is raised; the job continues. `progress`: see `discover`.
         """
         with connected(self._address, CONNECT_LIMIT_S) as client, _display(progress) as display:
             end = None if timeout is None else client.now() + timeout
 
             def check() -> tuple[str, ...]:
                 if end is not None and client.now() > end:
-                    raise TimeoutError(f"job {self.id} has not ended within {timeout:g} s; it goes on")
+                    raise TimeoutError(f"job {self.id} has not ended within {timeout:g} s; it continues")
                 check_service(str(self._address))
                 return ()
 
@@ -230,14 +234,14 @@ class Job:
         return self
 
     def cancel(self) -> None:
-        """End it and keep its best equations."""
+        """Cancel it and keep its best equations."""
         with connected(self._address, CONNECT_LIMIT_S) as client:
             client.cancel_and_wait(self.id)
 
     def result(self) -> Model:
-        """Return its model, of a job that still runs the best so far.
+        """Return its model; of a running job, the best so far.
 
-        Raises RefusedError where it has not found an equation yet, AtollError with the reason where it failed.
+        Raises RefusedError if it has not found an equation yet, AtollError with the reason if it failed.
         """
         with connected(self._address, CONNECT_LIMIT_S) as client:
             view = client.status(self.id)
@@ -260,25 +264,25 @@ def discover(
     priority: int = 0,
     **options: object,
 ) -> Model:
-    """Find the equations behind `data` and return them as a model.
+    """Find the equations of `data` and return them as a model.
 
     Args:
         data: a file, a frame of pandas or polars, arrays by column name, or a list of these, one for each trajectory;
-            or a list of records. All are read by the rules for files: decimal commas, dates, long tables.
+            or a list of records. All are read like files: decimal commas, dates, long tables.
         connect: the coordinator, such as ``tcp/host:7447``; None: one on this machine, started at the first call.
         tls: files by ``ca``, ``cert`` and ``key``, for an address ``tls/…``.
         workers: processes on this machine; None: one for each core.
-        progress: whether to show it on stderr; None: on a terminal and in a notebook.
-        priority: -10 to 10; each step doubles the job's share of the workers, and it is taken up sooner.
-        options: as of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value may
+        progress: whether to show the progress on stderr; None: on a terminal and in a notebook.
+        priority: -10 to 10; each step doubles the job's share of the workers, and the job starts sooner.
+        options: those of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value may
             be a number, a list, or True for a switch.
 
     Returns:
-        The model, after a Ctrl-C that of the best equations so far.
+        The model; after Ctrl-C, the best model so far.
 
     Raises:
         UsageError: an option is wrong.
-        DataError: the data cannot be used as they are.
+        DataError: the data cannot be used.
         AtollError: the job failed.
     """
     job = submit(data, connect=connect, tls=tls, workers=workers, priority=priority, **options)
@@ -286,7 +290,7 @@ def discover(
     try:
         return job.result()
     except RefusedError:
-        if job.is_interrupted:  # before there was anything to keep
+        if job.is_interrupted:  # before any equation was found
             raise KeyboardInterrupt from None
         raise
 
@@ -300,7 +304,7 @@ def submit(
     priority: int = 0,
     **options: object,
 ) -> Job:
-    """Submit `data` as a job and return it at once; arguments are those of `discover`."""
+    """Submit `data` as a job and return it at once; for the arguments see `discover`."""
     if isinstance(priority, bool) or not isinstance(priority, int) or priority not in range(-10, 11):
         raise UsageError(f"priority must be a whole number from -10 to 10, but {shown(priority)} was given")
     config = config_of(options)
@@ -313,20 +317,20 @@ def submit(
         try:
             client.hand_in(job.id, table.files[0] if table.files else NAME, config, table.to_bytes(), priority)
         except KeyboardInterrupt as error:
-            if connect is not None:  # one on this machine ends with this interpreter
-                error.add_note(f"job {job.id} may have been taken in: coordinator status {job.id} --connect {address}")
+            if connect is not None:  # a local service ends with this interpreter
+                error.add_note(f"job {job.id} may have been submitted: coordinator status {job.id} --connect {address}")
             raise
     return job
 
 
 def config_of(options: Mapping[str, object]) -> JobConfig:
-    """Return the configuration that keyword arguments describe, as the options of ``run`` do; raises UsageError."""
+    """Return the configuration that keyword arguments describe (the options of ``run``); raises UsageError."""
     values = dict(options)
     job_file = values.pop("config", None)
     unknown = next((name for name in values if name not in OPTIONS), None)
     if unknown is not None:
         advice = _INSTEAD.get(unknown, f"see help(atoll.discover){did_you_mean(unknown, OPTIONS)}")
-        raise UsageError(f"{unknown} is no option here; {advice}")
+        raise UsageError(f"{unknown} is not an option; {advice}")
     return configure(values, job_file)
 
 

@@ -24,8 +24,8 @@ class Discoverer:
     """Finds the equations of motion of measured states. Options are those of `atoll.discover`.
 
     After `fit`: `model_` is the `atoll.Model`, `equations_` its right-hand sides by state, `front_` by state the best
-    expressions of each size with their errors, `feature_names_in_` the names of states and inputs, `n_features_in_` how
-    many states there are.
+    expressions of each size with their errors, `feature_names_in_` the names of states and inputs, `n_features_in_` the
+    number of states.
     """
 
     def __init__(self, **options: object) -> None:
@@ -34,7 +34,7 @@ class Discoverer:
         self.model_: Model | None = None
 
     def get_params(self, deep: bool = True) -> dict[str, object]:
-        """Return the options, as scikit-learn's tools ask for them."""
+        """Return the options, for tools of scikit-learn."""
         del deep
         return dict(self._options)
 
@@ -45,7 +45,7 @@ class Discoverer:
 
     def __repr__(self) -> str:
         options = ", ".join(f"{name}={value!r}" for name, value in self._options.items())
-        return without_secrets(f"Discoverer({options})")  # notebooks keep it
+        return without_secrets(f"Discoverer({options})")  # notebooks store it
 
     def fit(
         self,
@@ -61,11 +61,11 @@ class Discoverer:
             x: states (N, D), or a list of such arrays, one for each trajectory; frames name their columns.
             t: times (N,), the time between rows, or a list like `x`.
             u: inputs (N, U), or a list like `x`.
-            x_dot: derivatives like `x`, where they were measured.
+            x_dot: measured derivatives, like `x`.
             feature_names: names of states, then inputs; None: those of frames, else x0, x1, … and u0, u1, ….
 
         Raises:
-            DataError: arrays do not fit together, or cannot be used.
+            DataError: the arrays do not match, or cannot be used.
             UsageError: an option is wrong.
         """
         names, inputs = _names(_parts(x)[0], None if u is None else _parts(u)[0], feature_names)
@@ -101,7 +101,7 @@ class Discoverer:
         }
 
     def equations(self, precision: int = DIGITS) -> list[str]:
-        """Return the right-hand sides, constants rounded to so many significant digits."""
+        """Return the right-hand sides, with constants of `precision` significant digits."""
         from atoll_core.expression.text.infix import to_infix
         from atoll_core.expression.text.parsing import from_infix
 
@@ -118,9 +118,9 @@ class Discoverer:
     def predict(
         self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, *, group: object = None
     ) -> FloatArray | list[FloatArray]:
-        """Return the derivatives (N, D) at states, of a list a list; angles are read as by `fit`, results in radians.
+        """Return the derivatives (N, D) at states, for a list a list; angles are read as in `fit`, results are radians.
 
-        `group`: whose constants are taken, with ``per_trajectory=True`` the number of a trajectory from 1.
+        `group`: use the constants of this group; with ``per_trajectory=True``, the number of a trajectory from 1.
         """
         model = self._of(group)
         if isinstance(x, (list, tuple)) and np.ndim(x[0]) == 2:
@@ -135,7 +135,7 @@ class Discoverer:
     ) -> FloatArray:
         """Return the states (N, D) at the times `t` from `x0`; NaN after an early end (see `model_.simulate`).
 
-        `group` is as of `predict`.
+        For `group` see `predict`.
         """
         times = np.atleast_1d(numbers(t, "times"))
         simulation = self._of(group).simulate(numbers(x0, "an initial state"), times, u, has_bands=False)
@@ -154,7 +154,7 @@ class Discoverer:
     ) -> float:
         """Return the mean R2 of the derivatives; without `x_dot` they are differences of `x`.
 
-        `group` is as of `predict`.
+        For `group` see `predict`.
         """
         measured, predicted = [], []
         for states, times, controls, slopes in _trajectories(x, t, u, x_dot):
@@ -167,7 +167,7 @@ class Discoverer:
         return float(np.mean(1.0 - left / np.where(spread > 0.0, spread, np.inf)))
 
     def _as_read(self, x: FloatArray, u: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
-        """Return states (N, D) and inputs (N, U) as `fit` has read them: angles in radians, without full turns."""
+        """Return states (N, D) and inputs (N, U) like `fit` reads them: angles in radians, without full turns."""
         model, columns = self._model, self._model.result.columns_by_symbol
         states, inputs = ([columns.get(name, name) for name in names] for names in (model.states, model.inputs))
         return self._read(x, states), None if u is None else self._read(u, inputs)
@@ -178,7 +178,7 @@ class Discoverer:
 
     def _read(self, rows: FloatArray, names: Sequence[str]) -> FloatArray:
         if len(names) != rows.shape[1]:
-            return rows  # which is refused with what was expected
+            return rows  # refused later, with the expected number
         columns = read_columns(self._model, dict(zip(names, rows.T, strict=True)))
         return np.column_stack([np.asarray(columns[name]) for name in names])
 
@@ -193,7 +193,7 @@ class Discoverer:
 
 
 def _parts(x: npt.ArrayLike) -> list[npt.ArrayLike]:
-    """Return the trajectories: those of a list of arrays; a list of rows of numbers is one."""
+    """Return the trajectories of a list of arrays; a list of rows of numbers is one trajectory."""
     if not isinstance(x, (list, tuple)):
         return [x]
     if not x:
@@ -221,7 +221,7 @@ def _trajectories(
 
 
 def _matching_parts(given: npt.ArrayLike, count: int, what: str) -> list[npt.ArrayLike]:
-    """Return the arrays of so many trajectories; raises DataError."""
+    """Return the arrays of `count` trajectories; raises DataError."""
     parts = _parts(given)
     if len(parts) != count:
         raise DataError(f"{what} has arrays for {len(parts)} trajectories, but x has {count}; give one for each")

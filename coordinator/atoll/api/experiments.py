@@ -12,20 +12,20 @@ from atoll_core.data.table import Table
 
 
 def identifiability(model: Model, data: object, level: float) -> Identifiability:
-    """Return what the data determine of the constants of a model; see `atoll.Model.identifiability`."""
+    """Return which constants of a model the data determine; see `atoll.Model.identifiability`."""
     model.require_one_group()
     with python_words():
         return identify(model.result, _table(model.result, data), level)
 
 
 def suggestions(model: Model, data: object, request: DesignRequest) -> Suggestions:
-    """Return the experiments that would tell most; see `atoll.Model.suggest`."""
+    """Return the most informative experiments; see `atoll.Model.suggest`."""
     with python_words():
         return suggest(model.result, request, _table(model.result, data))
 
 
 def comparison(first: Model, second: Model, data: object) -> Comparison:
-    """Return two models beside each other; see `atoll.Model.compare`."""
+    """Return a comparison of two models; see `atoll.Model.compare`."""
     with python_words():
         return compare(first.result, second.result, table=_table(first.result, data))
 

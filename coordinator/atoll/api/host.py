@@ -1,7 +1,7 @@
-"""The program of a local service: what ``coordinator run`` starts, kept for many jobs of one interpreter.
+"""The program of a local service: the same processes as of ``coordinator run``, kept for many jobs of one interpreter.
 
-It says on stdout where it listens, as one line of JSON, and ends when its stdin is closed or its parent has ended, by
-whatever signal. Its log is a file without a name, which is gone with it.
+It prints its address on stdout, as one line of JSON, and ends when its stdin is closed or its parent has ended. Its log
+is a file without a name, which disappears with it.
 """
 
 import contextlib
@@ -20,11 +20,11 @@ from atoll_core.logs import configure
 from atoll_core.signals import INTERRUPTED, reap_children
 
 CHECK_S: Final = 0.3
-"""Seconds from one look at the parent and the workers to the next."""
+"""Seconds between checks of the parent and the workers."""
 
 
 def main(workers: int, parent: int) -> int:
-    """Serve with so many workers until the process `parent` is gone or closes our stdin; return the exit code."""
+    """Serve with this many workers until the process `parent` ends or closes our stdin; return the exit code."""
     reap_children()
     stop = threading.Event()
     threading.Thread(target=_wait_for_end, args=(stop,), name="reading stdin", daemon=True).start()
@@ -52,7 +52,7 @@ def _serve(number: int, parent: int, log: Path, stop: threading.Event) -> None:
 
 def _wait_for_end(stop: threading.Event) -> None:
     with contextlib.suppress(OSError, ValueError):
-        while os.read(0, 1024):  # of the file itself: a buffered reader would hold a lock that our end waits for
+        while os.read(0, 1024):  # unbuffered: a buffered reader would hold a lock at exit
             pass
     stop.set()
 

@@ -37,7 +37,7 @@ _OPTION: Final = re.compile(r"--([a-z][a-z-]*)")
 
 
 def in_python(sentence: str) -> str:
-    """Return a sentence with keyword arguments in the place of options: ``--max-size`` is max_size."""
+    """Return a sentence with keyword arguments in place of options: ``--max-size`` becomes max_size."""
     sentence = sentence.replace("--tls-...", "tls").replace("--missing drop", "missing='drop'")
     sentence = _TLS.sub(r"tls['\1']", sentence)
     sentence = _WITH_NUMBER.sub(lambda match: Field(match[1].replace("-", "_"), int(match[2])).in_python, sentence)
@@ -48,7 +48,7 @@ def in_python(sentence: str) -> str:
 
 @contextlib.contextmanager
 def python_words() -> Iterator[None]:
-    """Raise the errors of a block in the words of Python."""
+    """Raise the errors of a block with the names of Python arguments."""
     try:
         yield
     except AtollError as error:

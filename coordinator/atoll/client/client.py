@@ -1,7 +1,7 @@
-"""A client of a coordinator: what the command line asks, over any bus.
+"""A client of a coordinator: all requests of the command line and of Python, over any bus.
 
-One owner thread. Every question may be asked again without harm, so a lost one is; every wait has a limit, and the
-error at its end says what was waited for.
+One owner thread. Every request may be repeated without harm, so a lost one is repeated. Every wait has a limit, and the
+error at its end tells what was waited for.
 """
 
 import hashlib
@@ -46,16 +46,16 @@ from atoll_core.wire.messages.views import (
 )
 
 ANSWER_LIMIT_S: Final = 10.0
-"""How long any other question may remain without an answer."""
+"""How long any other request may remain without an answer."""
 
 IDLE_LIMIT_S: Final = 3600.0
-"""How long an answer is waited for that no worker makes: a task that was leased before it has ended by then."""
+"""How long to wait until a worker begins an analysis: tasks that were leased before it have ended by then."""
 
 CANCEL_LIMIT_S: Final = 60.0
-"""How long a job that was cancelled is waited for: of a million rows its result is composed in seconds."""
+"""How long to wait for a job that was cancelled: its result takes seconds, even with a million rows."""
 
 MAX_CHANGES: Final = 256
-"""Changes that are kept until somebody takes them; who takes none for long misses some, and asks anew."""
+"""Changes that are kept until `next_change` takes them; older ones are dropped, and are then asked for again."""
 
 _TRIES: Final = 3
 _PAUSE_S: Final = 0.1
@@ -66,7 +66,7 @@ _ERRORS: Final[dict[messages.FailureKind, type[AtollError]]] = {
     "unknown-job": UnknownJobError,
     "internal": AtollError,
 }
-"""What failures are raised as, others as RefusedError."""
+"""Errors by kind of failure; others are RefusedError."""
 
 A = TypeVar("A")
 _Question = (
@@ -93,10 +93,10 @@ class Client:
     """Asks one coordinator; not thread-safe, like its bus."""
 
     welcome: Welcome
-    """What the coordinator said of itself, once it was greeted."""
+    """The coordinator's answer to the greeting."""
 
     def __init__(self, bus: Line, address: str, principal: str = "client") -> None:
-        """Use a `bus` that the caller closes. `address` is for messages; `principal` is of our certificate, if any."""
+        """Use a `bus` that the caller closes. `address` is for messages; `principal` is the name in our certificate."""
         self._bus = bus
         self._address = address
         self._name = f"{principal}-{uuid.uuid4().hex[:12]}"
@@ -104,10 +104,10 @@ class Client:
         self._changes: deque[bytes] | None = None
 
     def greet(self, limit_s: float = ANSWER_LIMIT_S) -> str:
-        """Learn and return the coordinator's cluster; the first question calls this by itself.
+        """Greet the coordinator and return its cluster; the first request does this by itself.
 
-        Raises UnreachableError when nobody answers in time, RefusedError from one of another version, or that does not
-        let us in.
+        Raises UnreachableError without an answer in time, RefusedError if the coordinator has another version or
+        refuses us.
         """
         hello = Hello(
             role="client",
@@ -128,16 +128,16 @@ class Client:
                 self.welcome, self._cluster = answer, answer.realm
                 return answer.realm
             advice = (
-                ", though it can be reached: access control on the way does probably not know the name "
-                f"{self._name!r}; have the router started again with the roster that the coordinator has"
+                ", but it can be reached: access control of the router probably does not know the name "
+                f"{self._name!r}; restart the router with the roster of the coordinator"
             )
         silence = f"the coordinator at {self._address} did not answer within {limit_s:.2g} s"
         raise UnreachableError(f"{silence} (waited for its greeting){advice}")
 
     def upload(self, data: bytes) -> str:
-        """Store `data` at the coordinator, chunk by chunk, until it says that none is missing; return its digest.
+        """Store `data` at the coordinator, chunk by chunk, until none is missing; return its digest.
 
-        Raises RefusedError when it does not take them, or does not keep them.
+        Raises RefusedError if the coordinator does not accept or keep them.
         """
         blob = hashlib.sha256(data).hexdigest()
         body = messages.Upload(blob=blob, size=len(data))
@@ -152,14 +152,14 @@ class Client:
             what = f"the upload of part {index + 1} of the data"
             missing = self._ask(body, messages.Uploaded, what, CHUNK_LIMIT_S).missing
         raise RefusedError(
-            f"the coordinator at {self._address} does not keep what is uploaded: {len(missing)} of "
+            f"the coordinator at {self._address} does not keep the uploaded data: {len(missing)} of "
             f"{chunk_count(len(data))} parts are still missing; see its log"
         )
 
     def hand_in(  # what a job is
         self, job: str, name: str, config: JobConfig, data: bytes, priority: int = 0, *, shared: bool = False
     ) -> JobView:
-        """Upload `data` and submit a job on it, again where the table was deleted in between."""
+        """Upload `data` and submit a job on it; repeat this if the table was deleted in between."""
         for _ in range(_TRIES - 1):
             with suppress(TableMissingError):
                 return self.submit(job, name, config, self.upload(data), priority, shared=shared)
@@ -177,7 +177,7 @@ class Client:
     def jobs(self, prefix: str = "", *, is_open: bool = False, last: int | None = None) -> tuple[JobView, ...]:
         """Return the jobs whose ids begin with `prefix`, newest last.
 
-        `is_open`: only those that have not ended; `last`: only so many, those that came last.
+        `is_open`: only jobs that have not ended; `last`: only this many, the newest.
         """
         pages: list[tuple[JobView, ...]] = []
         before: int | None = None
@@ -195,15 +195,15 @@ class Client:
         self, prefix: str = "", *, is_open: bool = False, state: JobState | None = None, before: int | None = None,
         limit: int = MAX_PAGE_JOBS,
     ) -> messages.JobList:  # fmt: skip
-        """Return one page of what `jobs` returns: those that came before the job of that number, None: the last.
+        """Return one page of `jobs`: those submitted before the job of that number; None: the last page.
 
-        With a `state` it has those in that state alone, which the coordinator finds without reading others.
+        With a `state`, only jobs in that state, which the coordinator finds without reading others.
         """
         question = messages.ListJobs(prefix=prefix, is_open=is_open, state=state, before=before, limit=limit)
         return self._ask(question, messages.JobList, "the list of jobs")
 
     def status(self, job: str, limit_s: float = ANSWER_LIMIT_S) -> JobView:
-        """Return how `job` is getting on."""
+        """Return the state and progress of `job`."""
         return self._ask(messages.Status(job=job), messages.JobStatus, f"the status of job {job}", limit_s).job
 
     def workers(self, prefix: str = "") -> tuple[WorkerView, ...]:
@@ -225,13 +225,13 @@ class Client:
         return self._ask(question, messages.WorkerList, "the coordinator's counters").coordinator
 
     def queue_depth(self) -> messages.QueueDepth:
-        """Return how much work waits."""
+        """Return how much work is waiting."""
         return self._ask(messages.GetQueueDepth(), messages.QueueDepth, "the depth of the queue")
 
     def events(
         self, job: str | None, after: int = 0, limit: int = 200, *, of_workers: bool = False
     ) -> tuple[EventView, ...]:
-        """Return what happened to `job`, or at all (None), after that event; the last events when `after` is 0.
+        """Return the events of `job`, or of all (None), after the event of that number; the last ones if `after` is 0.
 
         `of_workers`: only lines of workers' logs.
         """
@@ -239,15 +239,15 @@ class Client:
         return self._ask(body, messages.EventList, "the log of events").events
 
     def follow(self, job: str | None, after: int | None, sequence: int) -> messages.Following:
-        """Have changes come to us for a while, see `atoll.client.follower`; return what we do not have yet."""
+        """Subscribe to changes for a while, see `atoll.client.follower`; return those that we do not have yet."""
         if self._changes is None:
             self._changes = deque(maxlen=MAX_CHANGES)
             self._bus.subscribe(topics.client(self._cluster or self.greet(), self._name, "changes"))
         body = messages.Follow(job=job, after=after, sequence=sequence)
-        return self._ask(body, messages.Following, f"changes of job {job}" if job is not None else "what happens")
+        return self._ask(body, messages.Following, f"changes of job {job}" if job is not None else "events")
 
     def next_change(self, limit_s: float) -> messages.JobChange | None:
-        """Return the next change of something that we follow; None when there is none within `limit_s` seconds."""
+        """Return the next change that we have subscribed to; None without one within `limit_s` seconds."""
         end = self._bus.now() + limit_s
         while not self._changes:
             left = end - self._bus.now()
@@ -268,28 +268,28 @@ class Client:
         self, job: str, function: AnalysisFunction, question: bytes, table: bytes | None = None,
         say: Callable[[str], object] = lambda reason: None,
     ) -> bytes:  # fmt: skip
-        """Return what a worker answers to a question about the result of `job`; see `atoll.tasks.analyses`.
+        """Return a worker's answer to a question about the result of `job`; see `atoll.tasks.analyses`.
+
+        The coordinator ends a task that takes too long, so this ends, too.
 
         Args:
-            job: one that has ended.
-            function: of which kind the question is.
-            question: as bytes.
-            table: measurements that take the place of those of the result.
-            say: is told what the answer waits for, whenever that is something else.
-
-        The coordinator ends a task that takes too long, so that this has an end as well.
+            job: a job that has ended.
+            function: the kind of question.
+            question: the encoded question.
+            table: measurements in place of those in the result.
+            say: called with what the answer waits for, whenever that changes.
 
         Raises:
-            UnreachableError: no worker has begun with it within `IDLE_LIMIT_S`.
+            UnreachableError: no worker has started it within `IDLE_LIMIT_S`.
             RefusedError: there is no such job, or no result.
-            AtollError: the analysis broke.
+            AtollError: the analysis failed.
         """
         digest = None if table is None else self.upload(table)
         waits_for, since, pause, tries = None, self.now(), _PAUSE_S, _TRIES
         while True:
             try:
                 reason, made = self.analysis(job, function, question, digest)
-            except TableMissingError:  # the coordinator was started again meanwhile
+            except TableMissingError:  # the coordinator was restarted meanwhile
                 tries -= 1
                 if table is None or not tries:
                     raise
@@ -311,9 +311,10 @@ class Client:
     def analysis(
         self, job: str, function: AnalysisFunction, question: bytes, table: str | None = None
     ) -> tuple[str | None, bytes | None]:
-        """Have a question answered, and return what that waits for, in words, and the answer once it is there.
+        """Ask a question; return what the answer waits for, in words, and the answer once it exists.
 
-        Until then, asking again is what keeps it wanted. Raises as `analyse`, whose `table` is uploaded here already.
+        Until then it must be asked again, otherwise the task is dropped. Raises like `analyse`; `table` is the digest
+        of an uploaded table.
         """
         parts: list[bytes] = []
         while True:
@@ -326,7 +327,7 @@ class Client:
                 return None, _whole(parts, answer.digest)
 
     def table(self, job: str) -> bytes:
-        """Return the table that `job` was submitted with, as it was uploaded; raises RefusedError where it is gone."""
+        """Return the table that `job` was submitted with, as it was uploaded; raises RefusedError if it is gone."""
         parts: list[bytes] = []
         while True:
             body = messages.GetTable(job=job, index=len(parts))
@@ -336,49 +337,49 @@ class Client:
                 return _whole(parts, chunk.digest)
 
     def islands(self, job: str) -> tuple[IslandView, ...]:
-        """Return where the islands of `job` are; none unless it is searched now."""
+        """Return the islands of `job` and their workers; none unless it is being searched."""
         return self._ask(messages.GetIslands(job=job), messages.IslandList, f"the islands of job {job}").islands
 
     def cancel(self, job: str) -> JobView:
-        """End `job`, keeping its best equations; where its result takes long, it is shown as it was, and ends then."""
+        """Cancel `job` and keep its best equations; if its result takes long, its state is still the old one."""
         return self._ask(messages.Cancel(job=job), messages.JobStatus, f"the end of job {job}").job
 
     def cancel_and_wait(self, job: str) -> JobView:
-        """End `job` and wait, within `CANCEL_LIMIT_S`, until it has ended."""
+        """Cancel `job` and wait, within `CANCEL_LIMIT_S`, until it has ended."""
         view, end = self.cancel(job), self.now() + CANCEL_LIMIT_S
         while view.state not in FINAL_STATES and self.now() < end:
             self.pause(_PAUSE_S)
-            view = self.cancel(job)  # a coordinator that was killed meanwhile has forgotten the first one
+            view = self.cancel(job)  # a coordinator that was restarted has forgotten the first request
         return view
 
     def pause_job(self, job: str, *, paused: bool = True) -> JobView:
-        """Have `job` stop at a checkpoint and wait until it is resumed (`paused` False)."""
+        """Stop `job` at a checkpoint until it is resumed (`paused` False)."""
         return self._ask(messages.Pause(job=job, paused=paused), messages.JobStatus, f"the pause of job {job}").job
 
     def set_priority(self, job: str, priority: int) -> JobView:
-        """Give `job` another priority."""
+        """Change the priority of `job`."""
         body = messages.SetPriority(job=job, priority=priority)
         return self._ask(body, messages.JobStatus, f"the priority of job {job}").job
 
     def share(self, job: str, *, shared: bool = True) -> JobView:
-        """Let everybody see `job`, or only its submitter and admins."""
+        """Make `job` visible to all users, or only to its submitter and admins."""
         return self._ask(messages.Share(job=job, shared=shared), messages.JobStatus, f"the sharing of job {job}").job
 
     def retry(self, job: str, again: str) -> JobView:
-        """Submit what `job`, which failed or was cancelled, was submitted with once more, under the id `again`."""
+        """Submit `job`, which failed or was cancelled, again under the id `again`."""
         return self._ask(messages.Retry(job=job, again=again), messages.JobStatus, f"the retry of job {job}").job
 
     def set_worker(self, worker: str, service: WorkerService) -> tuple[WorkerView, ...]:
-        """Let a worker have islands (open), no more of them (cordoned), or none (draining); for admins."""
+        """Place islands on a worker (open), no more of them (cordoned), or none (draining); for admins."""
         body = messages.SetWorker(worker=worker, service=service)
         return self._ask(body, messages.WorkerList, f"the change of worker {worker}").workers
 
     def pause_queue(self, *, paused: bool = True) -> CoordinatorView | None:
-        """Have no more jobs taken up, or go on; for admins."""
+        """Start no more jobs, or continue; for admins."""
         return self._ask(messages.SetQueue(paused=paused), messages.WorkerList, "the change of the queue").coordinator
 
     def delete(self, job: str) -> None:
-        """Delete `job`, which has ended, with its result and its data; without effect when there is none."""
+        """Delete `job`, which has ended, with its result and its data; no effect if there is none."""
         self._ask(messages.Delete(job=job), messages.Deleted, f"the deletion of job {job}")
 
     def resolve(self, prefix: str) -> str:
@@ -400,13 +401,13 @@ class Client:
         return self._bus.now()
 
     def exchange(self, request: messages.ClientRequest) -> bytes | None:
-        """Return the coordinator's answer to a question of somebody else, as it came; None: none in time."""
+        """Pass on another program's request and return the coordinator's answer as it came; None: none in time."""
         key = topics.client(self._cluster or self.greet(), self._name)
         limit_s = CHUNK_LIMIT_S if isinstance(request.body, messages.Upload) else ANSWER_LIMIT_S
         return next(self._answers(encode(request), limit_s, key), (key, None))[1]
 
     def _ask(self, body: _Question, kind: type[A], what: str, limit_s: float = ANSWER_LIMIT_S) -> A:
-        """Return the answer to a question; raises UnreachableError when there is none within `limit_s` seconds."""
+        """Return the answer to a request; raises UnreachableError without one within `limit_s` seconds."""
         key = topics.client(self._cluster or self.greet(), self._name)
         _, payload = next(self._answers(encode(messages.ClientRequest(body=body)), limit_s, key), (key, None))
         if payload is None:
@@ -423,7 +424,7 @@ class Client:
         return answer
 
     def _answers(self, payload: bytes, limit_s: float, *keys: str) -> Iterator[tuple[str, bytes]]:
-        """Ask under each key, `_TRIES` times and more in `limit_s` seconds; yield what is answered, with its key."""
+        """Ask under each key, at least `_TRIES` times in `limit_s` seconds; yield the answers with their keys."""
         end = self._bus.now() + limit_s
         while (left := end - self._bus.now()) > 0:
             for key in keys:
@@ -442,7 +443,7 @@ class Client:
         return None
 
     def _notice(self, event: Event | None) -> None:
-        """Keep a change that comes while something else is waited for."""
+        """Keep a change that comes while we wait for another event."""
         if isinstance(event, Message) and self._changes is not None:
             self._changes.append(event.payload)
 
@@ -450,7 +451,7 @@ class Client:
 def _whole(parts: list[bytes], digest: str) -> bytes:
     whole = b"".join(parts)
     if hashlib.sha256(whole).hexdigest() != digest:
-        raise RefusedError("the answer was damaged on its way; ask again")
+        raise RefusedError("the answer was damaged on its way; try again")
     return whole
 
 
@@ -458,7 +459,7 @@ def _whole(parts: list[bytes], digest: str) -> bytes:
 def connected(address: str | Destination | WebAddress, wait_s: float = 5.0) -> Iterator[Client]:
     """Open a client of the coordinator at `address`, such as ``tcp/host:7447``; close it at the end.
 
-    Raises as `Client.greet` does when nobody answers within `wait_s` seconds.
+    Raises like `Client.greet` without an answer within `wait_s` seconds.
     """
     if isinstance(address, WebAddress):
         client = Client(HttpLine(address), str(address))
@@ -477,7 +478,7 @@ def connected(address: str | Destination | WebAddress, wait_s: float = 5.0) -> I
 
 @contextmanager
 def _understanding() -> Iterator[None]:
-    """Raise RefusedError when the answer that is read in the block is not in our words."""
+    """Raise RefusedError if an answer that is decoded in the block is malformed."""
     try:
         yield
     except (RemoteProtocolError, ValueError) as error:

@@ -1,6 +1,6 @@
 """From options and a job file to a `JobConfig`: preset, then the file, then the options, each overriding the former.
 
-Pure apart from reading the job file. Every refusal is one sentence that names the option or the key of the file.
+Pure apart from reading the job file. Every error is one sentence that names the option or the key of the file.
 """
 
 import re
@@ -20,9 +20,9 @@ from atoll_core.quoting import did_you_mean
 
 
 def configure(values: Mapping[str, object], job_file: object = None) -> JobConfig:
-    """Return the configuration that the values of options describe, by name; raises UsageError.
+    """Return the configuration that option values, by name, describe; raises UsageError.
 
-    None and False say that an option is not given. `job_file` is a path, or None; whatever else users give is refused.
+    None and False mean that an option is not given. `job_file` is a path or None; other values are refused.
     """
     settings = _read_job_file(job_file)
     given: dict[str, object] = {}
@@ -50,7 +50,7 @@ def configure(values: Mapping[str, object], job_file: object = None) -> JobConfi
 
 
 def _overlay(base: Mapping[str, object], top: Mapping[str, object]) -> dict[str, object]:
-    """Return `base` with the groups of `top` laid over it: a key that `top` does not name keeps its value."""
+    """Return `base` updated by the groups of `top`: keys that `top` does not have keep their values."""
     merged = dict(base)
     for key, value in top.items():
         below = merged.get(key)
@@ -72,7 +72,7 @@ def _read_job_file(file: object) -> dict[str, object]:
 
 
 def _refusal(error: ValidationError, given: Mapping[str, object], file: object) -> UsageError:
-    """Put the first complaint of pydantic into our words: which option, what is allowed, what was found."""
+    """Turn pydantic's first error into a sentence: which option, what is allowed, what was found."""
     complaint = error.errors()[0]
     path = [str(part) for part in complaint["loc"] if isinstance(part, str) and part != "[key]"]
     place = _place(path, given, file)
@@ -95,7 +95,7 @@ def _settings(group: Sequence[str]) -> tuple[str, ...]:
 
 
 def _place(path: Sequence[str], given: Mapping[str, object], file: object) -> Field | str:
-    """Return the option that was given, or else the key of the job file."""
+    """Return the option that was given, or the key of the job file."""
     keys = {".".join(path[:2]), path[0]} & set(given)
     option = next((option for option in OPTIONS.values() if keys & set(option.settings.split())), None)
     return Field(option.name) if option is not None else f"{'.'.join(path)} in {file}"
@@ -137,7 +137,7 @@ def _contradiction(one: Field, other: Field, reason: str) -> UsageError:
 
 
 def _check_columns(data: DataConfig) -> None:
-    """Refuse a column in two roles, and an angle that is named twice, perhaps in two units."""
+    """Refuse a column with two roles, and an angle that is named twice."""
     roles = {
         "states": data.states or (),
         "inputs": data.inputs,

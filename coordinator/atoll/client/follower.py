@@ -1,4 +1,9 @@
-"""Following a job to its end by a subscription to its changes. What shows them is passed in."""
+"""Following a job to its end, by a subscription to its changes: in order, without gaps, resumable.
+
+The coordinator sends changes to a key of ours as long as a lease lasts. The request that takes the lease is answered
+with the changes that we do not have yet. So the same request renews the lease, closes gaps, and finds a coordinator
+that was restarted. A `Display` that is passed in shows the progress.
+"""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -11,18 +16,17 @@ from atoll_core.wire.messages.clients import JobChange
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 QUIET_S: Final = 2.0
-"""After so many seconds without a change it is asked whether there was none: the last one may have been lost, or the
-coordinator be gone."""
+"""Seconds without a change after which we ask again: a change may have been lost, or the coordinator may be gone."""
 
 RENEWED_AT: Final = 1.0 / 3.0
-"""Of a lease; two renewals may be lost."""
+"""Share of a lease after which it is renewed; two renewals may be lost."""
 
 
 class Subscription:
-    """What changes, from now on or, with `after`, from behind the event of that number."""
+    """Changes of one job, or of all (None), from now on; with `after`, from the event after that number."""
 
     def __init__(self, client: Client, job: str | None, after: int | None = None) -> None:
-        """Nothing is asked before the first `wait`. With `after` None no events are told that came before that."""
+        """Nothing is requested before the first `wait`. If `after` is None, earlier events are left out."""
         self._client = client
         self._job = job
         self._after = after
@@ -32,10 +36,9 @@ class Subscription:
         self._is_behind = True
 
     def wait(self, limit_s: float) -> JobChange | None:
-        """Return the next change, waiting so many seconds at most; None when there was none.
+        """Return the next change, after at most `limit_s` seconds; None if there was none.
 
-        Raises UnreachableError when the coordinator is asked and does not answer, RefusedError when it knows no such
-        job.
+        Raises UnreachableError if the coordinator does not answer, RefusedError if it does not know the job.
         """
         end = self._client.now() + limit_s
         while True:
@@ -51,7 +54,7 @@ class Subscription:
                 return None
 
     def _ask(self) -> JobChange | None:
-        self._is_behind = True  # also when this is not answered
+        self._is_behind = True  # also without an answer
         answer = self._client.follow(self._job, self._after, self._sequence)
         self._is_behind = False
         now = self._client.now()
@@ -59,7 +62,7 @@ class Subscription:
         return self._take(answer.change) if answer.change is not None else None
 
     def _fits(self, change: JobChange) -> bool:
-        """Tell whether this is the next change; when some have been missed, they are asked for."""
+        """Tell whether this is the next change; changes that were missed are asked for."""
         if change.job != self._job or change.sequence <= self._sequence:
             return False
         self._is_behind = change.previous != self._sequence
@@ -70,20 +73,22 @@ class Subscription:
         self._ask_at = self._client.now() + QUIET_S
         if self._after is None:
             return change
-        events = tuple(event for event in change.events if event.number > self._after)  # the answer had others already
+        events = tuple(
+            event for event in change.events if event.number > self._after
+        )  # the last answer already had the others
         self._after = max(self._after, change.last)
         return change.model_copy(update={"events": events})
 
 
 PATIENCE_S: Final = 30.0
-"""How long a coordinator that stopped answering is waited for."""
+"""How long to wait for a coordinator that has stopped answering."""
 
 _LOOK_S: Final = 0.3
-"""How often `check` is called, and the time that has passed is shown."""
+"""Seconds between calls of `check` and updates of the elapsed time."""
 
 
 class Display:
-    """Shows a job's progress, this one nothing; a context manager."""
+    """Shows a job's progress; this base class shows nothing. A context manager."""
 
     def __enter__(self) -> Self:
         return self
@@ -92,16 +97,16 @@ class Display:
         return
 
     def show(self, view: JobView, workforce: Workforce, now: float) -> None:
-        """Take notice of the latest state, seen at monotonic second `now`."""
+        """Show the latest state, observed at monotonic second `now`."""
 
     def print_note(self, sentence: str) -> None:
         """Show a sentence that stays."""
 
 
 class Follower:
-    """Follows one job through a client. A few times a second `check` returns sentences to show, or raises.
+    """Follows one job through a client. It often calls `check`, which returns sentences to show, or raises.
 
-    `reword` puts warnings, which name options of the command line, into other words.
+    `reword` changes warnings, which name options of the command line.
     """
 
     def __init__(
@@ -110,7 +115,7 @@ class Follower:
     ) -> None:  # fmt: skip
         self.job = job
         self.phases: dict[str, float] = defaultdict(float)
-        """Seconds spent in each phase of the job, as seen while following it."""
+        """Observed seconds of each phase of the job."""
         self._client = client
         self._display = display
         self._check = check
@@ -133,7 +138,7 @@ class Follower:
                 return self._view
 
     def _look(self, subscription: Subscription) -> None:
-        """Wait for a change, or a moment; show the job as it stands then."""
+        """Wait for a change, or a moment; show the current state of the job."""
         try:
             change = subscription.wait(_LOOK_S)
         except UnreachableError as error:

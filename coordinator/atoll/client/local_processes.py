@@ -41,11 +41,11 @@ def start_apart(
 
 
 class NoWorkerLeftError(AtollError):
-    """Raised when the process that watches over the workers of a local run has ended before the job."""
+    """Raised when the supervisor of the workers of a local run has ended before the job."""
 
 
 class LocalWorkers:
-    """Worker processes of this machine; a context manager that leaves none behind, and kills them after an error."""
+    """Worker processes on this machine; a context manager that ends all of them, and kills them after an error."""
 
     def __init__(self, endpoint: str, number: int, log: Path) -> None:
         self.log = log
@@ -60,14 +60,14 @@ class LocalWorkers:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None:  # one that is starting may hear nothing for seconds, and nothing is lost with it
+        if kind is not None:  # a starting process may not react for seconds, and nothing is lost
             self._process.kill()
         self.stop()
 
     def check(self) -> list[str]:
-        """Return what was said since the last check of workers that died, in this run.
+        """Return new messages about workers that died in this run.
 
-        Raises NoWorkerLeftError when the process that watches over them has ended, and they with it.
+        Raises NoWorkerLeftError if their supervisor, and so all workers, have ended.
         """
         has_ended = self._process.poll() is not None
         sentences = self._said()
@@ -78,11 +78,11 @@ class LocalWorkers:
         return sentences
 
     def dismiss(self) -> None:
-        """Tell all workers to end, without waiting for it."""
+        """Tell all workers to end, without waiting."""
         self._process.terminate()
 
     def stop(self) -> None:
-        """End all workers, in steps of rising force and each within a limit. An interrupt goes straight to the last."""
+        """End all workers: terminate, wait within a limit, kill. An interrupt skips to the kill."""
         try:
             self.dismiss()
             self._wait()
@@ -95,7 +95,7 @@ class LocalWorkers:
             self._process.wait(_STOP_LIMIT_S)
 
     def _said(self) -> list[str]:
-        """Return the sentences for people that this run has added to the log since the last time."""
+        """Return the messages for users that this run has added to the log since the last call."""
         with self.log.open("rb") as log:
             log.seek(self._read)
             *lines, rest = log.read().split(b"\n")
@@ -104,16 +104,16 @@ class LocalWorkers:
 
 
 def supervisor_command(endpoint: str, number: int) -> Sequence[str]:
-    """Return the command of the process that keeps so many workers, w-0, w-1 and so on, and ends when this one does."""
+    """Return the command of a supervisor of this many workers, w-0, w-1 and so on; it ends with this process."""
     return [*worker_command(endpoint, "w", number), "--supervise"]
 
 
 def worker_command(
     endpoint: str, name: str | None, number: int = 1, *, wait_s: float = 30.0, grace_s: float = 0.0
 ) -> Sequence[str]:
-    """Return the command of so many worker processes, which end when this process does.
+    """Return the command of worker processes that end with this process.
 
-    Without a `name` theirs are those of host and process; see ``island-worker --help`` for the other options.
+    By default a worker is named after host and process; see ``island-worker --help`` for the other options.
     """
     options = ["--connect", endpoint, "--processes", str(number), *(["--name", name] if name is not None else [])]
     options += ["--wait", f"{wait_s:g}", "--grace", f"{grace_s:g}"]
@@ -126,16 +126,16 @@ _OPEN_LIMIT_S: Final = 20.0
 
 @contextlib.contextmanager
 def local_processes(number: int, log: Path) -> Iterator[tuple[str, LocalWorkers]]:
-    """Start what is to load first: workers, which dial the address that is yielded."""
+    """Start workers, which take longest to load; they connect to the address that is yielded."""
     with own_address() as address, LocalWorkers(str(address), number, log) as workers:
         yield str(address), workers
 
 
 class LocalCoordinator:
-    """Router and service in a thread of their own, the store in memory; a context manager."""
+    """A coordinator in its own thread, with its store in memory; a context manager."""
 
     def __init__(self, endpoint: str, workers: int) -> None:
-        """`workers` is how many are expected to join."""
+        """`workers`: how many are expected to join."""
         self._endpoint = endpoint
         self._workers = workers
         self._stop = threading.Event()
@@ -152,17 +152,17 @@ class LocalCoordinator:
         self._thread.join(_COORDINATOR_STOP_S)
 
     def wait(self) -> None:
-        """Wait until the router listens; raises what kept it from doing so."""
+        """Wait until the router listens; raises the error that prevented it."""
         if not self._listening.wait(_OPEN_LIMIT_S):
             raise UnreachableError(f"the router did not listen on {self._endpoint} within {_OPEN_LIMIT_S:.0f} s")
         self.check()
 
     def check(self) -> None:
-        """Raise what has ended the coordinator, if it has ended."""
+        """Raise the error with which the coordinator has ended, if it has."""
         if self._error is not None:
             raise self._error
         if not self._thread.is_alive():
-            raise AtollError("the coordinator ended by itself, which it never should")
+            raise AtollError("the coordinator has ended unexpectedly; see its log")
 
     def _run(self) -> None:
         try:

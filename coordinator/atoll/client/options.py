@@ -1,6 +1,6 @@
-"""The options of a job, in one table: what each is called, which settings it decides, how its value is read, its help.
+"""The options of a job, in one table: name, settings of the job, reader of the value, help.
 
-Command line and Python give the same options: values are texts there and may be numbers, lists and mappings here.
+Command line and Python have the same options: values are texts there, and may be numbers, lists and mappings here.
 Standard library only, because ``--help`` must be instant.
 """
 
@@ -15,13 +15,12 @@ from atoll_core.command_line import duration
 from atoll_core.errors import Field, UsageError
 
 MOST_WORKERS: Final = 1024
-"""The most worker processes that are started on one machine."""
+"""Most worker processes on one machine."""
 
 _ALL: Final = "*"
 
 Read = Callable[[object, Field], object]
-"""Returns what a value says, of an option that decides several settings a tuple; raises UsageError, which names the
-field."""
+"""Returns the setting of a value, or a tuple for an option with several settings; raises UsageError with the field."""
 
 
 class Repeated(list[str]):
@@ -33,7 +32,7 @@ class Option(NamedTuple):
 
     name: str
     settings: str
-    """Dotted names in `JobConfig`, separated by spaces; `read` returns a value for each, None where it says nothing."""
+    """Dotted names in `JobConfig`, separated by spaces; `read` returns a value for each, None: not set."""
     read: Read
     metavar: str | None
     """None: a switch."""
@@ -54,7 +53,7 @@ class Option(NamedTuple):
 
 
 def text(value: object, field: Field) -> str:
-    """Return a text, of a number its digits."""
+    """Return a text, or the digits of a number."""
     if isinstance(value, bool) or not (isinstance(value, str) or hasattr(value, "__index__")):
         raise UsageError("%s must be text, but %r was given", field, value)
     return str(value)
@@ -77,7 +76,7 @@ def number(value: object, field: Field) -> float:
 
 
 def several_numbers(value: object, field: Field) -> tuple[float, ...]:
-    """Return numbers, of one or a list of them."""
+    """Return one number or a list of numbers as a tuple."""
     return tuple(number(part, field) for part in _several(value))
 
 
@@ -90,7 +89,7 @@ def seconds(value: object, field: Field) -> float:
 
 
 def names(value: object, field: Field, noun: str = "column") -> tuple[str, ...]:
-    """Return names, of columns or another `noun`, of a list or of ``x,y``, where one with a comma is in quotes."""
+    """Return the names of columns, or of another `noun`, of a list or of ``x,y``; names with a comma are in quotes."""
     import csv
 
     if isinstance(value, (list, tuple)):
@@ -107,7 +106,7 @@ def names(value: object, field: Field, noun: str = "column") -> tuple[str, ...]:
 
 
 def epochs(value: object, field: Field) -> tuple[int | None, dict[str, int] | None]:
-    """Return the epochs of all equations and of some: of ``50``, ``x=20,y=12``, both, or a mapping."""
+    """Return the epochs of all equations and of single ones, from ``50``, ``x=20,y=12``, both, or a mapping."""
     if isinstance(value, Mapping):
         pairs = [*value.items()]
     else:
@@ -121,7 +120,7 @@ def epochs(value: object, field: Field) -> tuple[int | None, dict[str, int] | No
 
 
 def holdout(value: object, field: Field) -> int | str:
-    """Return a number of trajectories, or ``COLUMN=VALUE`` as it is."""
+    """Return a number of trajectories, or ``COLUMN=VALUE`` unchanged."""
     if isinstance(value, str) and "=" in value:
         return value
     with contextlib.suppress(UsageError):
@@ -130,7 +129,7 @@ def holdout(value: object, field: Field) -> int | str:
 
 
 def switch(value: object, field: Field) -> bool:
-    """Return that it is on: one that is off is not given."""
+    """Return True; a switch that is off is not given."""
     if value is not True:
         raise UsageError("%s must be True or False, but %r was given", field, value)
     return True
@@ -183,7 +182,7 @@ def operators(value: object, field: Field) -> tuple[tuple[str, ...] | None, dict
 
 
 def bounds(value: object, field: Field) -> dict[str, tuple[str, ...]]:
-    """Return bounds by left-hand side, which stands before a colon; those of all equations by ``*``."""
+    """Return bounds by left-hand side, which is before a colon; bounds of all equations have the key ``*``."""
     if isinstance(value, Mapping):
         lines = [f"{side}: {bound}" for side, several in value.items() for bound in _several(several)]
     else:
@@ -202,7 +201,7 @@ def _several(value: object) -> Sequence[object]:
 
 
 def _pairs(value: object, field: Field, example: str) -> list[tuple[str, object]]:
-    """Return both sides of a mapping, or of each text at its last ``=``, which no expression or list holds."""
+    """Return both sides of a mapping, or of each text at its last ``=``, which occurs in no expression or list."""
     if isinstance(value, Mapping):
         pairs = [(side, right if isinstance(right, (list, tuple)) else str(right)) for side, right in value.items()]
     else:
@@ -222,39 +221,39 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("states", "data.states", names, "x,y", "state columns (default: all other numeric columns)"),
         Option("inputs", "data.inputs", names, "u", "columns that are variables without an equation; may name time"),
         Option("hold", "data.hold", names, "u", "inputs that keep the value of a row until the next row"),
-        Option("trajectory", "data.trajectory", text, "run", "column whose value changes where a trajectory begins"),
+        Option("trajectory", "data.trajectory", text, "run", "column whose value changes when a new trajectory begins"),
         Option(
             "group", "data.group", text, "strain",
-            "column: one structure is sought, whose constants may differ between its values",
+            "column: search one structure, whose constants may differ between its values",
         ),
         Option(
             "per_trajectory", "data.per_trajectory", switch, None,
-            "one structure is sought, whose constants each trajectory may own",
+            "search one structure, whose constants may differ between trajectories",
         ),
         Option("target", "data.target", text, "y", "explicit regression of y on the other columns"),
         Option("derivatives", "data.derivatives", names, "dx,dy", "measured derivatives, one column per state"),
-        Option("order", "data.order", whole, "1|2", "2: seek d2x/dt2 from positions (default: 1)"),
+        Option("order", "data.order", whole, "1|2", "2: search d2x/dt2 from positions (default: 1)"),
         Option(
             "angle", "data.angles", angles, "theta[:deg]",
-            "a state that is an angle, to be unwrapped", is_repeatable=True,
+            "a state that is an angle and is unwrapped", is_repeatable=True,
         ),
-        Option("only", "data.only", names, "x", "search these equations only; the other states stay usable"),
+        Option("only", "data.only", names, "x", "search only these equations; they may use all states"),
         Option("offsets", "data.offsets", names, "x", "states measured up to an offset, fitted for each trajectory"),
-        Option("step", "data.step", number, "0.1", "time between rows, where no column has it"),
+        Option("step", "data.step", number, "0.1", "time step, if no column has times"),
         Option("sheet", "data.sheet", text, "NAME", "sheet of an Excel workbook (default: the first with a table)"),
         Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
         Option(
             "missing_value", "data.missing_values", several_numbers, "-9999",
             "a number that stands for a missing value, which is dropped", is_repeatable=True,
         ),
-        Option("robust", "data.robust", switch, None, "smooth so that outliers lose their weight"),
+        Option("robust", "data.robust", switch, None, "smooth robustly: outliers get little weight"),
         Option(
             "stochastic", "data.stochastic", switch, None,
-            "noise is part of the law: seek drift and diffusion of dx = f dt + g dW",
+            "noise is part of the law: search drift and diffusion of dx = f dt + g dW",
         ),
         Option(
             "holdout", "data.holdout", holdout, "K|run=4",
-            "keep K last trajectories, or that one, from the search, to judge by them",
+            "hold out the last K trajectories, or that one, and test the model on them",
         ),
         Option(
             "weights", "data.weights", text, "w",
@@ -270,7 +269,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("preset", "preset", text, "default|paper", "paper: Table II of Schmidt & Lipson 2008, nothing added"),
         Option(
             "operators", "space.operators space.operators_of", operators, "LIST",
-            "what expressions are made of (default: +,-,*,/,sin,cos, and others where they shorten the description); "
+            "operators of expressions (default: +,-,*,/,sin,cos, and others if they shorten the description); "
             "x=LIST for one equation", is_repeatable=True,
         ),
         Option(
@@ -283,16 +282,16 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "bound", "prior.bounds", bounds, '"[x:] c > 0"',
-            "bounds on constants: c every one, |c| every size, inner those inside terms, x*y the coefficient of "
+            "bounds on constants: c all, |c| all magnitudes, inner those inside terms, x*y the coefficient of "
             "that term, as in 'x: -2 < x*y < 0'", is_repeatable=True,
         ),
         Option(
             "guess", "prior.guesses", guesses, "dx=EXPR",
-            "an equation to begin from, its constants fitted", is_repeatable=True,
+            "an equation to start from; its constants are fitted", is_repeatable=True,
         ),
         Option(
             "known", "prior.known", partial(by_equation, example="dy=-x/10"), "dy=EXPR",
-            "an equation that is given, not searched", is_repeatable=True,
+            "a known equation, which is not searched", is_repeatable=True,
         ),
         Option("islands", "evolution.islands", whole, "K", "islands per state variable (default: 8)"),
         Option("max_size", "space.max_size", whole, "N", "largest complexity of an equation (default: no limit)"),
@@ -300,7 +299,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
     "budget": (
         Option(
             "max_time", "budget.max_time", seconds, "60s",
-            "end the whole job after 90, 60s, 10m, 1h (default: never by the clock)",
+            "end the whole job after 90, 60s, 10m, 1h (default: no time limit)",
         ),
         Option(
             "max_epochs", "budget.max_epochs budget.max_epochs_of", epochs, "N",

@@ -1,7 +1,7 @@
-"""A line to a coordinator through ``coordinator web``, for those whom a firewall keeps from the bus.
+"""A connection to a coordinator through ``coordinator web``, for users behind a firewall.
 
-Questions travel as on the bus, one HTTP request each; changes are asked for instead of being told, which is noticed
-within two seconds (`atoll.client.follower.QUIET_S`).
+Requests are the same as on the bus, in one HTTP request each. Changes are not pushed, so they are polled every two
+seconds (`atoll.client.follower.QUIET_S`).
 """
 
 import contextlib
@@ -26,10 +26,10 @@ from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.security.credentials import credentials_of
 
 TOKEN: Final = "ATOLL_WEB_TOKEN"
-"""The variable that gives the token. An address with ``?token=`` does as well, but others can read command lines."""
+"""The environment variable with the token. An address with ``?token=`` works, but others can read command lines."""
 
 _TOKEN_FORM: Final = re.compile(r"[A-Za-z0-9._~+/-]+=*")
-"""Of tokens in headers, by RFC 6750, section 2.1: base64 in both alphabets is among them."""
+"""Tokens in headers, by RFC 6750, section 2.1; includes base64 in both alphabets."""
 
 MESSAGE: Final = "application/vnd.atoll.message"
 
@@ -38,7 +38,7 @@ _REFUSED: Final = (400, 401, 403, 404, 405, 409, 413, 421, 422)
 
 @dataclass(frozen=True, slots=True)
 class WebAddress:
-    """Where ``coordinator web`` answers; `authority` is a file of certificates that are trusted beside the system's."""
+    """The address of ``coordinator web``; `authority` is a file of certificates trusted in addition to the system's."""
 
     base: str
     token: str = field(repr=False)
@@ -49,19 +49,19 @@ class WebAddress:
 
 
 Whereabouts = Destination | WebAddress
-"""Where a coordinator is: on the bus, or behind a web process."""
+"""The address of a coordinator: on the bus, or behind a web process."""
 
 
 def coordinator_at(text: str, files: Mapping[str, object], environment: Mapping[str, str]) -> Whereabouts:
-    """Return where a coordinator is, on the bus or over HTTP.
+    """Return the address of a coordinator, on the bus or over HTTP.
 
     Args:
         text: addresses such as ``tcp/host:7447``, or one such as ``https://host:7480``.
         files: options for TLS by name, such as `tls_ca`.
-        environment: gives what options do not.
+        environment: defaults for options.
 
     Raises:
-        UsageError: it is no address, or what it needs is not there.
+        UsageError: the address is invalid, or a file or token is missing.
     """
     if not text.startswith(("http://", "https://")):
         return destination(text, credentials_of(files, environment, "connect"))
@@ -78,7 +78,7 @@ def coordinator_at(text: str, files: Mapping[str, object], environment: Mapping[
 
 
 def check_token(token: str) -> None:
-    """Raise UsageError for a token with characters that no header takes."""
+    """Raise UsageError for a token with characters that are not allowed in headers."""
     if not _TOKEN_FORM.fullmatch(token):
         raise UsageError(
             f"the token of the page has other characters than letters, digits, - . _ ~ + / and = at its end; set "
@@ -91,10 +91,10 @@ def _file(name: object) -> Path | None:
 
 
 class HttpLine:
-    """What a `Client` needs of a bus, over HTTP."""
+    """The part of a bus that a `Client` needs, over HTTP."""
 
     def __init__(self, address: WebAddress) -> None:
-        """Raises UsageError where the file of certificates cannot be used."""
+        """Raises UsageError if the file of certificates cannot be used."""
         self._address = address
         self._replies: deque[Reply] = deque()
         self._token = 0
@@ -106,17 +106,17 @@ class HttpLine:
                 raise UsageError(f"the certificates in {address.authority} cannot be used: {error}") from error
 
     def subscribe(self, key_expression: str) -> None:
-        """Have nothing told: who follows asks again."""
+        """Do nothing: followers poll."""
 
     def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
-        """Ask the process behind the address, which asks the coordinator under a name of its own."""
+        """Send a request to the web process, which asks the coordinator under its own name."""
         self._token += 1
         answer = self._post(payload, timeout_s) if key != topics.HELLO else None
         self._replies.append(Reply(self._token, answer))
         return self._token
 
     def receive(self, timeout_s: float) -> Event | None:
-        """Return the next answer; None after so many seconds."""
+        """Return the next answer; None after `timeout_s`."""
         if self._replies:
             return self._replies.popleft()
         time.sleep(max(0.0, timeout_s))
@@ -146,7 +146,7 @@ class HttpLine:
 
 
 def _detail(error: urllib.error.HTTPError) -> str:
-    """Return the sentence of a problem; of what is none, what a proxy on the way may have meant."""
+    """Return the text of a problem response; other responses may come from a proxy."""
     with contextlib.suppress(ValueError, AttributeError, OSError):
         detail = json.loads(error.read(MAX_MESSAGE)).get("detail")
         if isinstance(detail, str):

@@ -1,7 +1,7 @@
-"""What can be asked of a result: an analysis, what the data determine, experiments to make, a page.
+"""Questions about a result: its dynamics, identifiability, the next experiments, a page.
 
-The same question is answered here, of a saved result, or as a task by a worker, of a job that a service has: a pure
-function of the result, the question and, where measurements are given, their table.
+A question about a saved result is answered here; a question about a job of a service is answered by a worker, as a
+task. The answer is a pure function of the result, the question and, if given, a table of measurements.
 """
 
 import json
@@ -21,7 +21,7 @@ from atoll_core.wire.messages.tasks import AnalysisFunction
 from atoll_core.wire.values import decode_value, encode_value
 
 Form = Literal["text", "json"]
-"""As people read it, or as plain data with all curves."""
+"""Text for people, or plain data with all curves."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class AnalyseDynamics(Question):
 
 @dataclass(frozen=True, kw_only=True)
 class Profile(Question):
-    """What the data determine of each constant, see `atoll.Model.identifiability`."""
+    """Which constants the data determine, see `atoll.Model.identifiability`."""
 
     level: float = LEVEL
     form: Form = "text"
@@ -51,7 +51,7 @@ class Profile(Question):
 
 @dataclass(frozen=True, kw_only=True)
 class Suggest(Question):
-    """The experiments to make next, see `atoll.Model.suggest`."""
+    """The next experiments, see `atoll.Model.suggest`."""
 
     request: DesignRequest
     form: Form = "text"
@@ -74,7 +74,7 @@ class Analysed:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of the task: what was `analysed`, or why it cannot be; `is_refused`: by what was asked."""
+    """The result of the task: the answer, or an error; `is_refused`: the question was the cause."""
 
     analysed: Analysed | None = None
     sentence: str = ""
@@ -93,13 +93,13 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
     """Answer a question about a result.
 
     Args:
-        result: that of a job.
-        question: of which `FUNCTIONS` has the kind.
-        table: measurements in the place of those that the result has, for profiles and suggestions.
-        spread: spreads the work of profiles.
+        result: the result of a job.
+        question: of a kind in `FUNCTIONS`.
+        table: measurements in place of those in the result, for profiles and suggestions.
+        spread: distributes the work of profiles.
 
     Raises:
-        UsageError: a name or a number of the question does not fit the result.
+        UsageError: a name or a number in the question does not fit the result.
         AtollError: the model cannot be simulated.
     """
     match question:
@@ -140,7 +140,7 @@ def analyse(
 
 
 def answered(outcome: bytes) -> Analysed:
-    """Return what `analyse` has given; raises RefusedError or AtollError with its sentence where it gave none."""
+    """Return the answer in an encoded `Outcome`; raises RefusedError or AtollError with its error."""
     made = decode_value(outcome, Outcome)
     if made.analysed is None:
         raise (RefusedError if made.is_refused else AtollError)(made.sentence)

@@ -1,4 +1,4 @@
-"""The functions of tasks by name: what each needs loaded, and how it is called."""
+"""The functions of tasks by name: what each needs to load, and how it is called."""
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 Call = Callable[[Sequence[bytes], float | None, "Team"], bytes]
-"""Runs a function: its inputs, the seconds that it may take (None: any time), and the team that computes batches."""
+"""Runs a function with its inputs, its time limit in seconds (None: none), and the team that computes batches."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskHandler:
-    """`call` runs it; `load` loads what that needs, `ready` compiles kernels as well, for tasks whose time counts."""
+    """`call` runs it; `load` loads what it needs; `ready` also compiles kernels, for tasks with a time limit."""
 
     load: Callable[[], None]
     ready: Callable[[], None]

@@ -1,4 +1,4 @@
-"""The program of a task process: runs tasks one after another until the worker that started it closes the pipe.
+"""The program of a task process: runs tasks one after another until its worker closes the pipe.
 
 Light to import. One thread runs tasks; another reads what the worker says, so that the end of the worker, however it
 came, ends this process in the middle of a task.
@@ -27,20 +27,20 @@ from atoll_core.task_frames import OTHER_VERSION, Ask, FromProcess, Give, Progre
 from atoll_core.wire.messages.tasks import MAX_BATCH
 
 HOLD_S: Final = 2.0
-"""How long a helper's question waits for a batch before it is told to ask again; below the time limit of questions."""
+"""How long a helper's question may wait for a batch before the helper has to ask again; below its timeout."""
 
 NOTED_S: Final = 1.0
-"""The worker learns at most so often how far a task is: its heartbeat has no use for more."""
+"""Progress is sent to the worker at most this often, because its heartbeats need no more."""
 
 LATE: Final = 2.0
-"""A batch that a helper has had for so many times the longest that one took here is computed here as well."""
+"""A batch of a helper is also computed here after this many times the longest duration of a batch here."""
 
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(eq=False, slots=True)
 class _Call:
-    """One call of `Team.map`: its items by place, and how far they are. `first` is the number of its first batch."""
+    """One call of `Team.map`: the states of its items by place. `first` is the number of its first batch."""
 
     function: str
     digest: str
@@ -75,26 +75,26 @@ class Team:
         self._asked: deque[tuple[Ask, float]] = deque()
         self._asked_at: float | None = None
         self._calls: list[_Call] = []
-        self._numbers = int.from_bytes(os.urandom(5))  # what is late for another process of this task fits nowhere
+        self._numbers = int.from_bytes(os.urandom(5))  # so late answers for another process match no batch
 
     # ----------------------------------------------------------------------------------- the task's threads
 
     @property
     def workers(self) -> int:
-        """How many helpers there are, about; 0: values need not become bytes."""
+        """About how many helpers there are; 0: values need not be encoded."""
         if self._asked_at is None or self._clock() - self._asked_at > 2.0 * HOLD_S:
             return 0
         with self._changed:
             return max(1, len(self._asked) + sum(len(call.given) for call in self._calls))
 
     def begin(self, task: str, threads: int) -> None:
-        """Begin a task that may use so many threads."""
+        """Begin a task with this many threads."""
         self._task, self.threads = task, threads
         self._here = self._elsewhere = self._compared = 0
         self._noted_at = self._clock()
 
     def note(self, compared: int) -> None:
-        """Take in, from any thread, that so many more candidates have been compared; the worker is told."""
+        """Add to the number of compared candidates, from any thread, and report it to the worker."""
         with self._changed:
             self._compared += compared
             now = self._clock()
@@ -104,13 +104,13 @@ class Team:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many candidates were compared; how many batches of the task were computed here, how many by helpers."""
+        """Numbers of candidates compared, of batches computed here, and of batches computed by helpers."""
         return {
             "compared": self._compared, "batches_here": self._here, "batches_elsewhere": self._elsewhere,
         }  # fmt: skip
 
     def end(self) -> None:
-        """End a task: helpers have nothing to wait for."""
+        """End a task, and answer the helpers that wait."""
         with self._changed:
             self._asked_at = None
             while self._asked:
@@ -140,7 +140,7 @@ class Team:
         return [call.results.get(place, CANCELLED) for place in range(len(items))]
 
     def _next(self, call: _Call, end: float | None) -> int | None:
-        """Return the next item to compute here; None: look again, a helper's answer may have come."""
+        """Return the next item to compute here; None: check again, a helper's answer may have come."""
         with self._changed:
             if call.waiting:
                 return call.waiting.popleft()
@@ -167,14 +167,14 @@ class Team:
     # ----------------------------------------------------------------------------------- the reading thread
 
     def ask(self, question: Ask) -> None:
-        """Take in that a helper has room for a batch: it gets one now or as soon as there is one."""
+        """Take in that a helper wants a batch: it gets one now or as soon as there is one."""
         with self._changed:
             self._asked_at = self._clock()
             self._asked.append((question, self._asked_at))
             self._serve_waiting()
 
     def take(self, number: int, result: bytes | None) -> None:
-        """Take in what a helper made of a batch; one that could not be made there is the next that is made here."""
+        """Take in a helper's result of a batch; a batch that failed there is the next one computed here."""
         with self._changed:
             call = next((one for one in self._calls if one.first <= number < one.first + len(one.items)), None)
             if call is None or number - call.first not in call.given:
@@ -182,13 +182,13 @@ class Team:
             place = number - call.first
             if result is None:
                 del call.given[place]
-                call.waiting.appendleft(place)  # helpers get others, from the back: it may break with each of them
+                call.waiting.appendleft(place)  # other helpers might fail, too; they get batches from the back
             else:
                 self._elsewhere += self._settle(call, place, result)
             self._changed.notify_all()
 
     def expire(self) -> None:
-        """Tell helpers that have waited for long to ask again."""
+        """Make helpers that have waited too long ask again."""
         now = self._clock()
         with self._changed:
             while self._asked and now - self._asked[0][1] >= HOLD_S:
@@ -214,7 +214,7 @@ class Team:
         self._send(Give(question.token, batch))
 
     def _batch(self, question: Ask) -> TaskBatch | None:
-        """Return a batch for a helper: the last of the call that has most waiting; the first is left for its thread."""
+        """Return a batch for a helper: the last of the call with most waiting items; the first one stays here."""
         fit = [call for call in self._calls if len(call.waiting) > 1 and _size(call) <= MAX_BATCH]
         if not fit:
             return None
@@ -230,7 +230,7 @@ def _size(call: _Call) -> int:
 
 
 def compute(batch: TaskBatch) -> bytes | None:
-    """Return what a batch of another worker's task comes to; None where it breaks here: it is computed there."""
+    """Return the result of a batch of another worker's task; None if it fails here: then it is computed there."""
     try:
         return _computed(batch.function, batch.context, batch.item)
     except Exception:
@@ -243,7 +243,7 @@ def _computed(function: str, context: bytes, item: bytes) -> bytes:
     from atoll_coordinator.model.batches import FUNCTIONS
 
     if function not in FUNCTIONS:
-        import atoll.experiments.identifiability  # noqa: F401  # fills it further
+        import atoll.experiments.identifiability  # noqa: F401  # adds to the table
 
     return FUNCTIONS[function](context, item)
 
@@ -254,13 +254,13 @@ _STDERR: Final = 2
 _MORE_LIKELY: Final = "500"
 _POLL_S: Final = 0.25
 _SHOWN: Final = 12
-"""Digits of a task's name in a line of the log."""
+"""Digits of a task's name in a log line."""
 
 
 def main(descriptor: int, level: int, of: str) -> None:
-    """Run tasks until the worker at the other end of the pipe `descriptor`, whose version is `of`, is gone.
+    """Run tasks until the worker at the other end of the pipe `descriptor`, whose version is `of`, has ended.
 
-    `level` is the least that is logged.
+    `level`: minimum level of log records.
     """
     if of != version():
         sys.exit(OTHER_VERSION)
@@ -268,8 +268,8 @@ def main(descriptor: int, level: int, of: str) -> None:
 
 
 def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level: int) -> None:
-    """Run the tasks that come through a pipe until the worker at its other end is gone."""
-    ignore(ENDING)  # the worker's to handle, also where a whole group of processes is told to end
+    """Run the tasks that come through a pipe until the worker at its other end has ended."""
+    ignore(ENDING)  # signals to a whole process group are for the worker
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads of numpy's library wait
     if sys.platform == "linux":
         with contextlib.suppress(OSError):  # where memory runs out, this is to go before its worker
@@ -280,7 +280,7 @@ def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level:
 
 
 def _turn_away_streams() -> None:
-    """Have nothing to read on stdin, and what is printed go to stderr: stdout is the worker's."""
+    """Close stdin, and send printed text to stderr, because stdout belongs to the worker."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, _STDIN)
     os.close(nothing)
@@ -299,7 +299,7 @@ class TaskLoop:
         logging.basicConfig(level=level, handlers=[_LogSender(self._send)], force=True)
 
     def work(self) -> None:
-        """Run what comes, one after the other, for ever: the end of the pipe ends the process."""
+        """Run tasks and batches, one after another, for ever: the end of the pipe ends the process."""
         self._send(frames.Started(os.getpid()))
         threading.Thread(target=self._read, name="reading tasks", daemon=True).start()
         while True:
@@ -344,13 +344,13 @@ class TaskLoop:
             self._team.end()
 
     def _read(self) -> None:
-        """Hand on what comes; end this process when there can be no more."""
+        """Read messages; end this process when the pipe is closed."""
         try:
             while True:
                 if self._connection.poll(_POLL_S):
                     self._take_in(self._connection.recv())
                 self._team.expire()
-        except (EOFError, OSError):  # the worker is gone, perhaps in the middle of a message
+        except (EOFError, OSError):  # the worker has ended, perhaps in the middle of a message
             os._exit(0)
         except BaseException as error:
             sys.excepthook(type(error), error, error.__traceback__)
@@ -366,7 +366,7 @@ class TaskLoop:
                 self._waiting.put(message)
 
     def _send(self, message: frames.FromProcess) -> None:
-        """Send a message, from any thread; this process ends when nobody is there to hear it."""
+        """Send a message, from any thread; this process ends if the pipe is closed."""
         with self._sending:
             try:
                 self._connection.send(message)
@@ -375,14 +375,14 @@ class TaskLoop:
 
 
 class _LogSender(logging.Handler):
-    """Sends log records to the worker, their messages formatted and their tracebacks as text."""
+    """Sends log records to the worker, with formatted messages and tracebacks as text."""
 
     def __init__(self, send: Callable[[frames.FromProcess], None]) -> None:
         super().__init__()
         self._send = send
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send a record; one that cannot be sent is told on stderr, as any handler does."""
+        """Send a record; errors are printed on stderr, as by any handler."""
         try:
             self._send(self._logged(record))
         except Exception:

@@ -1,4 +1,4 @@
-"""What verbs print: lines on stdout, notes on stderr, JSON, and plain aligned tables."""
+"""The output of verbs: lines on stdout, notes on stderr, JSON, and plain aligned tables."""
 
 import contextlib
 import json
@@ -17,7 +17,7 @@ _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:[eE][+-]?\d+)?")
 
 
 def say(text: str) -> None:
-    """Print a result on stdout; raises AtollError when it cannot be written, unless its reader has gone."""
+    """Print a result on stdout; raises AtollError if it cannot be written, unless the reader has closed the pipe."""
     try:
         sys.stdout.write(visible(text if text.endswith("\n") else text + "\n"))
         sys.stdout.flush()
@@ -28,14 +28,14 @@ def say(text: str) -> None:
 
 
 def note(text: str) -> None:
-    """Print progress or advice on stderr; where nobody can read it, the work goes on."""
+    """Print progress or advice on stderr; errors are ignored."""
     with contextlib.suppress(OSError):
         sys.stderr.write(visible(text) + "\n")
         sys.stderr.flush()
 
 
 def as_json(value: object) -> str:
-    """Return `value` as indented JSON, rows of numbers on one line; NaN and infinity are refused, not written."""
+    """Return `value` as indented JSON, rows of numbers on one line; raises ValueError for NaN and infinity."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
     return _NUMBERS.sub(lambda match: " ".join(match[0].split()).replace("[ ", "[").replace(" ]", "]"), text)
 
@@ -66,19 +66,19 @@ def clipped(text: str, width: int) -> str:
 
 
 def count(number: float | None) -> str:
-    """Return a large number in three digits, such as ``1.25e+06``; ``-`` for None."""
+    """Return a large number with three digits, such as ``1.25e+06``; ``-`` for None."""
     if number is None:
         return "-"
     return f"{number:.0f}" if number < 1000 else f"{number:.3g}"
 
 
 def error_text(error: float | None) -> str:
-    """Return an error in two digits; ``-`` for None."""
+    """Return an error with two digits; ``-`` for None."""
     return "-" if error is None else f"{error:.1e}"
 
 
 def duration(seconds: float) -> str:
-    """Return seconds as a person reads them: ``4.2 s``, ``3:05``, ``2:10:00``."""
+    """Return seconds as text: ``4.2 s``, ``3:05``, ``2:10:00``."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(int(seconds), 60)

@@ -1,7 +1,7 @@
-"""Live progress on stderr: a table that redraws itself on a terminal, otherwise a few plain lines now and then.
+"""Progress on stderr: a table that is redrawn on a terminal, otherwise a few plain lines now and then.
 
-The texts are pure functions of what the coordinator says of a job and its workers; the two displays only decide when
-and how they appear.
+The texts are pure functions of the coordinator's views of a job and its workers; displays only decide when and how they
+appear.
 """
 
 import json
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 PLAIN_INTERVAL_S: Final = 5.0
 _PASSING: Final = re.compile(r"\b[0-9]+ (s\b|of [0-9]+ compiled)")
-"""Numbers of seconds and of kernels, which make a sentence another one a second later."""
+"""Numbers of seconds and of kernels, which change a sentence every second."""
 _HEADS: Final = ("equation", "epoch", "error", "size", "best so far", "")
 
 
 def open_display(connect_hint: str) -> Display:
-    """Return the display that suits stderr. `connect_hint` is the command that starts a worker, "" if nobody need."""
+    """Return the display for stderr. `connect_hint` is the command that starts a worker, "" if none is needed."""
     return LiveDisplay(connect_hint) if is_screen() else PlainDisplay(connect_hint)
 
 
@@ -37,7 +37,7 @@ def is_screen() -> bool:
 
 
 def headline(view: JobView, workforce: Workforce, connect_hint: str) -> str:
-    """Return one line on the whole job: state, time, workers, speed, and what it waits for."""
+    """Return one line about the whole job: state, time, workers, speed, and what it waits for."""
     number = view.workers or workforce.alive
     parts = [f"job {view.job} {view.state}", duration(view.elapsed), "1 worker" if number == 1 else f"{number} workers"]
     if view.point_evaluations:
@@ -52,7 +52,7 @@ def headline(view: JobView, workforce: Workforce, connect_hint: str) -> str:
 
 
 def waiting(view: JobView, workforce: Workforce, connect_hint: str) -> str:
-    """Return what an unfinished job waits for, or where it stands still, if anywhere."""
+    """Return what an unfinished job waits for, or why it makes no progress, if so."""
     if view.state in FINAL_STATES:
         return ""
     if not workforce.alive:
@@ -63,14 +63,14 @@ def waiting(view: JobView, workforce: Workforce, connect_hint: str) -> str:
 
 
 def row(variable: VariableView) -> tuple[str, ...]:
-    """Return the cells of one equation, as in the heads of the table."""
+    """Return the cells of one equation, in the order of the table's heads."""
     size = "-" if variable.complexity is None else str(variable.complexity)
     best = shortened(variable.expression) if variable.expression else "-"
     return (variable.lhs, str(variable.epoch), error_text(variable.normalized_error), size, best, standing(variable))
 
 
 def standing(variable: VariableView) -> str:
-    """Return in a word or two how the search of one equation stands; after it, how far the equation can be trusted."""
+    """Return the state of the search of one equation, or its verdict after the search."""
     if variable.why == "known":
         return "known"
     if variable.verdict:
@@ -83,7 +83,7 @@ def standing(variable: VariableView) -> str:
 
 
 def plain_lines(view: JobView, workforce: Workforce, connect_hint: str) -> list[str]:
-    """Return the lines of the plain display: the headline, then one for each equation with something to say."""
+    """Return the lines of the plain display: the headline, then one for each equation with progress."""
     lines = [headline(view, workforce, connect_hint)]
     for variable in view.variables:
         if not variable.epoch and not variable.finished:
@@ -104,7 +104,7 @@ class PlainDisplay(Display):
         self._due = 0.0
 
     def show(self, view: JobView, workforce: Workforce, now: float) -> None:
-        """Write the lines when there is something to say."""
+        """Write the lines when the state has changed, or some time has passed."""
         standings = tuple((variable.finished, variable.converged) for variable in view.variables)
         state = (view.state, standings, _PASSING.sub("", waiting(view, workforce, self._hint)))
         if state == self._shown and now < self._due:
@@ -126,7 +126,7 @@ class JsonDisplay(Display):
         self._shown: JobView | None = None
 
     def show(self, view: JobView, workforce: Workforce, now: float) -> None:
-        """Write the view, unless only time has passed."""
+        """Write the view, unless only the elapsed time has changed."""
         del workforce, now
         timeless = view.model_copy(update={"elapsed": 0.0, "point_evaluations_per_second": None})
         if timeless != self._shown:
@@ -139,7 +139,7 @@ class JsonDisplay(Display):
 
 
 class LiveDisplay(Display):
-    """A table that stays in its place on a terminal; what was last shown remains."""
+    """A table that is redrawn in place on a terminal; its last state remains."""
 
     def __init__(self, connect_hint: str) -> None:
         from rich.console import Console

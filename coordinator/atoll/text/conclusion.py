@@ -1,4 +1,4 @@
-"""What a result comes to, in sentences for people who do not know the terms of the field."""
+"""A result in plain sentences, for readers who do not know the terms of the field."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -22,7 +22,7 @@ _CALENDAR: Final = ("second", "minute", "hour", "day", "week", "month", "quarter
 
 
 def conclusion(result: Result) -> str:
-    """Return one paragraph: what was sought in which data, what was found, and how far it can be trusted."""
+    """Return one paragraph: what was searched in which data, what was found, and how far to trust it."""
     found = [equation for equation in result.equations if equation.expression is not None]
     if not found:
         return f"Atoll looked{_source(result)} for {_aim(result)}, and found none."
@@ -50,7 +50,7 @@ def _source(result: Result) -> str:
 
 
 def _explain(result: Result, equation: Equation) -> str:
-    """Return how a left-hand side is read; "" of a formula without time."""
+    """Explain a left-hand side; "" for a formula without time."""
     lhs, variable, time = equation.lhs, equation.variable, result.time
     if lhs == f"d{variable}/d{time}":
         return f"{lhs} is the change of {variable} per {_time_unit(result)}. "
@@ -60,7 +60,7 @@ def _explain(result: Result, equation: Equation) -> str:
 
 
 def _time_unit(result: Result) -> str:
-    """Return in what time is counted, in words: the unit of its column, else what the column is called."""
+    """Return the unit of time in words: the unit of its column, or the name of the column."""
     unit = result.units.get(result.time)
     if unit:
         return _TIMES.get(unit, unit)
@@ -69,7 +69,7 @@ def _time_unit(result: Result) -> str:
 
 
 def _trust(equations: Sequence[Equation]) -> str:
-    """Return what the verdicts mean, the worst first; "" without verdicts."""
+    """Return the meaning of the verdicts, the worst first; "" without verdicts."""
     sentences = []
     for verdict in ("no model", "doubtful", "good", "exact"):
         named = [equation.lhs for equation in equations if equation.verdict == verdict]

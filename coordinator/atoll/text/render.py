@@ -34,9 +34,9 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
 MOST_LINES: Final = 12
-"""Trajectories and pairs of constants listed one by one; of more, the worst are."""
+"""Most trajectories and pairs of constants that are listed; of more, the worst."""
 NEAREST: Final = 2
-"""Contenders shown beside the chosen equation where there is room for a few lines only."""
+"""Alternative equations listed in a short output."""
 _PLACES: Final = {
     "end": "near ends",
     "gap": "near gaps",
@@ -53,7 +53,7 @@ _ROUNDINGS: Final = {
 
 
 def columns(heads: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
-    """Return rows under their heads, right-aligned but for the last column, which is not padded."""
+    """Return rows under their heads, right-aligned except the last column, which is not padded."""
     lines = [tuple(heads), *map(tuple, rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(heads) - 1)]
     padded = (
@@ -71,7 +71,7 @@ def percent(share: float | None) -> str:
 
 
 def checks_text(checks: Sequence[Check]) -> str:
-    """Return how many of the checks that are applicable have passed, and which have not."""
+    """Return how many of the applicable checks have passed, and which have not."""
     passed = sum(check.outcome == "passed" for check in checks)
     parts = [f"{passed} of {sum(check.outcome != 'not applicable' for check in checks)} passed"]
     for outcome in ("failed", "not made"):
@@ -81,7 +81,7 @@ def checks_text(checks: Sequence[Check]) -> str:
 
 
 def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
-    """Return a line for all checks of an equation, and where they are to be listed one for each."""
+    """Return a line about all checks of an equation, and one for each if they are listed."""
     if not checks:
         return []
     listed = [f"        {check.name}: {check.outcome}: {check.reason}" for check in checks] if is_listed else []
@@ -92,7 +92,7 @@ def checks_lines(checks: Sequence[Check], *, is_listed: bool) -> list[str]:
 
 
 def constants_line(constants: Sequence[Constant]) -> str | None:
-    """Return all constants with their standard errors in a line; None when these are not known, or are rounding."""
+    """Return all constants with their standard errors in a line; None if these are unknown, or only rounding."""
     known = constant_words(constants)
     return "constants: " + ", ".join(map(_words_text, known)) if known else None
 
@@ -102,7 +102,7 @@ def _words_text(words: ConstantWords) -> str:
 
 
 def constants_table(constants: Sequence[Constant]) -> list[str]:
-    """Return a line for each constant whose standard error is known, or infinite, with a head; nothing for none."""
+    """Return a table of the constants whose standard errors are known, or infinite; no lines if there are none."""
     known = with_errors(constants)
     has_intervals = any(constant.interval is not None for constant in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
@@ -119,7 +119,7 @@ def constants_table(constants: Sequence[Constant]) -> list[str]:
 
 
 def _remark(constant: Constant) -> str:
-    """Return the odds of the simple number that is shown, or how far the nearest one is; or why there is none."""
+    """Return the odds of the simple number that is shown, or the distance of the nearest one; or why there is none."""
     simple = constant.simple
     if constant.at_bound:
         return "on its bound"
@@ -133,7 +133,7 @@ def _remark(constant: Constant) -> str:
 
 
 def together_line(together: SimpleTogether | None) -> list[str]:
-    """Return a line on simple numbers of several constants, judged together; nothing where others are likelier."""
+    """Return a line about simple numbers of several constants, judged together; none if others are more likely."""
     if not together or together.odds is None:
         return []
     chi = "" if together.chi_square is None else f" (chi-square {together.chi_square:.2g})"
@@ -142,7 +142,7 @@ def together_line(together: SimpleTogether | None) -> list[str]:
 
 
 def units_line(units: Units | None) -> list[str]:
-    """Return a line on factors of one that are not written but have a unit; nothing without any."""
+    """Return a line about factors of one that are not written but have a unit; none without any."""
     if not units or not units.implied:
         return []
     factors = ", ".join(f"1 {factor.unit} before {factor.of}" for factor in units.implied)
@@ -209,11 +209,11 @@ def candidates_table(
 
 
 def summary(result: Result) -> list[str]:
-    """Return the noise in a line and the simulations in another; nothing for what is exact or not known."""
+    """Return a line about noise and one about simulations; none for exact or unknown ones."""
     noisy = [
         f"{state} {percent(noise.relative)}" for state, noise in result.noise.items() if noise.method != "interpolation"
     ]
-    lines = [f"noise: {', '.join(noisy)} of the deviation"] if noisy else []
+    lines = [f"noise: {', '.join(noisy)} of the standard deviation"] if noisy else []
     errors = {state: "; ".join(_error_texts(noise.errors)) for state, noise in result.noise.items()}
     lines += [f"errors of {state}: {text}" for state, text in errors.items() if text]
     if any(equation.verdict != "exact" for equation in result.equations):
@@ -236,12 +236,12 @@ def _simulation_line(trajectories: Sequence[Simulated]) -> list[str]:
 
 
 def noise_lines(result: Result) -> list[str]:
-    """Return a line for each state: how noisy it is, and how it was smoothed."""
+    """Return a line for each state: its noise, and how it was smoothed."""
     return [f"noise of {state}: {_noise_text(noise)}" for state, noise in result.noise.items()]
 
 
 def _error_texts(errors: Errors | None) -> list[str]:
-    """Return in words how errors differ from independent ones of one size."""
+    """Return in words how errors differ from independent errors of constant size."""
     if errors is None:
         return []
     texts = []
@@ -249,7 +249,7 @@ def _error_texts(errors: Errors | None) -> list[str]:
         texts.append(f"{percent(errors.proportional)} of their variance grows with the value squared")
     if errors.add_up:
         size = f"{errors.sd or 0.0:.2g} within {errors.piece} rows"
-        texts.append(f"errors add up along trajectories, as those of a solver do: {size}")
+        texts.append(f"errors accumulate along trajectories, like integration errors of a solver: {size}")
     elif errors.correlated:
         rows = max(2, round(errors.correlation_rows or 0.0))
         share = f"{percent(errors.correlated)} of the errors' variance of neighbouring rows goes"
@@ -259,9 +259,9 @@ def _error_texts(errors: Errors | None) -> list[str]:
 
 
 def _noise_text(noise: Noise) -> str:
-    relative, rounding = f"{percent(noise.relative)} of its deviation", noise.quantisation
+    relative, rounding = f"{percent(noise.relative)} of the standard deviation", noise.quantisation
     if noise.method == "interpolation":
-        texts = ["none to speak of" if rounding is None else f"{relative} at most", "interpolated"]
+        texts = ["negligible" if rounding is None else f"{relative} at most", "interpolated"]
     else:
         smoothed = f"{noise.method} of degree {noise.degree} over {noise.span} rows"
         texts = [f"{number_text(noise.sd)}, {relative}", smoothed, *_residual_texts(noise)]
@@ -278,7 +278,7 @@ def _noise_text(noise: Noise) -> str:
 
 
 def _residual_texts(noise: Noise) -> list[str]:
-    """Return how far measurements lie from the smoothed curve at most, where that is known."""
+    """Return the largest residual of the smoothed curve, if it is known."""
     largest = noise.largest_residual
     if largest is None or largest.value is None:
         return []
@@ -313,7 +313,7 @@ def _worst(trajectory: Simulated) -> float:
 
 
 def correlation_lines(result: Result) -> list[str]:
-    """Return a line for each pair of constants that the data hardly tell apart, the closest first."""
+    """Return a line for each pair of strongly correlated constants, the strongest first."""
     constants = {equation.variable: equation.constants for equation in result.equations}
     names = constant_names(result) if result.correlations else {}
 
@@ -324,7 +324,7 @@ def correlation_lines(result: Result) -> list[str]:
 
     pairs = sorted(result.correlations, key=lambda pair: -abs(pair.value or 0.0))
     return [
-        f"hardly told apart: {named(pair.first)} and {named(pair.second)}, correlation {pair.value:.3f}"
+        f"strongly correlated: {named(pair.first)} and {named(pair.second)}, correlation {pair.value:.3f}"
         for pair in pairs[:MOST_LINES]
         if pair.value is not None
     ]
@@ -335,7 +335,7 @@ _BLOCKS: Final = " ▁▂▃▄▅▆▇█"
 
 
 def process_lines(result: Result) -> list[str]:
-    """Return lines about the process of a result; none when it has none."""
+    """Return lines about the process of a result; none without a process."""
     process = result.process
     if process is None:
         return []
@@ -365,7 +365,7 @@ def _ensemble_line(ensemble: PathEnsemble) -> str:
 
 def _density_lines(state: str, density: Density) -> list[str]:
     sizes = f"{number_text(density.mean)} ± {number_text(density.sd)}"
-    overlap = f"overlaps the measured one by {percent(density.overlap)}"
+    overlap = f"overlap with the measured density {percent(density.overlap)}"
     bars = f"    {number_text(density.edges[0])} {_bars(density.density)} {number_text(density.edges[-1])}"
     return [f"stationary density of {state}: {sizes}, {overlap}", bars]
 
@@ -409,8 +409,8 @@ def render(result: Result, how: str) -> str:
 def pick(result: Result, picks: Mapping[str, int]) -> Result:
     """Return `result` with other members of the fronts selected: by variable, the number that the front table shows.
 
-    What belongs to the selected equation is taken from the front; when and at what cost the search ended stays. What
-    refining found out of the model as a whole does not belong to the one picked, and goes.
+    The properties of the selected equation are taken from the front; the end and cost of the search stay. Results of
+    refining for the model as a whole do not apply to it and are removed.
 
     Raises:
         UsageError: a variable or number does not exist.
@@ -443,8 +443,8 @@ def parse_picks(texts: Sequence[str]) -> dict[str, int]:
 
 
 def render_text(result: Result, *, fronts: bool = False) -> str:
-    """Return the equations for people, one after another; with `fronts`, all tables: the fronts, with numbers to pick,
-    constants, candidates, noise and simulations.
+    """Return the equations as text; with `fronts`, all tables: fronts with numbers to pick, constants, candidates,
+    noise and simulations.
     """
     names = result.names
     called = constant_names(result)
@@ -509,7 +509,7 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
     if with_tables or constants:
         lines += _written_out(equation, names)
     lines += [f"    {constants}"] if constants else []
-    lines += ["    its constants are of all groups together"] if equation.is_of_all_groups else []
+    lines += ["    its constants are those of all groups together"] if equation.is_of_all_groups else []
     lines += units_line(equation.units)
     texts = [rounded(group.expression or "", names) for group in equation.groups]
     lines += groups_table(equation, texts, called)
@@ -524,7 +524,7 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
     if with_tables or equation.verdict != "exact":
         listed = candidates_table(equation.candidates, lambda text: rounded(text, names), most)
         lines += listed
-        lines += ["    constants of candidates are of all groups together"] if listed and texts else []
+        lines += ["    constants of candidates are those of all groups together"] if listed and texts else []
     if with_tables:
         lines += [*_front_lines(equation.front, names), ""]
     return "\n".join(lines)
@@ -543,11 +543,11 @@ def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:
 
 def _standing(equation: Equation) -> str:
     if equation.why == "known":
-        return f"known: error {number_text(equation.normalized_error)} of the target's deviation"
+        return f"known: error {number_text(equation.normalized_error)} of the target's standard deviation"
     outcome = "converged: " if equation.converged else "not converged: "
     if equation.converged and equation.verdict == "no model":  # the derivative is met, the measurements not
         outcome = ""
-    text = f"{outcome}error {number_text(equation.normalized_error)} of the target's deviation"
+    text = f"{outcome}error {number_text(equation.normalized_error)} of the target's standard deviation"
     text += f", size {equation.complexity}, epoch {equation.epoch}"
     if not equation.converged and equation.why not in (None, "target"):  # "target": another member met it
         text += f"; {_ENDS.get(equation.why, equation.why)}"

@@ -1,8 +1,8 @@
-"""Island workers on a cluster that runs already, Dask's or Ray's, by one call: `start_on`.
+"""Island workers on an existing Dask or Ray cluster, by one call: `start_on`.
 
-``start`` finds out what cluster it is given, ``program`` is the worker program on one machine of it, ``handle`` what
-the caller gets; ``dask_cluster`` and ``ray_cluster`` have a cluster's machines start the program and end it. Neither is
-needed to import this, and nothing is sent to a cluster but names of what is installed there, strings and numbers.
+``start`` checks the arguments and has the worker program of one machine, and the handle that the caller gets.
+``dask_cluster`` and ``ray_cluster`` make the machines of a cluster start and end the program. Importing this package
+needs neither Dask nor Ray. Only names of installed classes, strings and numbers are sent to a cluster.
 """
 
 from atoll.workers.start import Handle, start_on

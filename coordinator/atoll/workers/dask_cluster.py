@@ -1,7 +1,7 @@
-"""Island workers on a Dask cluster: a plugin has each Dask worker start the program, also those that come later.
+"""Island workers on a Dask cluster: a plugin makes each Dask worker start the program, also workers that join later.
 
-A Dask worker that is retired or closed has its plugin torn down first, which hands the islands over; the program of one
-that is killed hands them over by itself, since it watches its parent.
+When a Dask worker is retired or closed, the plugin hands its islands over first. When it is killed, the program hands
+them over by itself, because it watches its parent.
 """
 
 import asyncio
@@ -25,10 +25,10 @@ _NOT_ENDED: Final = "the island workers of the Dask cluster have not ended"
 
 
 class DaskIslandWorkers(WorkerPlugin):  # type: ignore[misc]  # Dask's classes have no types
-    """Starts the program on a Dask worker. What is sent there is the name of this class, strings and numbers."""
+    """Starts the program on a Dask worker. Only the name of this class, strings and numbers are sent there."""
 
     def __init__(self, name: str, options: ProgramOptions, processes: int | None) -> None:
-        """Keep what the program is told; `processes`: None: one for each thread of the Dask worker."""
+        """Keep the program's options; `processes` None: one for each thread of the Dask worker."""
         self.name: Final = name
         self._options = options
         self._processes = processes
@@ -39,7 +39,7 @@ class DaskIslandWorkers(WorkerPlugin):  # type: ignore[misc]  # Dask's classes h
         self._program = WorkerProgram(self._options, self._processes or worker.state.nthreads)
 
     async def teardown(self, worker: Worker) -> None:
-        """Have the islands handed over; called when the Dask worker closes in order, or when we are removed."""
+        """Hand the islands over; called when the Dask worker closes in order, or the plugin is removed."""
         if self._program is not None:
             await asyncio.to_thread(self._program.drain)
 
@@ -81,7 +81,7 @@ class DaskHandle(Handle):
 
 
 def start(client: Client | str, options: ProgramOptions, processes: int | None) -> DaskHandle:
-    """Have every Dask worker start the program."""
+    """Make every Dask worker start the program."""
     owns = isinstance(client, str)
     dask = _connected(client) if isinstance(client, str) else client
     if dask.asynchronous:
@@ -92,7 +92,7 @@ def start(client: Client | str, options: ProgramOptions, processes: int | None) 
     try:
         limited(lambda: dask.register_plugin(plugin, name=name), ANSWER_LIMIT_S, _NO_ANSWER)
     except BaseException as error:
-        with contextlib.suppress(Exception):  # where it was not set up, there is nothing to remove
+        with contextlib.suppress(Exception):  # perhaps there is nothing to remove
             handle.close()
         if isinstance(error, Exception) and not isinstance(error, AtollError):
             raise AtollError(
@@ -104,7 +104,7 @@ def start(client: Client | str, options: ProgramOptions, processes: int | None) 
 
 
 def state_on(name: str, dask_worker: Any) -> tuple[int, int | None] | None:
-    """Return the state of the plugin of this name; runs on a Dask worker, which hands in itself."""
+    """Return the state of the plugin of this name; runs on a Dask worker, which Dask passes as an argument."""
     plugin = dask_worker.plugins.get(name)
     return None if plugin is None else plugin.state()
 

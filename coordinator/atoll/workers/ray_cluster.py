@@ -1,7 +1,7 @@
-"""Island workers on a Ray cluster: one actor for each node, which starts the program there.
+"""Island workers on a Ray cluster: one actor for each node starts the program there.
 
-Actors belong to the caller and end with it. Ray starts one again whose process was killed; nodes that come later get
-one within seconds, from a thread that looks at the list of nodes.
+Actors belong to the caller and end with it. Ray restarts an actor whose process was killed. A thread polls the list of
+nodes, so nodes that join later get an actor within seconds.
 """
 
 import contextlib
@@ -18,14 +18,14 @@ from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerPr
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 
 LOOK_S: Final = 2.0
-"""Between two looks at the list of nodes: a machine takes longer to boot, and a look costs milliseconds."""
+"""Interval of polling the list of nodes: a machine takes longer to boot, and a poll costs milliseconds."""
 
 ANSWER_LIMIT_S: Final = 10.0
-"""How long an actor may take to say how its program is; one that has no place yet says nothing."""
+"""How long an actor may take to report its program; an actor that is not placed yet does not answer."""
 
 
 class RayIslandWorkers:
-    """An actor: keeps the program on its node. What is sent there is the name of this class, strings and numbers."""
+    """An actor that keeps the program on its node. Only the name of this class, strings and numbers are sent there."""
 
     def __init__(self, options: ProgramOptions, processes: int) -> None:
         self._program = WorkerProgram(options, processes)
@@ -35,7 +35,7 @@ class RayIslandWorkers:
         return self._program.processes, self._program.exit_code()
 
     def drain(self) -> None:
-        """Have the islands handed over."""
+        """Hand the islands over."""
         self._program.drain()
 
 
@@ -54,11 +54,11 @@ class RayHandle(Handle):
         self._watch.start()
 
     def machines(self) -> Mapping[str, MachineWorkers]:
-        """Return the programs by the ids of the nodes, of those whose actor answers."""
+        """Return the programs by node id, for actors that answer."""
         return {node: answer for node, answer in self._answers().items() if isinstance(answer, MachineWorkers)}
 
     def check(self) -> None:
-        """Raise AtollError also where an actor could not be started."""
+        """Raise AtollError also if an actor could not be started."""
         for node, answer in self._answers().items():
             if isinstance(answer, ActorDiedError):
                 reason = str(answer).strip().splitlines()[-1].strip()
@@ -69,14 +69,14 @@ class RayHandle(Handle):
         super().check()
 
     def _answers(self) -> Mapping[str, "MachineWorkers | RayError"]:
-        """Return what the actors say within the limit, by the ids of the nodes."""
+        """Return the actors' answers within the limit, by node id."""
         asked = {node: actor.state.remote() for node, actor in [*self._actors.items()]}
         if asked:
             ray.wait([*asked.values()], num_returns=len(asked), timeout=ANSWER_LIMIT_S)
         return {node: _answer(reference) for node, reference in asked.items()}
 
     def close(self) -> None:
-        """End the programs, then the actors, also those that still wait for a place."""
+        """End the programs, then the actors, also those that are not placed yet."""
         if self._is_over.is_set():
             return
         self._is_over.set()
@@ -92,11 +92,11 @@ class RayHandle(Handle):
 
     def _keep_following(self) -> None:
         while not self._is_over.wait(LOOK_S):
-            with contextlib.suppress(RayError, ConnectionError):  # Ray may be away for a while; it is asked again
+            with contextlib.suppress(RayError, ConnectionError):  # Ray may be unavailable for a while
                 self._follow_nodes()
 
     def _follow_nodes(self) -> None:
-        """Give nodes that are new an actor, and forget those that have gone."""
+        """Start an actor on new nodes, and forget nodes that have gone."""
         alive = {node["NodeID"]: int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]}
         for node in [*self._actors]:
             if node not in alive:
@@ -121,7 +121,7 @@ def _answer(reference: Any) -> "MachineWorkers | RayError":
 
 
 def start(client: ModuleType | str, options: ProgramOptions, processes: int | None) -> RayHandle:
-    """Have every node of a Ray cluster start the program."""
+    """Make every node of a Ray cluster start the program."""
     owns = isinstance(client, str) and not ray.is_initialized()
     if isinstance(client, str) and owns:
         try:

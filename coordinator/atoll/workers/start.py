@@ -1,4 +1,5 @@
-"""`start_on`: what it is given is checked here, before anything is sent to a cluster."""
+"""`start_on`, which checks its arguments before anything is sent to a cluster; the program that it starts on a machine,
+and the handle that it returns."""
 
 import importlib
 import subprocess
@@ -17,23 +18,23 @@ from atoll_core.quoting import shown
 from atoll_core.wire.addresses import parse_address
 
 STOP_LIMIT_S: Final = 10.0
-"""How long the program may take to end beyond the time for handing over; itself it kills workers after five."""
+"""How long the program may take to end, in addition to the grace; it kills its workers after five seconds."""
 
 ENDS: Final = {
     0: "the coordinator ended, or they were told to end",
     2: "bad options, or refused by the coordinator",
     3: "the coordinator could not be reached",
 }
-"""What exit codes of the program mean; any other is a failure."""
+"""Meanings of exit codes of the program; any other code is a failure."""
 
 
 @dataclass(frozen=True)
 class ProgramOptions:
-    """What the program is told, in plain values.
+    """Options of the program, as plain values.
 
-    `connect` is the coordinator's address, `tls` has the certificates' files by ``ca``, ``cert``, ``key``, as they are
-    called on the machines of the cluster. For `wait_s` seconds the coordinator may be away; within `grace_s` seconds
-    islands are handed over when the program is told to end.
+    `connect` is the coordinator's address, `tls` has the certificate files by ``ca``, ``cert``, ``key``, with their
+    paths on the machines of the cluster. The coordinator may be away for `wait_s` seconds; when the program is told to
+    end, it hands islands over within `grace_s` seconds.
     """
 
     connect: str
@@ -43,7 +44,7 @@ class ProgramOptions:
 
 
 def drain_limit_s(options: ProgramOptions) -> float:
-    """Return after how many seconds a program that is told to end has ended, by force if need be."""
+    """Return the seconds after which a program that is told to end has ended, by force if need be."""
     return options.grace_s + STOP_LIMIT_S
 
 
@@ -175,7 +176,7 @@ def start_on(
     wait: float = WAIT_S,
     grace: float = GRACE_S,
 ) -> Handle:
-    """Start island workers on the machines of a Dask or a Ray cluster, also on those that join it later.
+    """Start island workers on the machines of a Dask or a Ray cluster, also on machines that join later.
 
     Each Dask worker or Ray node starts one program ``island-worker``, which ends with it. Atoll is installed there, in
     the same version. Machines that leave the cluster in order have their islands handed over first; those that are
@@ -184,19 +185,19 @@ def start_on(
     Args:
         client: a ``distributed.Client`` or a Dask scheduler's address such as ``tcp://host:8786``; or the module
             ``ray`` after ``ray.init``, or a Ray address such as ``auto`` or ``ray://host:10001``.
-        connect: the coordinator as the machines of the cluster reach it, such as ``tcp/host:7447``.
+        connect: address of the coordinator for the machines of the cluster, such as ``tcp/host:7447``.
         workers: processes on each Dask worker or Ray node; None: one for each of its threads, or CPUs.
-        tls: files by ``ca``, ``cert`` and ``key`` for an address ``tls/…``, as they are called on those machines;
-            None: what their environment names.
+        tls: files by ``ca``, ``cert`` and ``key`` for an address ``tls/…``, with their paths on those machines; None:
+            the files in their environment.
         wait: seconds for which the coordinator may be away.
         grace: seconds within which islands are handed over.
 
     Returns:
-        What ends them: ``close()``, or the end of a ``with`` block.
+        A handle; ``close()``, or the end of a ``with`` block, ends the workers.
 
     Raises:
         UsageError: an argument is wrong, or dask or ray is missing.
-        AtollError: the cluster does not do it.
+        AtollError: the cluster does not start them.
     """
     options = _options(connect, tls, wait, grace)
     if workers is not None and (
@@ -222,7 +223,7 @@ def _is_dask(client: object) -> bool:
 
 
 def _starter(name: str, package: str) -> Start:
-    """Return what starts workers on one kind of cluster; raises UsageError where its package is missing."""
+    """Return the function that starts workers on one kind of cluster; raises UsageError if its package is missing."""
     try:
         importlib.import_module(package)
     except ImportError as error:

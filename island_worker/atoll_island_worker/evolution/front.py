@@ -1,7 +1,13 @@
 """An island's front: the least error on all rows for each complexity, and how individuals get there.
 
-Only what was measured on every row enters. The best individual of each size is refitted there, its linear scaling
-worked into the program in several ways, and each way that improves the front is kept as an addition.
+Only individuals that were measured on all rows enter. The best individual of each size is refitted on all rows. Its
+linear scaling can be written into the program in several ways (with or without the shift, coefficients near 1 exact or
+not); each way that improves the front is an addition. The path of an individual: list -> `FrontUpdater.offer` (refit in
+kernels, into a `Book`) -> `Formula` (short Python lists) -> canonical tape, measured again -> `FrontEntry`.
+
+The population knows neither bounds on constants nor required variables. Programs that would enter the front are fitted
+again within the bounds (`restrained`, ADR 0050). For noisy targets the next best programs of each size are kept, too
+(`RunnersUp`); nothing there measures anything.
 """
 
 import math
@@ -55,7 +61,7 @@ class Node:
 
 
 Formula = tuple[Node, ...]
-"""Nodes in order; the last is the output."""
+"""Nodes in order; the last one is the output."""
 
 
 def from_tape(tape: Tape, count: int) -> Formula:
@@ -96,9 +102,9 @@ def to_program(formula: Formula) -> Program:
 
 
 def combine_terms(formula: Formula, terms: Sequence[int], coefficients: Sequence[float], shift: float) -> Formula:
-    """Return shift + sum of coefficient times term, the terms being nodes of `formula`; zero ones are left out.
+    """Return shift + sum of coefficient * term, where the terms are nodes of `formula`; zero coefficients are left out.
 
-    A positive term comes first where there is one, so that signs become differences. What is dead stays in the list.
+    A positive term comes first if there is one, so that negative terms become differences. Dead nodes stay in the list.
     """
     nodes = list(formula)
     pairs = [(node, a) for node, a in zip(terms, coefficients, strict=True) if a != 0.0]
@@ -116,7 +122,7 @@ def combine_terms(formula: Formula, terms: Sequence[int], coefficients: Sequence
 
 
 def _joined(nodes: list[Node], top: int, node: int, a: float) -> int:
-    """Append what makes ``top + a * node`` (``a * node`` when there is no top yet); return its index."""
+    """Append the nodes of ``top + a * node`` (``a * node`` without a top); return the index of the last."""
     size = abs(a) if top >= 0 else a
     if size == -1.0:
         nodes.append(Node(NEGATE, node))
@@ -148,7 +154,7 @@ def reductions(formula: Formula) -> Iterator[Formula]:
 
 
 def _redirected(formula: Formula, old: int, new: int) -> Formula:
-    """Return `formula` with every use of node `old` turned to the earlier node `new`."""
+    """Return `formula` with every use of node `old` replaced by the earlier node `new`."""
     if old == len(formula) - 1:
         return formula[: new + 1]
 
@@ -162,11 +168,11 @@ def _redirected(formula: Formula, old: int, new: int) -> Formula:
 
 
 Refit = Callable[[int], None]
-"""Fits the constants of the program of so many nodes on the canonical tape, but for those that are held."""
+"""Fits the constants of the program of this many nodes on the canonical tape, except those that are held."""
 
 
 def restrained(program: Program, restrictions: Restrictions, scratch: Scratch, refit: Refit) -> Program | None:
-    """Return `program` fitted within its bounds, which `refit` has measured last; None when it may not stand."""
+    """Return `program` fitted within its bounds, and measured last by `refit`; None if it violates a restriction."""
     if restrictions.are_kept(program):
         return program
     admitted = restrictions.admitted(program)
@@ -175,16 +181,16 @@ def restrained(program: Program, restrictions: Restrictions, scratch: Scratch, r
     fitted = _fitted(restrictions.bounds.clipped(admitted), restrictions.bounds, scratch, refit)
     if not np.any(fitted.constants[constant_places(fitted)] == 0.0):
         return fitted
-    shorter = restrictions.admitted(collected(fitted))  # without the terms whose coefficients came to be zero
+    shorter = restrictions.admitted(collected(fitted))  # without terms whose coefficients have become zero
     if shorter is None:
         return None
     return _fitted(restrictions.bounds.clipped(shorter), restrictions.bounds, scratch, refit)
 
 
 def _fitted(program: Program, bounds: EquationBounds, scratch: Scratch, refit: Refit) -> Program:
-    """Return a program that was laid out with its constants fitted; those that reach a bound stay there.
+    """Return a program with its constants fitted within the bounds; constants that reach a bound stay there.
 
-    In each round one constant more is held at least, so that there are no more rounds than constants.
+    Each round holds at least one more constant, so there are at most as many rounds as constants.
     """
     ranges, places = bounds.ranges(program), constant_places(program)
     assert ranges is not None
@@ -207,7 +213,7 @@ KNOWN = 4096
 """Places for structures that were offered before, a power of two; see `kernels_offers.choose_near`."""
 
 _WRITTEN = 2 * MOST_TERMS + 2
-"""Nodes by which a program may grow when its coefficients are worked into it."""
+"""Most nodes by which a program grows when its coefficients are written into it."""
 
 
 class RunnersUp:
@@ -224,18 +230,18 @@ class RunnersUp:
 
     @property
     def entries(self) -> tuple[FrontEntry, ...]:
-        """The entries that there are."""
+        """All entries."""
         return self._entries
 
     def replace(self, entries: Iterable[FrontEntry]) -> None:
-        """Take over entries that were saved."""
+        """Restore saved entries."""
         self._entries = tuple(entries)
         self._note_worst()
 
     def take(
         self, front: tuple[FrontEntry, ...], candidates: Iterable[FrontEntry], reported: Iterable[FrontEntry]
     ) -> list[FrontEntry]:
-        """Keep what belongs beside `front`; return what is new, apart from what has been `reported` already."""
+        """Keep the runners-up of `front` among the candidates; return new ones that were not `reported` already."""
         seen = {entry.key for entry in (*self._entries, *reported)}
         self._entries = runners_up(front, (*self._entries, *candidates), self.most)
         self._note_worst()
@@ -250,11 +256,11 @@ class RunnersUp:
         return np.array([max(worst[size : size + _WRITTEN + 1]) for size in range(sizes)])
 
     def limit(self, complexity: int) -> float:
-        """Return the useful loss of a program of that complexity."""
+        """Return the loss above which a program of that complexity is no runner-up."""
         return self._worst.get(complexity, math.inf)
 
     def _note_worst(self) -> None:
-        """Note the largest error of each complexity that is full."""
+        """Record the largest error of each complexity that has `most` entries."""
         taken: dict[int, int] = {}
         self._worst = {}
         for entry in self._entries:
@@ -279,11 +285,11 @@ _SLACK = 1.2
 
 Tag = tuple[int, int, int]
 Additions = tuple[list[FrontEntry], list[FrontEntry]]
-"""What improved the front, and what the runners-up, each in the order found."""
+"""Additions to the front and to the runners-up, each in the order found."""
 
 
 class Front:
-    """Non-dominated `entries` by rising complexity and falling error. Ties go to the earlier one."""
+    """Non-dominated `entries` by rising complexity and falling error. Of equal ones the earlier is kept."""
 
     def __init__(self) -> None:
         self._entries: tuple[FrontEntry, ...] = ()
@@ -291,11 +297,11 @@ class Front:
 
     @property
     def entries(self) -> tuple[FrontEntry, ...]:
-        """The entries that there are."""
+        """All entries."""
         return self._entries
 
     def replace(self, entries: Iterable[FrontEntry]) -> None:
-        """Take over a front that was saved."""
+        """Restore a saved front."""
         self._entries = merge((), entries)
         self._least = None
 
@@ -304,7 +310,7 @@ class Front:
         return self._entries[-1].error if self._entries else None
 
     def error_at(self, complexity: int) -> float:
-        """Return the least error of entries no more complex than that; inf when there is none."""
+        """Return the least error of entries up to that complexity; inf if there is none."""
         return min((e.error for e in self._entries if e.complexity <= complexity), default=math.inf)
 
     def least_by_size(self, sizes: int) -> Floats:
@@ -325,7 +331,7 @@ class Front:
 
 
 class FrontUpdater:
-    """Offers individuals to a front, and to the runners-up beside it where these are kept.
+    """Offers individuals to a front, and to its runners-up if these are kept.
 
     `offered` and `offered_loss` (by size) remember the last structure offered to the front; `sample` are rows spread
     evenly over all.
@@ -350,9 +356,9 @@ class FrontUpdater:
         self.sample = _spread(setup.every)
 
     def offer(self, lists: Lists, fitness: Floats, counters: Ints, tag: Tag, looks_beside: bool) -> Additions:
-        """Measure the best of each size on all rows and offer it; return what improved front and runners-up.
+        """Measure the best of each size on all rows and offer it; return the additions to front and runners-up.
 
-        With `looks_beside`, the next best of each size are offered as well where runners-up are kept.
+        With `looks_beside`, the next best of each size are offered as well, if runners-up are kept.
         """
         setup = self._setup
         looks_beside = looks_beside and self._runners_up.most > 0
@@ -382,7 +388,7 @@ class FrontUpdater:
         return number, runners_up.limits(len(self.offered))
 
     def _offer_one(self, k: int, counters: Ints, tag: Tag) -> Iterator[FrontEntry]:
-        """Offer every way to write a program down; what does not improve the front may be a runner-up."""
+        """Offer every way to write a program; those that do not improve the front may be runners-up."""
         book, keeps = self._book, self._runners_up.most > 0
         loss = float(book.loss[k])
         if not (keeps or loss < self._front.error_at(int(book.size[k]))):
@@ -402,10 +408,10 @@ class FrontUpdater:
         return float(self._result[0]) if self._setup.fit.loss == 0 else math.sqrt(float(self._result[1]))
 
     def _variants(self, formula: Formula, k: int, limit: float) -> dict[Formula, float]:
-        """Return the ways to write down the coefficients just fitted that leave the loss within `limit`, and that loss.
+        """Return the ways to write the fitted coefficients that keep the loss within `limit`, with the loss of each.
 
-        With the shift or without it, those near 1 and -1 as they are or exact. Where sizes are limited all of these may
-        be too large, so that the formula as it stands is among them.
+        With or without the shift, coefficients near 1 and -1 unchanged or exact. If sizes are limited, all of these may
+        be too large, so the formula without coefficients is included.
         """
         book = self._book
         number = int(book.number[k])
@@ -428,8 +434,8 @@ class FrontUpdater:
     def _is_wanted(self, size: int, loss: float) -> bool:
         """Return whether the program on the canonical tape, of about that loss, is worth measuring.
 
-        Where runners-up are kept many are offered that are none: no better than what is there, or a structure that was
-        measured in this epoch.
+        If runners-up are kept, many programs are offered that are not better than the present ones, or whose structure
+        was measured in this epoch already.
         """
         if not self._runners_up.most:
             return True
@@ -441,11 +447,11 @@ class FrontUpdater:
         return True
 
     def begin_epoch(self) -> None:
-        """Forget what need not outlast an epoch."""
+        """Forget what is only needed within an epoch."""
         self._measured_loss.clear()
 
     def _measured(self, formula: Formula, expected: float, counters: Ints, tag: Tag) -> FrontEntry | None:
-        """Return an entry for `formula`, its constants refined, or None when it is too large or not finite."""
+        """Return an entry for `formula` with refined constants; None if it is too large or not finite."""
         setup, scratch = self._setup, self._setup.scratch
         size = self._canonical(formula)
         if size > self._largest or not self._is_wanted(size, expected):
@@ -474,10 +480,10 @@ class FrontUpdater:
         return FrontEntry(len(program), self._error(), float(self._result[1]), *tag, program.to_bytes())
 
     def prune(self, target: float, counters: Ints, tag: Tag) -> list[FrontEntry]:
-        """Leave out of the best program whatever it can do without: all that keeps the error at most `target`.
+        """Remove all parts of the best program without which its error is still at most `target`; return the additions.
 
-        One operator at a time gives way to one of its arguments or to a constant, the constants are fitted anew, and
-        the first reduction that still meets the target is taken, until there is none. Returns the additions.
+        One operator at a time is replaced by one of its arguments or by a constant, and the constants are fitted again.
+        The first reduction that meets the target is kept, until there is none.
         """
         additions: list[FrontEntry] = []
         if not self._setup.fit.steps:
@@ -492,7 +498,7 @@ class FrontUpdater:
         return additions
 
     def _reduced(self, formula: Formula, target: float, counters: Ints) -> Formula | None:
-        """Return the first smaller formula that meets `target`; its measurement stands in the scratch arrays."""
+        """Return the first smaller formula that meets `target`; the scratch arrays hold its measurement."""
         scratch = self._setup.scratch
         for candidate in reductions(formula):
             size = self._canonical(candidate)

@@ -1,7 +1,13 @@
-"""An island: one population and all that coevolves with it. Its epoch is a pure function.
+"""An island: one population with its predictors and trainers. Its epoch is a pure function.
 
 (state at epoch e, problem, configuration, seed) -> (state after the generations, additions to the front, counters).
-No clock, no I/O, no global random state, no thread order in it: one seed, one answer.
+There is no clock, I/O, global random state or thread order in it, so the same seed gives the same bits.
+
+Prior knowledge enters as guesses: each becomes one individual of every island of the first population. Their constants
+are starting values: the first island begins with them, the others with values around them, so an archipelago makes as
+many attempts to fit a guess as it has islands (ADR 0019). Solutions, predictors and trainers evolve in turn (Schmidt &
+Lipson, section 2.3 and Table II of the 2008 paper). Kernels advance many generations at once, and stop when a trainer
+is renewed or the population is measured on other rows.
 """
 
 import hashlib
@@ -43,7 +49,7 @@ GUESS_STEPS: Final = 25
 """Levenberg-Marquardt steps at most by which the constants of a guess are fitted before the first generation."""
 
 OCTAVES: Final = 3
-"""A varied constant is at least 2^-OCTAVES and less than 2^OCTAVES times the one given."""
+"""A varied constant is at least 2^-OCTAVES and less than 2^OCTAVES times the given one."""
 
 Guess = Sequence[PlacedNode]
 
@@ -51,8 +57,8 @@ Guess = Sequence[PlacedNode]
 def begin_with_guesses(lists: Lists, setup: IslandSetup, rows: Rows, counters: Ints) -> None:
     """Write the guesses for this equation over the first individuals, one each, and fit their constants to `rows`.
 
-    The fit is counted as that of offspring. Where nothing is fitted, all islands take the guesses as they are. Pure but
-    for `lists`, scratch and `counters`.
+    The fit is counted as fitting of offspring. If constants are not fitted, all islands take the guesses unchanged.
+    Pure except for `lists`, scratch and `counters`.
     """
     guesses = parse_guesses(setup)
     if not guesses:
@@ -83,7 +89,7 @@ def parse_guesses(setup: IslandSetup) -> tuple[Guess, ...]:
 def place(lists: Lists, p: int, guess: Guess, stream: Stream | None) -> None:
     """Write a guess over individual `p`; constants are varied with `stream`, if there is one.
 
-    Nodes that the guess leaves free, and second arguments of unary operators, stay as they were drawn.
+    Nodes that the guess does not use, and second arguments of unary operators, stay as they are.
     """
     for node in guess:
         lists.code[p, node.index] = node.code
@@ -159,11 +165,11 @@ def evolve(
 
 
 LOOKS_BESIDE = 5
-"""Slices from one look at the next best of each size to the next; the last one of an epoch looks as well."""
+"""The next best of each size are offered every this many slices, and in the last slice of an epoch."""
 
 
 class Island:
-    """One island of one variable between epochs. Mutable, but only through `advance` and `immigrate`, in turn.
+    """One island of one variable. Mutable, but only through `advance` and `immigrate`, in turn.
 
     The life of an island: ``Island(...)`` (epoch 0, random population), then for every epoch: `advance` until it
     returns True or no more is needed, `report`, and, unless the archipelago ended, `emigrants` to send and `immigrate`
@@ -250,11 +256,11 @@ class Island:
         return sum(self._counters.tolist())
 
     def additions(self, first: int = 0) -> tuple[FrontEntry, ...]:
-        """Return what improved the island's front in this epoch, from entry number `first` on."""
+        """Return the additions to the island's front in this epoch, from entry number `first` on."""
         return tuple(self._setup.outward(entry) for entry in self._additions[first:])
 
     def report(self) -> IslandReport:
-        """Return what is reported of the epoch, finished or not: as far as it has come."""
+        """Return the report of the epoch, finished or not."""
         best = self._normalized(self._front.least_error())
         digest = hashlib.blake2b(digest_size=16)
         for array in self._state_arrays().values():
@@ -312,7 +318,7 @@ class Island:
         }
 
     def to_bytes(self) -> bytes:
-        """Return everything that can influence later bits or counters, between epochs: a checkpoint is made of it."""
+        """Return everything that can influence later bits or counters, between epochs; used for checkpoints."""
         if self._begun:
             raise LocalProtocolError("an island is written between epochs only, before generation 0")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}
@@ -340,7 +346,7 @@ class Island:
         return restored
 
     def _check(self) -> None:
-        """Raise RemoteProtocolError unless all nodes and rows that kernels will follow exist; at epoch 0 none are."""
+        """Raise RemoteProtocolError unless all nodes and rows that kernels will use exist; epoch 0 has none."""
         setup, coevolution = self._setup, self._coevolution
         if self.epoch == 0:
             return
@@ -353,7 +359,7 @@ class Island:
             raise RemoteProtocolError("the predictors in the state of an island name rows that do not exist")
 
     def _retrain(self) -> None:
-        """Bring back the trainers' losses by row, which follow from the trainers; not counted again."""
+        """Compute the trainers' losses by row again, which follow from the trainers; not counted."""
         setup = self._setup
         if setup.coevolving.enabled and self.epoch > 0:
             for t in range(self._coevolution.exact.shape[0]):
@@ -362,9 +368,9 @@ class Island:
 
 
 def reshuffle(islands: Sequence[Island]) -> None:
-    """Begin the next epoch of all islands of one variable, which are in this process: no blocks are written and read.
+    """Begin the next epoch of all islands of one variable in this process, without encoding blocks.
 
-    The same solutions come to the same places as by `Island.emigrants` and `Island.immigrate`.
+    The same solutions go to the same places as with `Island.emigrants` and `Island.immigrate`.
     """
     setup = islands[0]._setup
     places = migration.destinations(setup.config, setup.variable, islands[0].epoch)

@@ -1,6 +1,6 @@
 """The reshuffle: after every epoch all solutions of all islands of a variable change places by one permutation.
 
-The permutation is drawn from (seed, variable, epoch), so that every island knows it and nobody has to hand it out
+The permutation is drawn from (seed, variable, epoch), so every island can compute it and it is never sent
 (paper, section 2; docs/protocol.md). A block holds the solutions that one island sends to another, with their slots.
 """
 
@@ -70,10 +70,10 @@ def exchange(populations: Sequence[Lists], places: Slots) -> list[Lists]:
 
 
 def unpack(blocks: Mapping[int, bytes], population: int, space: Space, allowed: frozenset[int]) -> Lists:
-    """Return the population that the blocks make up, each solution at its slot.
+    """Return the population that consists of the blocks, each solution at its slot.
 
     Raises:
-        RemoteProtocolError: a block is malformed, holds what no list may hold, or the slots do not add up.
+        RemoteProtocolError: a block is malformed, has an invalid list, or the slots are not complete.
     """
     lists = empty_lists(population, space.nodes)
     taken = np.zeros(population, np.bool_)
@@ -114,4 +114,4 @@ def check_nodes(lists: Lists, space: Space, allowed: frozenset[int]) -> None:
     fits &= (lists.left >= 0) & (lists.left < limit) & (lists.right >= 0)
     fits &= lists.right < np.where(is_terminal, 1, index)
     if not fits.all():
-        raise RemoteProtocolError("a list has a node that no list of this job can have")
+        raise RemoteProtocolError("a list has a node that is impossible in this job")

@@ -1,4 +1,4 @@
-"""What does not change during an island's life: the problem's rows, the space, and how fits and measures are made."""
+"""What does not change during an island's life: the problem's rows, the space, and the settings of fits."""
 
 import math
 import threading
@@ -31,23 +31,23 @@ from atoll_island_worker.evolution.structures import (
 )
 
 LEAST_INNER = 2
-"""Constants inside terms that may be fitted on few rows all the same, beyond a quarter of their number (ADR 0005)."""
+"""Constants inside terms that may be fitted even on few rows, where a quarter of the rows would be fewer (ADR 0005)."""
 
 LEAST_SHARE = 2
-"""Runners-up of each complexity that an island keeps at least, if so many are wanted."""
+"""Fewest runners-up of each complexity that an island keeps, if so many are wanted."""
 
 UNREACHABLE_TARGET = -1.0
-"""Stands for a target that nothing meets."""
+"""A target error that no equation reaches."""
 
 
 class IslandSetup:
-    """Everything about one island that follows from problem and configuration, as kernels want it.
+    """Everything about one island that follows from problem and configuration, in the form that kernels need.
 
-    The island knows the variables alone that its equation may use: `columns` of those of the whole problem.
+    The island only knows the variables that its equation may use: `columns` are their places in the whole problem.
     """
 
     def __init__(self, problem: Problem, config: JobConfig, island: int) -> None:
-        if problem.groups is not None:  # solutions meet the rows of all groups on their way from island to island
+        if problem.groups is not None:  # migrating solutions meet the rows of all groups
             problem = problem.of_group(island % (int(problem.groups.max()) + 1))
         self.config = config
         self.variable = problem.target.variable
@@ -87,19 +87,19 @@ class IslandSetup:
         shared = _shared_scratch(
             threading.get_ident(), evolution.population, self.space.nodes, variables, self.sample, rows
         )
-        # What stays known of the population from one call to the next is the island's own: islands take turns.
+        # The knowledge about the population between two calls belongs to the island, because islands take turns.
         self.scratch = shared._replace(settled=np.zeros(evolution.population, np.bool_))
         self._entries: dict[Callable[..., Any], Callable[..., Any]] = {}
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a kernel of which all arguments have the same types whenever it is called for this island."""
+        """Call a kernel whose arguments have the same types in every call for this island."""
         entry = self._entries.get(function)
         if entry is None:
             entry = self._entries[function] = entry_point(function, *arguments)
         return entry(*arguments)
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
-        """Return a front member as all others know it: its program over all variables, not over those allowed here."""
+        """Return a front member for other programs: over all variables, not only over those allowed here."""
         if not self.is_narrowed:
             return entry
         program = Program.from_bytes(entry.program, len(self.columns))
@@ -109,7 +109,7 @@ class IslandSetup:
         return replace(entry, program=replace(program, left=left).to_bytes())
 
     def empty_coevolution(self) -> Coevolution:
-        """Return predictors and trainers not yet drawn; a single unused one of each when predictors are off."""
+        """Return empty predictors and trainers; a single unused one of each if predictors are off."""
         predictors = self.config.predictors
         on = bool(self.coevolving.enabled)
         number, trainers = (predictors.predictors, predictors.trainers) if on else (1, 1)
@@ -137,9 +137,9 @@ def _shared_scratch(thread: int, population: int, nodes: int, variables: int, sa
 
 
 def island_share(runners_up: int, islands: int) -> int:
-    """Return how many runners-up an island keeps of each complexity so that all islands find that many.
+    """Return how many runners-up of each complexity an island keeps, so that all islands together find `runners_up`.
 
-    Solutions are reshuffled, so that islands see much the same: together they keep twice as many as are wanted.
+    Solutions are reshuffled, so islands find similar ones: together they keep twice as many as are wanted.
     """
     return min(runners_up, max(LEAST_SHARE, -(-2 * runners_up // islands)))
 
@@ -147,9 +147,9 @@ def island_share(runners_up: int, islands: int) -> int:
 def target_error(config: JobConfig, target: Target) -> float:
     """Return the normalized error at which the search for an equation ends.
 
-    Where nothing is asked for and the target has no noise, that is where an equation has converged. A noisy
-    target is met within its noise by many an equation, most of them wrong: no error ends that search (ADR 0018), and
-    the number returned is less than any error.
+    Without an explicit target error and without noise, it is the error at which an equation has converged. With noise,
+    many equations reach the noise level and most of them are wrong: no error ends that search (ADR 0018), and the
+    number returned is less than any error.
     """
     asked = config.budget.target_error
     if asked is not None:
@@ -176,9 +176,9 @@ def _space(problem: Problem, config: JobConfig) -> Space:
 
 
 def _scales(problem: Problem) -> FloatArray:
-    """Return the powers of two nearest to the mean size of each column and the target; those of order one left at 1.
+    """Return the powers of two next to the mean magnitude of each column and the target, without those of order one.
 
-    At least one number is returned, since none would mean constants in [-10, 10].
+    At least one number is returned, because an empty array means constants in [-10, 10].
     """
     scales = [_power_of_two(column) for column in (*problem.inputs, problem.target.values)]
     unusual = [scale for scale in scales if not 1 / 64 <= scale <= 64]

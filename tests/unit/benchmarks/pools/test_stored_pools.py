@@ -5,18 +5,22 @@ from types import SimpleNamespace
 import pytest
 
 from atoll_coordinator.model.result.result import VariableOutcome
+<<<<<<< HEAD
 from atoll_coordinator.service.tasks.background import RefiningFailed
+=======
+from atoll_coordinator.service.tasks.outcomes import RefiningFailed
+from atoll_coordinator.settings import Settings, with_changes
+>>>>>>> main
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.errors import UsageError
 from benchmarks.pools import stored
-from benchmarks.pools.campaign import POOLS, REFERENCE, judge_pool, titles
+from benchmarks.pools.campaign import POOLS, REFERENCE, changes_of, judge_pool, sample, titles
 from benchmarks.pools.cases import Folders, Judged, job_of
 from benchmarks.pools.outcomes import PoolOutcome, read_reference, report, write_reference
 from tests.unit.coordinator.model.shooting import made
 
 LOGISTIC = "corpus logistic 1 1 even exact 1000"
-READ = ("case ", "real ")
 
 
 @pytest.mark.timeout(300)
@@ -46,22 +50,8 @@ def test_every_title_has_a_pool_and_a_reference():
     assert [title for title in titles() if title not in reference] == []
 
 
-def sample() -> list[str]:
-    """Return ten titles whose tables are drawn: the quickest of each kind by turns."""
-    reference = read_reference(REFERENCE)
-    drawn = sorted(
-        (title for title in titles() if not title.startswith(READ) and reference[title].equations),
-        key=lambda title: reference[title].preparing_s + reference[title].refining_s,
-    )
-    kinds: dict[str, list[str]] = {}
-    for title in drawn:
-        kinds.setdefault(reference[title].kind, []).append(title)
-    by_turns = [those[turn] for turn in range(3) for those in kinds.values() if turn < len(those)]
-    return by_turns[:10]
-
-
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("title", sample())
+@pytest.mark.parametrize("title", sample(read_reference(REFERENCE), 10, 5.0))
 def test_stored_pools_are_refined_to_the_forms_and_grades_of_the_reference(title):
     before = read_reference(REFERENCE)[title]
     now = judge_pool(title, Folders())
@@ -92,3 +82,17 @@ def test_changes_are_counted_and_losses_beyond_chance_are_worse(tmp_path):
 def test_a_pool_that_fails_is_worse():
     _, is_as_good = report([outcome("corpus a", failure="the table has no rows")], {})
     assert not is_as_good
+
+
+def test_every_number_of_the_settings_is_tried_halved_and_doubled_and_is_read_back():
+    changes = changes_of(Settings())
+    for change in changes:
+        stage, _, field = change.name.partition(".")
+        assert getattr(getattr(with_changes(Settings(), change.text), stage), field) == change.value
+    assert len({change.text for change in changes}) == len(changes) > 150
+
+
+@pytest.mark.parametrize("text", ["selection.least=1.0", "none.steps=3", "effort.steps=2.5"])
+def test_settings_that_are_unknown_or_of_another_kind_are_named(text):
+    with pytest.raises(ValueError, match=text.partition("=")[0]):
+        with_changes(Settings(), text)

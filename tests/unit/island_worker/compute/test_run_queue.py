@@ -116,17 +116,6 @@ def test_islands_take_turns_slice_by_slice() -> None:
     assert bench.slices == expected + [("job", "x", 1, end, 2) for end in range(10, 51, 10)]
 
 
-def test_in_the_first_epoch_a_group_of_islands_comes_after_the_one_before_it() -> None:
-    bench = Bench(takes={"job": 0.0}, hits={(0, 20, 3)})
-    queue = RunQueue(bench.begin, lambda: bench.now)
-    for island in range(5):
-        queue.add(
-            EpochTask(key(island), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"joining": 2}))
-        )
-    assert reached(emptied(queue)) == {(0, 0): 50, (0, 1): 50, (0, 2): 20, (0, 3): 20, (0, 4): None}
-    assert [island for *_, island in bench.slices] == [0, 1] * 5 + [2, 3] * 2
-
-
 def test_the_job_that_was_charged_least_comes_first() -> None:
     bench = Bench(takes={"a": 3.0, "b": 1.0})
     queue = queue_of(bench, key(0, job="a"), key(0, job="b"))
@@ -174,14 +163,6 @@ def test_a_hit_elsewhere_lets_the_islands_before_it_catch_up() -> None:
     assert reached(emptied(queue)) == {(0, 0): 20, (0, 3): 10}
 
 
-def test_the_least_hit_counts_in_whatever_order_hits_become_known() -> None:
-    bench = Bench(hits={(0, 30, 0)})
-    queue = queue_of(bench, key(0), key(1))
-    queue.stop_at(SHARD, Position(0, 40, 1), COMMIT_ORDER)
-    queue.stop_at(SHARD, Position(0, 50, 0), COMMIT_ORDER)
-    assert reached(emptied(queue)) == {(0, 0): 30, (0, 1): 20}
-
-
 def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
     bench = Bench()
     queue = queue_of(bench, key(0), key(0, variable="y"))
@@ -197,16 +178,6 @@ def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
 def test_what_goes_wrong_ends_its_task_alone(island: int, kind: type) -> None:
     outcomes = emptied(queue_of(Bench(), key(island), key(0)))
     assert [type(outcome) for outcome in outcomes] == [kind, EpochComputed]
-
-
-def test_a_slice_may_take_several_turns() -> None:
-    """With slices of 20 generations an island that is stopped goes on to the end of the slice that is needed."""
-    bench = Bench()
-    queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(EpochTask(key(0), None, is_last=False, commit_order=COMMIT_ORDER.model_copy(update={"stride": 20})))
-    queue.turn()
-    queue.stop_at(SHARD, Position(0, 40, 1), COMMIT_ORDER)
-    assert reached(emptied(queue)) == {(0, 0): 40}
 
 
 def test_a_snapshot_is_taken_before_the_first_slice_and_once() -> None:

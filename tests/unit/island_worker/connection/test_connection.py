@@ -99,16 +99,6 @@ def test_a_former_coordinator_that_answers_again_is_not_joined() -> None:
     assert "incarnation 2 has taken over" in str(bench.connection.error)
 
 
-def test_a_former_coordinator_is_forgotten_when_the_present_one_answers() -> None:
-    bench = ConnectionBench()
-    bench.connection.handle_answer("", welcome(incarnation=2))
-    bench.connection.handle_answer("", welcome(incarnation=1))
-    assert bench.connection.handle_answer("", welcome(incarnation=3)) == Reset(3)
-    bench.network.run(2 * WAIT_S)
-    bench.connection.check_absence()
-    assert bench.connection.error is None
-
-
 def test_a_placement_of_a_former_coordinator_is_refused() -> None:
     bench = ConnectionBench()
     bench.connection.handle_answer("", welcome(incarnation=2))

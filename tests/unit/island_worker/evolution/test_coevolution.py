@@ -12,7 +12,7 @@ from atoll_core.expression.kernels.tape import functions_address
 from atoll_island_worker.evolution.island import begin_coevolution, evolve, measure_population, renew_trainer
 from atoll_island_worker.evolution.kernels.generation import COEVOLUTION, PARTS, REEVALUATION
 from atoll_island_worker.evolution.kernels.measured_rows import gather, padded_rows
-from atoll_island_worker.evolution.kernels.predictors import judge, judge_all, predictor_generation
+from atoll_island_worker.evolution.kernels.predictors import judge, predictor_generation
 from atoll_island_worker.evolution.kernels.trainers import most_disputed, train
 from atoll_island_worker.evolution.structures import Coevolving, Fit, empty_rows, empty_scratch
 from tests.oracles import coevolution as oracle
@@ -139,22 +139,6 @@ def test_the_most_disputed_individual_is_the_one_predictors_disagree_on(relative
     spread = [oracle.disagreement(row_losses, arena.coevolution.predictors, bool(relative)) for row_losses in losses]
     assert individual == int(np.argmax(spread))
     assert arena.counters[COEVOLUTION] == TRAINERS * ROWS + POPULATION * PREDICTORS * SAMPLE
-
-
-def test_a_trainer_without_any_error_is_predicted_without_any():
-    arena = Arena(relative=1).begin()
-    arena.coevolution.losses[2], arena.coevolution.exact[2] = 0.0, 0.0
-    judge_all(arena.coevolution, 1)
-    assert np.isfinite(arena.coevolution.quality).all()
-    assert arena.coevolution.quality == pytest.approx(arena.qualities(), rel=1e-9)
-
-
-def test_nobody_is_disputed_when_nothing_is_finite():
-    arena = Arena().begin()
-    arena.every.target[:] = math.nan
-    trainers = arena.coevolution.trainers.constants.copy()
-    assert not arena.renew()
-    np.testing.assert_array_equal(arena.coevolution.trainers.constants, trainers)
 
 
 def test_renewal_replaces_the_oldest_trainer_in_turn_with_its_whole_scaling():

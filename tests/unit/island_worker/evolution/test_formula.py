@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll_core.expression.operators import ADD, ARITY, MULTIPLY, SIN, SUBTRACT, VARIABLE
+from atoll_core.expression.operators import ARITY, SUBTRACT, VARIABLE
 from atoll_core.expression.program import check_program_bytes
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
@@ -85,19 +85,3 @@ def test_reductions_are_sound_and_every_operator_gives_way_to_each_argument_and_
     assert len(formulas) == expected
     for reduced in formulas:
         check_program_bytes(to_program(reduced).to_bytes(), len(NAMES))
-
-
-def test_reductions_of_a_sum_are_its_arguments_and_a_constant_from_the_output_down():
-    reduced_programs = [to_program(reduced) for reduced in reductions(from_program(program_of([X, Y, (ADD, 0, 1)])))]
-    values = [node_values(program, [[3.0], [5.0]])[-1, 0] for program in reduced_programs]
-    assert values == [3.0, 5.0, 1.0]
-
-
-def test_a_reduction_turns_every_use_of_the_node():
-    """sin(x) * y + sin(x): without its sine, x * y + x."""
-    nodes = [X, Y, (SIN, 0), (MULTIPLY, 2, 1), (ADD, 3, 2), (SUBTRACT, 4, 1)]
-    values = [
-        node_values(to_program(reduced), [[3.0], [5.0]])[-1, 0]
-        for reduced in reductions(from_program(program_of(nodes)))
-    ]
-    assert 3.0 * 5.0 + 3.0 - 5.0 in values

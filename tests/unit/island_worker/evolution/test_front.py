@@ -154,14 +154,6 @@ def test_pruning_turns_a_difference_from_next_to_nothing_into_a_negative():
     assert to_infix(Program.from_bytes(simplest.program, 2), ("x", "y")) == "-x"
 
 
-def test_pruning_changes_nothing_where_nothing_can_go():
-    arena = Arena(lambda x, y: x * y)
-    arena.offer("x*y")
-    before = arena.front.entries
-    assert arena.offering.prune(1e-9, arena.counters, (0, 10, 0)) == []
-    assert arena.front.entries == before
-
-
 def noisy(x, y):
     """Return values that no equation meets: the seventh digit decides nothing, the first does."""
     return 3.0 * x - 2.0 * x * y + 0.3 * np.sin(1e3 * (x + 7.0 * y))
@@ -197,12 +189,3 @@ def test_runners_up_are_measured_on_all_rows_and_no_two_are_one_function():
     sizes = [entry.complexity for entry in near]
     assert max(sizes.count(size) for size in sizes) <= 4
     assert all(entry.error >= arena.front.error_at(entry.complexity) for entry in near)
-
-
-def test_what_comes_to_be_a_runner_up_is_reported_once():
-    arena = Arena(noisy, runners_up=3)
-    reported = [entry for text in (*BESIDE, *BESIDE) for entry in arena.offer_all(text)[1]]
-    assert len(reported) == len({entry.key for entry in reported})
-    displaced = {entry.key for entry in arena.runners_up.entries} - {entry.key for entry in reported}
-    ever_on_front = {entry.key for entry in arena.additions}
-    assert displaced <= ever_on_front

@@ -69,17 +69,6 @@ def test_a_guess_of_the_right_form_is_found_at_once_from_far_off_constants():
     assert {report.hit.generation for report in result.reports if report.hit} == {10}
 
 
-def test_the_first_slice_does_not_find_it_without_a_guess():
-    config = with_prior(budget=config_of().budget.model_copy(update={"target_error": 1e-9}))
-    reports = search(problem_of(truth=truth), config, epochs=1).reports
-    assert not any(report.hit and report.hit.generation == 10 for report in reports)
-
-
-def test_guesses_for_other_equations_change_nothing():
-    other = with_prior().model_copy(update={"prior": PriorConfig(guesses={"y": (FORM,)})})
-    assert search(problem_of(), other, epochs=1) == search(problem_of(), with_prior(), epochs=1)
-
-
 def test_the_same_guess_gives_the_same_answer_in_any_strides_and_from_a_checkpoint():
     problem, config = problem_of(), with_prior(FORM, "x + y")
     whole = search(problem, config, epochs=2)

@@ -22,7 +22,7 @@ from atoll_core.wire.messages.epochs import (
     Sent,
     States,
 )
-from atoll_core.wire.messages.workers import Close, CloseJob, Commit, Placement, Schedule
+from atoll_core.wire.messages.workers import CloseJob, Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import (
     Abandoned,
@@ -37,7 +37,6 @@ from atoll_island_worker.session.interface import (
     JobReady,
     LoadFailed,
     Mailed,
-    PullAnswered,
     PullAsked,
     Rejected,
     Reset,
@@ -141,13 +140,6 @@ def test_a_job_that_loads_is_fetched_again_when_it_was_placed_elsewhere_in_betwe
     assert tasks(session.handle(JobReady("job"))) == [key(0, 0, term=3)]
 
 
-def test_the_same_or_an_older_placement_changes_nothing(session: Session) -> None:
-    begun(session, "me", "peer", term=3)
-    assert session.handle(placed("me", "peer", term=3)) == []
-    assert session.handle(placed("me", term=2)) == []
-    assert session.assignment_statuses()[0].term == 3
-
-
 # -------------------------------------------------------------------------------------------- an epoch
 
 
@@ -216,22 +208,6 @@ def test_a_pull_is_answered_with_what_was_sent(session: Session) -> None:
     )
 
 
-def test_reports_can_be_pulled_until_all_islands_have_reported_them(session: Session) -> None:
-    begun(session, "me")
-    for epoch in range(3):
-        session.handle(computed(key(0, epoch), {0: b"own"}))
-    question = PullReports(job="job", variable="x", term=1, first=0, last=9)
-    (answer,) = session.handle(PullAsked("h", question))
-    assert isinstance(answer, Respond)
-    assert isinstance(answer.body, Reports)
-    assert [epoch_report.epoch for epoch_report in answer.body.reports] == [0, 1, 2]
-    session.handle(committed(0, 2, 4, reported=2))
-    (answer,) = session.handle(PullAsked("h", question))
-    assert isinstance(answer, Respond)
-    assert isinstance(answer.body, Reports)
-    assert [epoch_report.epoch for epoch_report in answer.body.reports] == [2]
-
-
 def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -251,13 +227,6 @@ def test_a_pull_under_another_term_is_answered_with_ours(session: Session) -> No
     begun(session, "me", "peer", term=4)
     question = PullMigrants(job="job", variable="x", term=3, epoch=0, destination=1, sources=(0,))
     assert session.handle(PullAsked("h", question)) == [Respond("h", NewerTerm(job="job", variable="x", term=4))]
-
-
-def test_news_of_a_higher_term_fetch_the_placement(session: Session) -> None:
-    begun(session, "me", "peer")
-    news = NewerTerm(job="job", variable="x", term=2)
-    assert session.handle(PullAnswered("peer", news)) == [FetchPlacements("job")]
-    assert session.handle(PullAnswered("peer", NewerTerm(job="job", variable="x", term=1))) == []
 
 
 # ------------------------------------------------------------------------------- foreign and early mail
@@ -335,16 +304,6 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
 
 
 # ----------------------------------------------------------------------------------------------- ending
-
-
-def test_a_close_of_a_lower_term_that_arrives_late_closes_nothing(session: Session) -> None:
-    begun(session, "me")
-    session.handle(placed("me", term=2))
-    assert session.handle(mail(0, (1, 0, b"early"), term=3)) == [FetchPlacements("job")]
-    assert session.handle(Close(job="job", variable="x", term=1)) == []
-    assert [assignment_status.term for assignment_status in session.assignment_statuses()] == [2]
-    assert session.handle(mail(0, (1, 0, b"more"), term=3)) == []
-    assert session.handle(Close(job="job", variable="x", term=3)) == [Discard(ShardKey("job", "x", 2))]
 
 
 def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
@@ -455,13 +414,3 @@ def test_a_reset_keeps_what_the_new_incarnation_has_placed_already(session: Sess
     assert tasks(list(session.handle(placed("me", "peer", term=5)))) == []
     assert session.handle(Reset(incarnation=2)) == [Discard(ShardKey("job", "x", 5)), DiscardJob("job")]
     assert session.jobs() == ()
-
-
-def test_early_mail_is_forgotten_when_its_job_is_closed_or_its_placement_has_been_asked_for(session: Session) -> None:
-    asked = [FetchPlacements("job")]
-    assert session.handle(mail(0, (1, 0, b"early"))) == asked
-    assert session.handle(mail(0, (1, 0, b"more"))) == []
-    session.handle(CloseJob(job="job"))
-    assert session.handle(mail(0, (1, 0, b"late"))) == asked
-    session.forget_pending("job")
-    assert session.handle(mail(0, (1, 0, b"again"))) == asked

@@ -4,7 +4,6 @@ import hashlib
 
 import pytest
 
-from atoll_core.errors import RemoteProtocolError
 from atoll_core.task_frames import (
     Ask,
     BatchComputed,
@@ -30,7 +29,6 @@ from atoll_core.wire.messages.tasks import (
     GivenBatch,
     Help,
     Lease,
-    NoTask,
     PullBatch,
     Release,
     TaskChunk,
@@ -311,18 +309,6 @@ def test_a_helper_pulls_batch_after_batch_and_names_the_contexts_it_has(scene: S
     assert scene.requests.pulls[-1][1].result == BatchResult(number=8, result=None)
 
 
-def test_helping_ends_with_what_cannot_be_read_so_that_it_begins_again(scene: Scene) -> None:
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    with pytest.raises(RemoteProtocolError):
-        scene.runner.answered(PendingRequest("batch", B), b"nonsense")
-    assert scene.runner.is_idle
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    with pytest.raises(RemoteProtocolError, match="which is not here"):
-        scene.give_batch(known=True)
-    assert scene.runner.is_idle
-    assert scene.process.said == []
-
-
 def test_its_own_task_goes_before_helping(scene: Scene) -> None:
     scene.runner.handle(Help(task=B, job="j", worker="w1"))
     scene.give_batch()
@@ -367,26 +353,3 @@ def test_helpers_get_batches_of_what_runs_and_hand_in_results(scene: Scene) -> N
     assert scene.process.said[0] == Take(7, b"made")
     scene.say(Give(scene.process.told(Ask)[0].token, None))
     assert scene.replies[1:] == [(query(2), NotYet())]
-
-
-def test_who_asks_for_batches_of_what_does_not_run_is_told(scene: Scene) -> None:
-    scene.runner.batch_asked(query(1), PullBatch(task=A))
-    scene.runner.handle(lease())
-    scene.runner.batch_asked(query(2), PullBatch(task=A))
-    assert scene.replies == [(query(1), NoTask()), (query(2), NoTask())]
-
-
-@pytest.mark.parametrize(
-    "end", [TaskFinished(A, b"made"), Failed(A, "error", "it broke"), Ended("crash", "its process ended"), None]
-)
-def test_the_end_of_a_task_answers_its_helpers(scene: Scene, end: FromProcess | None) -> None:
-    scene.running()
-    scene.runner.batch_asked(query(1), PullBatch(task=A))
-    (ask,) = scene.process.told(Ask)
-    if end is None:
-        scene.runner.handle(Release(task=A))
-    else:
-        scene.say(end)
-    assert scene.replies == [(query(1), NoTask())]
-    scene.say(Give(ask.token, None))
-    assert len(scene.replies) == 1

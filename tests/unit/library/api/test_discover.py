@@ -51,8 +51,8 @@ def test_keywords_are_the_options_of_run(options: dict, words: list[str]) -> Non
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"sead": 3}, "sead is no option here; see help(atoll.discover); did you mean 'seed'?"),
-        ({"out": "folder"}, "out is no option here"),
+        ({"sead": 3}, "sead is not an option; see help(atoll.discover); did you mean 'seed'?"),
+        ({"out": "folder"}, "out is not an option"),
         ({"seed": "x"}, "seed must be a whole number, but 'x' was given"),
         ({"seed": True}, "seed must be a whole number, but True was given"),
         ({"robust": "yes"}, "robust must be True or False, but 'yes' was given"),
@@ -76,12 +76,12 @@ def test_every_option_of_run_changes_the_job_or_is_refused() -> None:
     for group in verbs.choices["run"]._action_groups:
         for action in group._group_actions:
             if group.title not in described and action.option_strings and action.dest != "config":
-                with pytest.raises(UsageError, match="is no option here"):
+                with pytest.raises(UsageError, match="is not an option"):
                     config_of({action.dest: True})
 
 
 def test_a_page_is_written_by_the_model() -> None:
-    with pytest.raises(UsageError, match=r"report is no option here; .* model.report\(path\)"):
+    with pytest.raises(UsageError, match=r"report is not an option; .* model.report\(path\)"):
         config_of({"report": True})
 
 

@@ -50,13 +50,6 @@ def test_arrays_for_another_number_of_trajectories_are_refused(
     assert not calls
 
 
-def test_one_number_is_the_time_between_rows(calls: list[tuple[Any, dict[str, Any]]]) -> None:
-    Discoverer().fit(X, 0.5, feature_names=["a", "b"])
-    ((data, _),) = calls
-    assert data[0]["t"].tolist() == [0.0, 0.5, 1.0]
-    assert data[0]["b"].tolist() == [2.0, 4.0, 7.0]
-
-
 @pytest.mark.usefixtures("calls")
 def test_results_have_the_names_that_users_know(capsys: pytest.CaptureFixture[str]) -> None:
     fitted = Discoverer().fit(X, 1.0)
@@ -84,12 +77,6 @@ def test_what_does_not_fit_is_refused() -> None:
         Discoverer().fit([])
     with pytest.raises(UsageError, match="times must be numbers"):
         Discoverer().fit(X, "abc")
-
-
-def test_a_list_of_rows_is_one_trajectory(calls: list[tuple[Any, dict[str, Any]]]) -> None:
-    Discoverer().fit(X.tolist())
-    ((data, _),) = calls
-    assert [values["x1"].tolist() for values in data] == [[2.0, 4.0, 7.0]]
 
 
 def test_of_groups_the_constants_of_one_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:

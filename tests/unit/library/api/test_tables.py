@@ -90,12 +90,6 @@ def test_an_index_of_a_pandas_frame_is_a_column_where_it_says_something() -> Non
     assert table_of({"x": frame["x"], "t": frame.index}, DataConfig()).names == ("x", "t")
 
 
-def test_coordinates_of_an_xarray_data_set_are_columns() -> None:
-    xarray = pytest.importorskip("xarray")
-    lines = xarray.Dataset({"x": ("t", [1.0, 2.0])}, coords={"t": [0.0, 0.5]})
-    assert table_of(lines, DataConfig()).names == ("t", "x")
-
-
 def test_files_are_read_as_the_command_line_reads_them(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
     assert table_of(tmp_path / "a.csv", DataConfig()).files == ("a.csv",)
@@ -153,19 +147,6 @@ class NAType:
         raise TypeError("boolean value of NA is ambiguous")
 
 
-def test_names_of_trajectories_are_kept() -> None:
-    parts = [{"t": [0, 1], "x": [1, 2], "run": ["b", "a"]}, {"t": [0, 1], "x": [1, 2], "run": ["a", "c"]}]
-    table = table_of(parts, DataConfig(trajectory="run"))
-    assert table.column("run").tolist() == [1.0, 2.0, 2.0, 3.0]
-    assert table.labels == {"run": ("b", "a", "c")}
-
-
-def test_columns_without_a_value_are_left_out() -> None:
-    table = table_of({"t": [0, 1], "x": [1, 2], "y": [np.nan, np.nan]}, DataConfig())
-    assert (table.names, table.read_as) == (("t", "x"), "arrays by name; empty columns left out: y")
-    assert table.left_out == ("empty columns left out: y",)
-
-
 def test_a_long_frame_is_read_as_a_long_file_is(tmp_path: Path) -> None:
     rows = [
         (name, run, time, 10.0 * time + len(run)) for name in ("A", "B") for run in ("a", "bc") for time in range(3)
@@ -217,14 +198,6 @@ def test_levels_of_an_index_with_a_name_are_columns() -> None:
     assert (table.labels["site"], table.column("year").tolist()) == (("hill", "lake"), [2001, 2002, 2003] * 2)
     frame.index = frame.index.set_names([None, "year"])
     assert table_of(frame, DataConfig(time="year")).skipped == ("column 1",)
-
-
-def test_an_index_of_names_or_of_numbers_without_a_name_is_not_lost_silently() -> None:
-    import pandas
-
-    for index in (["a", "b", "c"], [0.0, 0.5, 1.0]):
-        table = table_of(pandas.DataFrame({"t": [0, 1, 2], "x": [1, 2, 3]}, index=index), DataConfig())
-        assert (table.names, table.skipped) == (("t", "x"), ("column 1",))
 
 
 def test_levels_of_columns_name_columns_where_one_does_not() -> None:
@@ -298,14 +271,6 @@ def test_the_mark_of_a_comment_before_the_time_is_no_part_of_its_name() -> None:
     assert (table.names, table.units) == (("time", "x"), ("s", ""))
     assert table.column("time").tolist() == pytest.approx([0.02 * row for row in range(6)])
     assert table_of({"t": np.arange(6.0), "% CO2": np.arange(6.0)}, DataConfig()).names == ("t", "% CO2")
-
-
-def test_a_dict_of_frames_is_refused_by_their_names() -> None:
-    import pandas
-
-    sheets = {"Info": pandas.DataFrame({"a": [1]}), "Data": pandas.DataFrame({"t": [0, 1], "x": [1, 2]})}
-    with pytest.raises(DataError, match=r"data is a dict of frames \(Info, Data\); give the one that holds"):
-        table_of(sheets, DataConfig())
 
 
 @pytest.mark.parametrize(

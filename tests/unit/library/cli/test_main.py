@@ -14,7 +14,6 @@ from atoll.cli import main as entry
 from atoll.cli.exit_codes import ending
 from atoll.cli.main import main
 from atoll.cli.options import VERBS, build_parser, parse
-from atoll_coordinator.result.result import schema_text
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import AtollError, DataError, StoreError, UnreachableError, UsageError
 from atoll_core.wire.messages.views import VariableView
@@ -76,16 +75,6 @@ def test_an_unexpected_error_is_one_sentence_that_names_the_log(
     (log,) = (tmp_path / "atoll").iterdir()
     assert f"please report it, with the details in {log}" in sentence
     assert "deep inside" in log.read_text()
-
-
-def test_of_a_result_that_reads_like_none_an_edit_may_be_the_cause(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.delenv("ATOLL_DEBUG", raising=False)
-    monkeypatch.setattr(entry, "_dispatch", lambda _: {}["program"])
-    assert main(["analyse", "r"]) == 1
-    assert capsys.readouterr().err.endswith("use the original file\n")
 
 
 def test_an_unexpected_error_is_raised_when_debugging(
@@ -199,12 +188,6 @@ def test_what_serve_keeps_is_an_age_and_a_size(text: str, limits: tuple[int | No
     assert parse(["serve"]).keep == (90 * 86400, 8 * 10**9)
 
 
-def test_options_and_files_may_come_in_any_order() -> None:
-    options = parse(["run", "--seed", "3", "a.csv", "b.csv", "--json"])
-    assert options.data == ["a.csv", "b.csv"]
-    assert (options.seed, options.json, options.verb) == ("3", True, "run")
-
-
 def test_submit_knows_every_option_of_the_data_the_search_and_the_budget_that_run_knows() -> None:
     run, submit = vars(parse(["run", "a"])), vars(parse(["submit", "a"]))
     assert set(run) - set(submit) == {"web", "workers"}
@@ -249,11 +232,6 @@ def test_the_schema_has_every_setting_with_its_description(capsys: pytest.Captur
     assert "time column" in data["time"]["description"]
 
 
-def test_the_schema_of_results_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["schema", "result"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(schema_text())
-
-
 def finished(converged: bool) -> tuple[VariableView, ...]:
     return (VariableView(variable="x", lhs="dx/dt", epoch=3, converged=converged, finished=True),)
 
@@ -281,12 +259,3 @@ def test_the_end_of_a_job_decides_the_exit_code(
     assert found == code
     assert (sentence is None) == (words is None)
     assert words is None or words in (sentence or "")
-
-
-def test_a_known_equation_misses_no_target() -> None:
-    known = VariableView(variable="y", lhs="dy/dt", epoch=0, finished=True, why="known", normalized_error=0.5)
-    searched = VariableView(variable="x", lhs="dx/dt", epoch=1, finished=True, why="target", converged=True)
-    missed = searched.model_copy(update={"converged": False, "why": "max-epochs"})
-    assert ending(job_view(state="done", target_error=1e-6, variables=(known, searched))) == (0, None)
-    sentence = "--target-error 1e-06 was not met within the budget by dx/dt"
-    assert ending(job_view(state="done", target_error=1e-6, variables=(known, missed))) == (4, sentence)

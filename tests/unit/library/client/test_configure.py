@@ -6,9 +6,8 @@ import pytest
 
 from atoll.cli.options import job_id, parse
 from atoll.cli.request import config_of as configure
-from atoll.client.options import epochs, names, seconds
 from atoll_core.config import BASE_OPERATORS, FURTHER_OPERATORS, PRESETS, JobConfig
-from atoll_core.errors import Field, UsageError
+from atoll_core.errors import UsageError
 
 
 def config_of(line: str) -> JobConfig:
@@ -191,19 +190,6 @@ def test_a_wrong_job_file_is_one_sentence_that_names_the_key(text: str, words: l
 
 def test_time_may_be_the_time_column_and_an_input_at_once() -> None:
     assert config_of("--time t --inputs t").data.inputs == ("t",)
-
-
-@pytest.mark.parametrize(("text", "value"), [("90", 90), ("60s", 60), ("10m", 600), ("1h", 3600), ("250ms", 0.25)])
-def test_times_are_read_with_their_units(text: str, value: float) -> None:
-    assert seconds(text, Field("max_time")) == value
-
-
-def test_a_column_name_with_a_comma_is_quoted() -> None:
-    assert names('"a,b", c', Field("states")) == ("a,b", "c")
-
-
-def test_epochs_may_be_given_for_all_and_for_some() -> None:
-    assert epochs("50,x=20", Field("max_epochs")) == (50, {"x": 20})
 
 
 def test_a_job_id_is_checked_or_made() -> None:

@@ -80,19 +80,6 @@ def test_a_job_is_shown_until_it_ends() -> None:
     assert display.states == ["queued", "running", "done"]
 
 
-def test_each_warning_is_said_once() -> None:
-    told = ("8 rows were left out", "every tenth row is used")
-    warned = job_view(warnings=told, notes=told[1:])
-    _, display = follow(warned, warned, job_view(state="done"))
-    assert display.sentences == ["warning: 8 rows were left out", "note: every tenth row is used"]
-
-
-def test_a_short_silence_of_the_coordinator_is_borne() -> None:
-    view, display = follow(UnreachableError("silent"), job_view(state="done"))
-    assert view.state == "done"
-    assert "does not answer" in display.sentences[0]
-
-
 def test_a_long_silence_is_an_error_that_says_the_job_may_go_on() -> None:
     with pytest.raises(UnreachableError, match="coordinator status j1"):
         follow(UnreachableError("silent"))

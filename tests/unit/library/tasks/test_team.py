@@ -116,21 +116,6 @@ def test_a_helper_that_asked_before_gets_the_last_batch_and_its_answer_counts(
     assert mapping.ended() == [*EXPECTED[:-1], b"made elsewhere"]
 
 
-def test_a_context_travels_once(said: Said, monkeypatch: pytest.MonkeyPatch) -> None:
-    team, gate, entered = Team(said), threading.Event(), threading.Event()
-    here_gated(monkeypatch, gate, entered)
-    mapping = Mapping(team, ITEMS)
-    assert entered.wait(LIMIT_S)
-    team.ask(Ask(1))
-    team.ask(Ask(2, frozenset({DIGEST})))
-    first, second = said.answer_to(1), said.answer_to(2)
-    assert first is not None
-    assert second is not None
-    assert (first.context, second.context, second.digest) == (CONTEXT, b"", DIGEST)
-    gate.set()
-    assert mapping.ended() == EXPECTED
-
-
 def test_two_threads_and_many_helpers_have_all_computed(said: Said) -> None:
     team = Team(said)
     items = [b"%d" % number for number in range(300)]

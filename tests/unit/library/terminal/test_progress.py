@@ -64,18 +64,6 @@ def test_the_headline_says_how_to_start_a_worker_when_there_is_none() -> None:
     )
 
 
-def test_the_headline_says_that_kernels_are_being_compiled() -> None:
-    waiting = worker(state="compiling", detail="waiting while another process compiles")
-    busy = worker(state="compiling", detail="compiling kernels (first time on this machine)")
-    assert "compiling kernels (first time on this machine)" in headline(
-        job(state="queued"), Workforce.of([waiting, busy]), HINT
-    )
-
-
-def test_the_headline_says_why_a_job_waits() -> None:
-    assert headline(job(reason="waits for a place"), Workforce.of([worker()]), HINT).endswith("; waits for a place")
-
-
 def test_the_plain_display_writes_on_changes_and_otherwise_only_now_and_then() -> None:
     written: list[str] = []
     display = PlainDisplay(HINT, written.append)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from atoll.workers import start_on
-from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerProgram, _options, ending, limited
+from atoll.workers.start import Handle, MachineWorkers, ProgramOptions, WorkerProgram, _options, limited
 from atoll_core.errors import AtollError, UnreachableError, UsageError
 from atoll_island_worker.cli import _parse
 from tests.programs import until
@@ -128,19 +128,6 @@ def test_a_handle_says_which_machine_has_lost_its_workers_and_why() -> None:
         "the island workers of second have ended with exit code 2 (bad options, or refused by the coordinator); the "
         "log of that machine's process in the cluster says more"
     )
-
-
-@pytest.mark.parametrize(
-    ("code", "sentence"),
-    [
-        (0, "ended with exit code 0 (the coordinator ended, or they were told to end)"),
-        (1, "ended with exit code 1"),
-        (3, "ended with exit code 3 (the coordinator could not be reached)"),
-        (-9, "ended by signal 9"),
-    ],
-)
-def test_endings_are_said(code: int, sentence: str) -> None:
-    assert ending(code) == sentence
 
 
 def test_the_end_of_a_block_ends_the_workers() -> None:

@@ -91,8 +91,8 @@ def test_without_a_search_it_covers_what_is_known_and_the_data():
 def test_people_read_that_it_was_known():
     lines = render_text(result()[0]).split("\n")
     assert "dy/dt = -0.1*x" in lines
-    assert "    known: error 0.02 of the target's deviation" in lines
-    assert "    known: error ? of the target's deviation" in render_text(result("log(x)")[0]).split("\n")
+    assert "    known: error 0.02 of the target's standard deviation" in lines
+    assert "    known: error ? of the target's standard deviation" in render_text(result("log(x)")[0]).split("\n")
 
 
 def test_notes_are_told_by_where_they_were_written():

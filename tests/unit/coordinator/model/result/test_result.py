@@ -361,7 +361,7 @@ def test_what_is_no_model_is_not_said_to_have_converged():
 
     known = {"why": "target", "converged": True, "verdict": "no model", "normalized_error": 0.1}
     equation = Equation(variable="x", lhs="dx/dt", expression="x", complexity=3, epoch=2, **known)
-    assert _standing(equation) == "error 0.1 of the target's deviation, size 3, epoch 2"
+    assert _standing(equation) == "error 0.1 of the target's standard deviation, size 3, epoch 2"
     assert _standing(equation.model_copy(update={"verdict": "good"})).startswith("converged: error 0.1")
 
 

@@ -22,7 +22,6 @@ from atoll_core.expression.operators import (
     VARIABLE,
 )
 from atoll_island_worker.evolution.kernels.fit import (
-    choose_fitted,
     collect_terms,
     errors,
     fit,
@@ -31,7 +30,7 @@ from atoll_island_worker.evolution.kernels.fit import (
     residual_of,
 )
 from atoll_island_worker.evolution.kernels.measured_rows import product
-from atoll_island_worker.evolution.structures import MOST_FITTED, MOST_TERMS, Fit, empty_work
+from atoll_island_worker.evolution.structures import MOST_TERMS, Fit, empty_work
 from tests.oracles import fitting as oracle
 from tests.oracles.programs import program_of
 from tests.oracles.tapes import SPACE, node_values, program_on, rows_of, tape_of, top_level_terms
@@ -78,55 +77,6 @@ def test_the_output_is_a_combination_of_its_terms(program, most):
     number = collect_terms(tape, count, most, terms)
     output, nearest = oracle.combination(program, inputs, set(terms[:number].tolist()))
     np.testing.assert_allclose(nearest, output, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("nodes", "most", "expected"),
-    [
-        ([X], 3, {0}),
-        ([2.5], 3, set()),
-        ([X, 2.0, (MULTIPLY, 0, 1)], 3, {0}),
-        ([X, 2.0, (DIVIDE, 0, 1)], 3, {0}),
-        ([X, 2.0, (DIVIDE, 1, 0)], 3, {2}),
-        ([X, (NEGATE, 0), (NEGATE, 1)], 1, {0}),
-        ([X, Y, (ADD, 0, 1)], 1, {2}),
-        ([X, Y, (ADD, 0, 1)], 2, {0, 1}),
-        ([X, Y, (SUBTRACT, 0, 1), 3.0, (MULTIPLY, 2, 3), (ADD, 4, 3)], 2, {0, 1}),
-        ([X, (SIN, 0), (ADD, 0, 1), (ADD, 2, 0)], 3, {0, 1}),
-        ([X, (SIN, 0), (MULTIPLY, 0, 1), (ADD, 2, 1), Y, (SUBTRACT, 3, 4)], 3, {1, 2, 4}),
-        ([X, (SIN, 0), (MULTIPLY, 0, 1), (ADD, 2, 1), Y, (SUBTRACT, 3, 4)], 0, {5}),
-    ],
-)
-def test_terms_of_programs_that_one_can_read(nodes, most, expected):
-    program = program_of(nodes)
-    tape, count = tape_of(program)
-    terms = empty_work(SPACE, 1).terms
-    number = collect_terms(tape, count, most, terms)
-    assert set(terms[:number].tolist()) == expected
-    assert most == 0 or top_level_terms(program, most) == expected
-
-
-def test_constants_inside_terms_are_fitted_in_order_and_no_more_than_allowed():
-    """sin(2 x + 3) + 5: the 5 is the shift's, the 2 and the 3 lie inside."""
-    nodes = [X, 2.0, (MULTIPLY, 0, 1), 3.0, (ADD, 2, 3), (SIN, 4), 5.0, (ADD, 5, 6)]
-    tape, count = tape_of(program_of(nodes))
-    work = empty_work(SPACE, 1)
-    number = collect_terms(tape, count, 3, work.terms)
-    assert choose_fitted(tape, count, number, 10, work) == 2
-    assert work.fitted[:2].tolist() == [1, 3]
-    assert tape.depends[:count].tolist() == [False, True, True, True, True, True, False, False]
-    assert choose_fitted(tape, count, number, 1, work) == 1
-    assert tape.depends[:count].tolist() == [False, True, True, False, True, True, False, False]
-
-
-def test_never_more_constants_than_there_is_room_for():
-    nodes = [X, 0.5, (MULTIPLY, 0, 1)]
-    for _ in range(20):
-        nodes += [1.5, (MULTIPLY, len(nodes) - 1, len(nodes)), (SIN, len(nodes) + 1)]
-    tape, count = tape_of(program_of(nodes))
-    work = empty_work(SPACE, 1)
-    number = collect_terms(tape, count, 3, work.terms)
-    assert choose_fitted(tape, count, number, 100, work) == MOST_FITTED
 
 
 def errors_of(output, rows, beyond=-3.0):
@@ -388,34 +338,6 @@ def test_the_count_of_point_evaluations_is_the_documented_one():
     assert fitted(program_of([X, (SIN, 0)]), inputs, inputs[1], SCALED, steps=9)[4] == 30
 
 
-def settled_after(nodes, target, options=SCALED, steps=20, ceiling=math.inf):
-    """Return whether a fit is settled, its losses and its point evaluations for each of the 40 rows."""
-    inputs = random_inputs(17)
-    tape, count = tape_of(program_of(nodes))
-    rows, work, result = rows_of(inputs, target(*inputs)), empty_work(SPACE, 40), np.zeros(2)
-    used = fit(tape, count, rows, options, 100, steps, ceiling, work, np.zeros(1 + MOST_TERMS), result)
-    return bool(work.settled[0]), result.tolist(), used // 40
-
-
-def test_a_fit_is_settled_when_no_further_step_would_change_it():
-    wave = [X, 1.1, (MULTIPLY, 0, 1), (SIN, 2)]
-    assert settled_after([X, (SIN, 0)], lambda x, y: y)[0]  # there is nothing to fit
-    assert settled_after([X, -9.0, (ADD, 0, 1), (SQRT, 2)], lambda x, y: y)[0]  # not finite
-    assert settled_after(wave, lambda x, y: np.sin(1.2 * x))[0]  # exact
-    assert settled_after(wave, lambda x, y: np.sin(1.2 * x) + y)[0]  # as good as it gets
-    assert not settled_after(wave, lambda x, y: np.sin(1.2 * x), steps=1)[0]  # still on its way
-
-
-def test_no_more_constants_are_fitted_than_the_rows_bear():
-    """With 8 constants allowed and 3 terms, 4 are left for the inside; with none left, still the least that is set."""
-    nodes = [X, 0.5, (MULTIPLY, 0, 1), 0.7, (ADD, 2, 3), (SIN, 4), 1.3, (MULTIPLY, 5, 6), 0.2, (ADD, 7, 8), (COS, 9)]
-    inputs = random_inputs(8)
-    program = program_of(nodes)
-    for most, moved in ((100, 4), (5, 3), (4, 2), (0, 2)):
-        after = fitted(program, inputs, np.cos(1.1 * np.sin(0.6 * inputs[0] + 0.9) + 0.1), SCALED, 3, most)[0]
-        assert (after.constants != program.constants).sum() == moved
-
-
 def test_a_program_that_is_not_finite_is_left_as_it_is():
     program = program_of([X, -1.0, (ADD, 0, 1), (SQRT, 2), 2.0, (MULTIPLY, 2, 4), (MULTIPLY, 3, 5)])
     inputs = random_inputs(9)
@@ -423,12 +345,3 @@ def test_a_program_that_is_not_finite_is_left_as_it_is():
     assert after == program
     assert (absolute, squared) == (math.inf, math.inf)
     assert used == inputs.shape[1]
-
-
-def test_constants_of_the_fit_are_the_only_ones_that_move():
-    program = program_of([X, 2.0, (ADD, 0, 1), Y, 3.0, (ADD, 3, 4), (MULTIPLY, 2, 5)])
-    after = fitted(program, random_inputs(10), np.arange(40.0), AS_IT_STANDS, 4, 2)[0]
-    assert [after.operators[i] == CONSTANT for i in np.flatnonzero(after.constants != program.constants)] == [
-        True,
-        True,
-    ]

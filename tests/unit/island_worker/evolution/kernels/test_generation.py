@@ -97,12 +97,6 @@ def test_developing_changes_live_constants_only():
             assert old[3] == new[3] or (i in live and old[0] == CONSTANT)
 
 
-def test_a_preset_without_fits_changes_no_constant():
-    arena = Arena(PLAIN)
-    for column, before in zip(arena.lists, random_lists(POPULATION, SPACE, 1), strict=True):
-        np.testing.assert_array_equal(column, before)
-
-
 def test_evaluations_are_counted_by_part():
     arena = Arena(PLAIN)
     assert dict(zip(PARTS, arena.counters.tolist(), strict=True)) == {
@@ -177,27 +171,6 @@ def test_inheriting_a_loss_saves_evaluations_and_changes_nothing_else():
             assert mine.tobytes() == theirs.tobytes()
         assert heirs.fitness.tobytes() == measured.fitness.tobytes()
     assert heirs.counters[OFFSPRING] < measured.counters[OFFSPRING] == 10 * POPULATION * ROWS
-
-
-def test_without_fits_every_child_is_measured():
-    """As the paper counts: every individual measured every generation."""
-    arena = Arena(PLAIN)
-    before = arena.counters[OFFSPRING]
-    for _ in range(10):
-        arena.generation()
-    assert arena.counters[OFFSPRING] == before + 10 * POPULATION * ROWS
-
-
-def test_who_can_still_be_fitted_better_hands_no_loss_on():
-    """A child with the parent's very constants then takes more steps from there, and is counted."""
-    arena = Arena(FITTED, crossover=0.0, mutation=0.0)
-    arena.scratch.settled[:] = False
-    spent = arena.counters[OFFSPRING]
-    arena.generation()
-    assert arena.counters[OFFSPRING] == spent + POPULATION * ROWS
-    arena.scratch.settled[:] = True
-    arena.generation()
-    assert arena.counters[OFFSPRING] == spent + POPULATION * ROWS
 
 
 def test_many_generations_at_once_are_those_one_by_one():

@@ -116,21 +116,6 @@ def test_the_next_best_of_each_size_are_chosen_beside_the_best(most):
     assert len(near) > 3 or most == 1
 
 
-def test_a_structure_is_chosen_once_beside_the_front():
-    arena, known = Arena(), np.zeros(1 << 16, np.uint64)
-    first = arena.choose_near(4, known)
-    assert len(first[1]) > 3
-    assert arena.choose_near(4, known) == ([], [])
-
-
-def test_individuals_without_a_finite_loss_are_not_offered():
-    arena = Arena()
-    arena.fitness[:] = math.inf
-    assert arena.choose() == []
-    arena.fitness[7] = 1.0
-    assert arena.choose() == [7]
-
-
 def test_a_structure_s_hash_leaves_constants_out_and_nothing_else():
     arena = Arena()
     sizes = [canonical(arena.lists, p, arena.scratch) for p in range(POPULATION)]
@@ -239,13 +224,3 @@ def test_coefficients_next_to_one_are_also_measured_as_one():
     expected = [0.0, 0.001, 2e-5 * area.mean(), 2e-5 * area.mean() + 0.001]
     assert offers.book.variants[0, 0] < 1e-15
     assert offers.book.variants[0, 1:] == pytest.approx([0.001, 2e-5 * abs(area).mean(), expected[3]], rel=1e-6)
-
-
-def test_without_terms_offers_are_measured_as_they_stand():
-    offers = Offers(Fit(0, 0, 2, 0, math.inf))
-    count = offers.refit()
-    assert count > 0
-    for k in range(count):
-        assert offers.book.number[k] == 0
-        output = node_values(to_program(from_book(offers.book, k)), offers.inputs)[-1]
-        assert offers.book.loss[k] == pytest.approx(fitting.errors(output, offers.target)[0], rel=1e-12)

@@ -11,7 +11,6 @@ from atoll_island_worker.evolution.kernels.tape import canonical_tape, compile_t
 from atoll_island_worker.evolution.structures import empty_tape, empty_work
 from tests.oracles import variation
 from tests.oracles.programs import program_of
-from tests.oracles.spaces import random_lists, space_of
 from tests.oracles.tapes import SPACE, list_of, live_nodes, node_values, program_on, tape_of
 from tests.property.programs import NAMES, ROWS, programs
 
@@ -44,35 +43,11 @@ def marked(lists, p, words):
     return [64 * word + b for word in range(words) for b in range(64) if int(bits[word]) >> b & 1]
 
 
-def long_lists(nodes, seed=5):
-    """Return lists of `nodes` nodes whose nodes refer to any earlier ones, or mostly to near ones."""
-    space = space_of(("+", "*", "sin", "-"), terminals=3, operators=nodes - 3)
-    far, near = random_lists(4, space, seed), random_lists(4, space, seed + 1)
-    steps = np.random.default_rng(seed).integers(1, 4, (2, 4, nodes))
-    earlier = np.maximum(np.arange(nodes) - steps, 0)
-    near.left[:, 3:], near.right[:, 3:] = earlier[0][:, 3:], earlier[1][:, 3:]
-    return far, near
-
-
 @pytest.mark.slow
 @QUICK
 @given(programs())
 def test_live_nodes_are_those_that_the_output_depends_on(program):
     assert marked(list_of(program), 0, 1) == live_nodes(program)
-
-
-@pytest.mark.parametrize("nodes", [63, 64, 65, 100, 128, 129, 200])
-def test_live_nodes_of_long_lists_are_found_over_several_words(nodes):
-    for lists in long_lists(nodes):
-        for p in range(4):
-            live = sorted(variation.live_of(variation.nodes_of(lists, p)))
-            assert marked(lists, p, -(-nodes // 64)) == live
-            assert marked(lists, p, 5) == live
-            assert {node // 64 for node in live} == set(range(-(-nodes // 64))) or lists.left[p, -1] < nodes - 4
-            tape = empty_tape(nodes)
-            count = compile_tape(lists, p, tape)
-            assert tape.origin[:count].tolist() == live
-            check_program_bytes(program_on(tape, count).to_bytes(), 2)
 
 
 def test_the_highest_bit_of_a_word_is_a_node_like_any_other():

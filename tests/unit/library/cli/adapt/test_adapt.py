@@ -84,22 +84,6 @@ class FakeClient:
         return self._workers
 
 
-def test_a_submission_is_one_node_whose_shell_becomes_the_workers(slurm: BatchJobs, programs: FakeBatch) -> None:
-    programs.answer("sbatch", "42;cluster\n")
-    assert slurm.submit() == "42"
-    assert (programs.folder / "script").read_text() == "#!/bin/sh\nexec island-worker --name 'a b'\n"
-    called = programs.called()
-    assert called[-1] == "--partition=idle", "what the user wants takes precedence"
-    assert {"--job-name=atoll-abc", "--nodes=1", "--ntasks=1", "--cpus-per-task=8", "--signal=B:TERM@60"} < set(called)
-
-
-def test_jobs_are_listed_with_what_they_come_to(slurm: BatchJobs, programs: FakeBatch) -> None:
-    programs.answer("squeue", "7 RUNNING\n8 PENDING\n9 COMPLETING\n10 CONFIGURING\n")
-    states = {job.id: job.state for job in slurm.jobs()}
-    assert states == {"7": "running", "8": "pending", "9": "ending", "10": "pending"}
-    assert {"--me", "--name=atoll-abc"} < set(programs.called())
-
-
 def test_what_waits_is_cancelled_and_what_runs_is_told_once(slurm: BatchJobs, programs: FakeBatch) -> None:
     slurm.take_back("7")
     assert programs.called() == ["scancel", "--state=PENDING", "7"]
@@ -130,14 +114,6 @@ def test_other_systems_are_submitted_to_by_their_own_words(system: str, programs
     assert "exec island-worker --name 'a b') &\n" in (programs.folder / "script").read_text()
 
 
-def test_the_users_parallel_environment_takes_the_place_of_ours(programs: FakeBatch) -> None:
-    programs.answer("qsub", "7\n")
-    BatchJobs(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 8, ["-pe", "openmp", "8"]).submit()
-    assert programs.called()[-3:] == ["-pe", "openmp", "8"]
-    BatchJobs(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 1, []).submit()
-    assert "-pe" not in programs.called()
-
-
 GRID = """<?xml version='1.0'?>
 <job_info><queue_info>
   <job_list state="running"><JB_job_number>7</JB_job_number><JB_name>atoll-abc</JB_name><state>r</state></job_list>
@@ -166,11 +142,6 @@ def test_other_systems_list_their_jobs(programs: FakeBatch) -> None:
     programs.answer("qstat", "error: commlib")
     with pytest.raises(BatchError, match="qstat -xml did not answer with XML"):
         BatchJobs(SYSTEMS["sge"], "atoll-abc", ["island-worker"], 1, []).jobs()
-
-
-def test_a_system_that_has_no_jobs_may_say_so_as_a_failure(programs: FakeBatch) -> None:
-    (programs.folder / "bjobs").write_text("#!/bin/sh\necho 'Job <atoll-abc> is not found' >&2; exit 255\n")
-    assert BatchJobs(SYSTEMS["lsf"], "atoll-abc", ["island-worker"], 1, []).jobs() == []
 
 
 @pytest.mark.parametrize(

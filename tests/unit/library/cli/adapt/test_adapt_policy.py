@@ -35,15 +35,6 @@ def test_it_shrinks_when_fewer_have_been_enough_for_a_while() -> None:
     assert policy.decide(100.0, need(4), jobs) == AdaptDecision(drain=("0", "1")), "what was needed at 0 is long ago"
 
 
-def test_it_shrinks_to_the_most_that_was_needed_lately() -> None:
-    policy, jobs = AdaptPolicy(LIMITS), batch("running", "running", "running", "running")
-    policy.decide(0.0, need(16), jobs)
-    policy.decide(60.0, need(8), jobs)
-    assert policy.decide(120.0, need(0), jobs) == AdaptDecision(drain=("0", "1"))
-    assert policy.decide(130.0, need(0), jobs) == AdaptDecision(), "who was told is not told again, and counts no more"
-    assert policy.decide(161.0, need(0), jobs) == AdaptDecision(drain=("2",))
-
-
 def test_those_end_first_that_cost_least() -> None:
     policy = AdaptPolicy(AdaptLimits(0, 9, 4, 0.0))
     jobs = batch("running", "pending", "running", "pending", "running")
@@ -78,16 +69,6 @@ def test_a_job_that_began_before_it_could_be_cancelled_is_drained() -> None:
     assert policy.decide(0.0, need(0), batch("pending")) == AdaptDecision(take_back=("0",))
     assert policy.decide(1.0, need(0), batch("running")) == AdaptDecision(drain=("0",))
     assert policy.decide(2.0, need(0), batch("running")) == AdaptDecision()
-
-
-def test_one_that_has_joined_or_was_told_to_end_is_no_failure() -> None:
-    policy = AdaptPolicy(AdaptLimits(0, 5, 4, 0.0))
-    for number in range(10):
-        job = BatchJob(str(number), number, "running")
-        policy.decide(number, need(4), [job])
-        policy.decide(number + 0.3, need(4, islands={job.id: 0} if number % 2 else {}), [job])
-        policy.decide(number + 0.5, need(0 if number % 2 == 0 else 4), [job])
-        policy.decide(number + 0.7, need(0), [])
 
 
 @pytest.mark.parametrize("seed", range(20))

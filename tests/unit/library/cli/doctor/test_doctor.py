@@ -66,16 +66,6 @@ def test_problems_end_with_1_and_each_says_what_to_do(capsys: pytest.CaptureFixt
     assert "3 problems" in out.splitlines()[-1]
 
 
-def test_a_check_that_breaks_is_a_finding_and_the_others_are_made() -> None:
-    def check_moon(_: Namespace) -> list[Diagnosis]:
-        raise ZeroDivisionError("no moon")
-
-    findings = doctor.examine(options(), [check_moon, lambda _: [fine("sun", "shines")]])
-    assert grades(findings) == ["problem", "fine"]
-    assert findings[0].subject == "moon"
-    assert "no moon" in findings[0].found
-
-
 def test_text_and_json_say_the_same() -> None:
     findings = [fine("a", "one\ntwo"), Diagnosis("long", "warning", "three", "four")]
     assert as_text(findings).splitlines() == [
@@ -91,18 +81,6 @@ def test_text_and_json_say_the_same() -> None:
 
 
 # ------------------------------------------------------------------------------------------- the machine
-
-
-@pytest.mark.parametrize(
-    ("free", "grade"),
-    [(64 * doctor_machine.GB, "fine"), (400 * doctor_machine.MB, "warning"), (0, "problem"), (None, "fine")],
-)
-def test_memory_must_do_for_a_worker_per_core(free: int | None, grade: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_machine, "available_memory", lambda: free)
-    monkeypatch.setattr(doctor_machine, "usable_cores", lambda _: (4, "four"))
-    (finding,) = doctor_machine.check_memory(options())
-    assert finding.grade == grade
-    assert ("--processes 1" in finding.advice) == (grade != "fine")
 
 
 def test_memory_is_what_system_and_control_group_leave(tmp_path: Path) -> None:
@@ -164,11 +142,6 @@ def test_a_port_in_use_is_a_problem_and_a_free_one_is_not(router: ZenohBus) -> N
     assert grades(doctor_network.check_listen(options())) == []
 
 
-def test_an_address_that_is_none_is_a_problem() -> None:
-    (finding,) = doctor_network.check_coordinator(options("--connect", "lab1:7447"))
-    assert finding.grade == "problem"
-
-
 def test_a_coordinator_in_order_is_greeted_and_its_workers_are_missed(router: ZenohBus, tmp_path: Path) -> None:
     import threading
 
@@ -193,13 +166,6 @@ def test_a_coordinator_in_order_is_greeted_and_its_workers_are_missed(router: Ze
     assert router.endpoint in findings["workers"].advice
 
 
-def test_a_router_without_a_coordinator_is_a_problem(router: ZenohBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_network, "LIMIT_S", 0.5)
-    findings = list(doctor_network.check_coordinator(options("--connect", router.endpoint)))
-    assert grades(findings) == ["fine", "problem"]
-    assert "did not answer" in findings[1].found
-
-
 def test_another_version_is_a_problem_for_workers() -> None:
     ours = Welcome(realm="r", incarnation=1, protocol=PROTOCOL_VERSION, version=VERSION, engine=ENGINE_REVISION)
     assert list(doctor_network.version_findings(ours)) == []
@@ -213,10 +179,6 @@ def test_clocks_are_compared(seconds: float, grade: str) -> None:
     (finding,) = doctor_network.clock_findings((NOW + timedelta(seconds=seconds)).isoformat(), NOW)
     assert finding.grade == grade
     assert ("ahead" in finding.found, "behind" in finding.found) == (seconds > 5, seconds < -5)
-
-
-def test_a_coordinator_that_does_not_tell_its_time_is_not_judged_by_it() -> None:
-    assert list(doctor_network.clock_findings("", NOW)) == []
 
 
 def test_workers_that_hang_or_are_not_ready_are_named() -> None:
@@ -293,13 +255,6 @@ def test_an_address_with_tls_and_no_certificate_is_a_problem(lab: Lab) -> None:
 
 
 # ------------------------------------------------------------------------------------------------ quick
-
-
-def test_a_quick_look_is_at_the_address_only(router: ZenohBus, capsys: pytest.CaptureFixture[str]) -> None:
-    assert doctor.doctor(options("--quick", "--connect", router.endpoint)) == 0
-    assert capsys.readouterr().out.splitlines()[0].startswith("ok       address")
-    assert doctor.doctor(options("--quick", "--connect", "tcp/127.0.0.1:9")) == 1
-    assert doctor.doctor(options("--quick")) == 1
 
 
 def test_a_quick_look_loads_nothing_heavy() -> None:

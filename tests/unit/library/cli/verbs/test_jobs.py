@@ -12,7 +12,7 @@ import pytest
 from atoll.cli.main import main
 from atoll.cli.verbs import jobs as verb
 from atoll.cli.verbs import jobs as verbs
-from atoll.cli.verbs.jobs import coordinator_lines, line, size, trouble, worker_table
+from atoll.cli.verbs.jobs import coordinator_lines, line, worker_table
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core import VERSION
@@ -59,13 +59,6 @@ def test_a_coordinator_that_answers_is_told_from_one_whose_loop_does_not_turn(
         finally:
             stop.set()
             loop.join()
-
-
-def test_nobody_is_there(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["ping", "--connect", "tcp/127.0.0.1:9", "--wait", "0.1"]) == 3
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "within 0.1 s" in said
 
 
 def job(name: str, state: str) -> JobView:
@@ -157,52 +150,6 @@ def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
     return fake
 
 
-@pytest.mark.usefixtures("client")
-class TestWithACoordinator:
-    """What each verb prints."""
-
-    def test_jobs_are_a_table(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["jobs"]) == 0
-        lines = capsys.readouterr().out.splitlines()
-        heads = "ID NAME STATE PRIORITY TIME WORKERS EPOCHS POINT-EVALS FOUND NOTE"
-        assert " ".join(lines[0].split()) == heads
-        assert [line.split()[0] for line in lines[1:]] == ["alpha", "beta", "gamma"]
-
-    def test_jobs_may_be_filtered(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["jobs", "al", "--json"]) == 0
-        assert [view["job"] for view in json.loads(capsys.readouterr().out)] == ["alpha"]
-
-    def test_the_last_jobs_may_be_listed_alone(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["jobs", "--last", "2", "--json"]) == 0
-        assert [view["job"] for view in json.loads(capsys.readouterr().out)] == ["beta", "gamma"]
-
-    def test_status_shows_the_jobs_under_way(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["status"]) == 0
-        text = capsys.readouterr().out
-        assert text.startswith("job beta running, 1:01, 1 worker")
-        assert "dx/dt  epoch 2  error 1.0e-01  size 3  2*x" in text
-        assert "alpha" not in text
-
-    def test_status_of_one_job_is_one_object(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["status", "gam", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["state"] == "failed"
-
-    def test_cancel_ends_the_only_job_under_way(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["cancel"]) == 0
-        assert "job beta is cancelled" in capsys.readouterr().out
-        assert main(["cancel", "alpha"]) == 0
-        assert "had ended already: done" in capsys.readouterr().out
-
-    def test_delete_takes_a_job_that_has_ended(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["delete", "al"]) == 0
-        assert capsys.readouterr().out == "job alpha is deleted\n"
-        assert main(["delete", "gamma", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out) == {"deleted": "gamma"}
-        assert main(["delete", "gamma"]) == 2
-        assert main(["delete", "beta"]) == 2
-        assert "job beta is running; cancel it" in capsys.readouterr().err
-
-
 def test_a_followed_status_ends_with_the_exit_code_of_the_job(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -233,15 +180,6 @@ def test_cancel_promises_equations_only_where_there_are_some(
     client.__init__(job("one", "running").model_copy(update={"variables": variables}))  # type: ignore[misc]
     assert main(["cancel"]) == 0
     assert said in capsys.readouterr().out
-
-
-def test_cancel_says_where_the_end_takes_longer_than_it_waits(
-    client: FakeClient, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    client.__init__(job("one", "running"))  # type: ignore[misc]
-    monkeypatch.setattr(client, "cancel_and_wait", client.status)
-    assert main(["cancel"]) == 0
-    assert "job one is being cancelled; its result is not complete" in capsys.readouterr().out
 
 
 def test_cancel_without_a_name_refuses_to_choose(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
@@ -353,13 +291,6 @@ def test_the_queue_is_shown_without_changing_it(control: ControlClient, capsys: 
     assert main(["queue", "--json"]) == 0
     assert control.asked == []
     assert json.loads(capsys.readouterr().out)["queued"] == 5
-
-
-def test_json_has_the_job_or_the_worker(control: ControlClient, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["pause", "al", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["paused"] is True
-    assert main(["cordon", "den", "--json"]) == 0
-    assert [view["service"] for view in json.loads(capsys.readouterr().out)] == ["cordoned"]
 
 
 @pytest.mark.usefixtures("control")
@@ -479,12 +410,6 @@ def test_lines_of_workers_and_warnings_can_be_asked_for(logged: LogClient, capsy
     assert shown("--workers", "--level", "error") == ["no events of job alpha"]
 
 
-def test_an_empty_log_says_so(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
-    logged.log.clear()
-    assert main(["logs", "al"]) == 0
-    assert capsys.readouterr().out == "no events of job alpha\n"
-
-
 def test_followed_logs_end_with_the_job_and_miss_nothing(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["logs", "al", "--follow"]) == 0
     assert capsys.readouterr().out.splitlines() == [line(PLACED), line(DONE)]
@@ -553,12 +478,6 @@ def test_workers_show_what_they_do_and_take(listed: WorkerClient, capsys: pytest
     assert view["counters"]["traffic"][0]["bytes_in"] == 1500
 
 
-def test_workers_may_be_filtered(listed: WorkerClient, capsys: pytest.CaptureFixture[str]) -> None:
-    listed.views = tuple(WORKER.model_copy(update={"worker": name}) for name in ("lab-0", "lab-1", "den-0"))
-    assert main(["workers", "lab", "--json"]) == 0
-    assert [view["worker"] for view in json.loads(capsys.readouterr().out)] == ["lab-0", "lab-1"]
-
-
 def test_the_coordinators_own_counters(listed: WorkerClient, capsys: pytest.CaptureFixture[str]) -> None:
     del listed
     assert main(["workers", "--coordinator"]) == 0
@@ -569,6 +488,47 @@ def test_the_coordinators_own_counters(listed: WorkerClient, capsys: pytest.Capt
     assert json.loads(capsys.readouterr().out)["store"]["transactions"] == 4
 
 
-def test_sizes_and_troubles_are_short() -> None:
-    assert [size(count) for count in (0, 999, 1000, 999_600, 5_000_000_000)] == ["0 B", "999 B", "1 kB", "1 MB", "5 GB"]
-    assert trouble(Counters()) == "-"
+@pytest.mark.usefixtures("client")
+class TestWithACoordinator:
+    """What each verb prints."""
+
+    def test_jobs_are_a_table(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["jobs"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        heads = "ID NAME STATE PRIORITY TIME WORKERS EPOCHS POINT-EVALS FOUND NOTE"
+        assert " ".join(lines[0].split()) == heads
+        assert [line.split()[0] for line in lines[1:]] == ["alpha", "beta", "gamma"]
+
+    def test_jobs_may_be_filtered(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["jobs", "al", "--json"]) == 0
+        assert [view["job"] for view in json.loads(capsys.readouterr().out)] == ["alpha"]
+
+    def test_the_last_jobs_may_be_listed_alone(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["jobs", "--last", "2", "--json"]) == 0
+        assert [view["job"] for view in json.loads(capsys.readouterr().out)] == ["beta", "gamma"]
+
+    def test_status_shows_the_jobs_under_way(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["status"]) == 0
+        text = capsys.readouterr().out
+        assert text.startswith("job beta running, 1:01, 1 worker")
+        assert "dx/dt  epoch 2  error 1.0e-01  size 3  2*x" in text
+        assert "alpha" not in text
+
+    def test_status_of_one_job_is_one_object(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["status", "gam", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["state"] == "failed"
+
+    def test_cancel_ends_the_only_job_under_way(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["cancel"]) == 0
+        assert "job beta is cancelled" in capsys.readouterr().out
+        assert main(["cancel", "alpha"]) == 0
+        assert "had ended already: done" in capsys.readouterr().out
+
+    def test_delete_takes_a_job_that_has_ended(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["delete", "al"]) == 0
+        assert capsys.readouterr().out == "job alpha is deleted\n"
+        assert main(["delete", "gamma", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out) == {"deleted": "gamma"}
+        assert main(["delete", "gamma"]) == 2
+        assert main(["delete", "beta"]) == 2
+        assert "job beta is running; cancel it" in capsys.readouterr().err

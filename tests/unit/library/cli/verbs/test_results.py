@@ -33,17 +33,6 @@ def test_a_file_gives_initial_state_times_and_inputs(driven: Path, capsys: pytes
     assert capsys.readouterr().out == "t,x\n0.0,2.0\n1.0,2.0\n2.0,2.0\n"
 
 
-@pytest.mark.parametrize(
-    "text", ["t,x,u\n0,2,0\n1,9,0\n\n0,5,1\n1,5,1\n", "trajectory,t,x,u\n1,0,2,0\n1,1,9,0\n2,0,5,1\n2,1,5,1\n"]
-)
-def test_a_file_of_several_trajectories_gives_the_first(
-    driven: Path, capsys: pytest.CaptureFixture[str], text: str
-) -> None:
-    (driven / "a.csv").write_text(text)
-    assert main(["simulate", str(driven), "--initial", str(driven / "a.csv")]) == 0
-    assert capsys.readouterr().out == "t,x\n0.0,2.0\n1.0,2.0\n"
-
-
 def test_dates_in_a_file_are_counted_in_the_unit_of_the_model(driven: Path, capsys: pytest.CaptureFixture[str]) -> None:
     contents = json.loads((driven / "result.json").read_text())
     contents["system"]["units"] = {"t": "min"}
@@ -72,15 +61,6 @@ def test_what_was_recorded_is_simulated_unless_inputs_are_held(
     assert float(capsys.readouterr().out.split(",")[-1]) == pytest.approx(2.0 * 2.718281828)
     assert main(["simulate", str(driven), "--hold", "v=1"]) == 2
     assert "--hold names 'v'; the inputs are u" in capsys.readouterr().err
-
-
-def test_velocities_that_a_file_lacks_are_estimated(driven: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    contents = result({"x": "0*x"}, ("x_dot",))
-    contents["equations"][0]["lhs"] = "d2x/dt2"
-    (driven / "result.json").write_text(json.dumps(contents))
-    (driven / "a.csv").write_text("t,x\n0,1\n1,3\n2,5\n")
-    assert main(["simulate", str(driven), "--initial", str(driven / "a.csv")]) == 0
-    assert [float(cell) for cell in capsys.readouterr().out.splitlines()[-1].split(",")] == pytest.approx([2, 5, 2])
 
 
 def test_a_regression_has_no_time_to_simulate(driven: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -228,15 +208,6 @@ def test_json_lists_fixed_points_in_the_order_of_the_states(saved: Path, capsys:
     assert np.shape(printed["basins"]["grid"]) == (40, 40)
 
 
-def test_text_says_what_the_measured_trajectory_reaches(saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["analyse", str(saved / "result.json"), *SIDES]) == 0
-    said = capsys.readouterr().out
-    assert "fixed points: 3 (Newton steps from 403 starts)" in said
-    assert "50.0 ± 1.2 % reach the stable node (0.707107, 0)" in said
-    assert "from trajectory a the model is bounded" in said
-    assert "reaches, inputs held: stable node (0.707107, 0)" in said
-
-
 def test_inputs_are_held_and_files_written(saved: Path) -> None:
     out = saved / "out.json"
     assert main(["analyse", str(saved), *SIDES, "--hold", "u=1.5", "--json", "-o", str(out)]) == 0
@@ -244,12 +215,6 @@ def test_inputs_are_held_and_files_written(saved: Path) -> None:
     assert written["inputs"] == {"u": 1.5}
     x = written["fixed_points"][0]["point"][0]
     assert 0.5 * x - x**3 + 1.5 == pytest.approx(0.0, abs=1e-9)
-
-
-def test_the_model_gives_the_same_and_boxes_follow_the_data(saved: Path) -> None:
-    analysis = Model.load(saved / "result.json").analyse({"y": (-1.0, 1.0)})
-    assert analysis.box.lower[0] == pytest.approx(0.5 - 0.5 * (0.5**0.5 - 0.5), abs=1e-3)
-    assert analysis.as_dict()["box"]["y"] == [-1.0, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -272,20 +237,6 @@ def test_bad_options_of_analyse_are_refused(
     said = capsys.readouterr().err
     assert sentence in said
     assert said.count("\n") == 1
-
-
-def test_a_state_without_measurements_needs_bounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "result.json").write_text(json.dumps(result({"x": "-x"}, system={"time": "t", "ranges": {}})))
-    assert main(["analyse", str(tmp_path)]) == 2
-    assert "the box needs its lower and upper bound" in capsys.readouterr().err
-
-
-def test_without_simulations_the_box_is_about_the_measured_range(
-    saved: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (saved / "result.json").write_text(json.dumps(result({"x": "-x", "y": "x - y"})))
-    assert main(["analyse", str(saved)]) == 0
-    assert capsys.readouterr().out.startswith("box: x 0 to 1.5, y 0 to 1.5\n")
 
 
 def test_identifiability_is_that_of_the_measurements(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -416,11 +367,6 @@ def test_pictures_are_files_that_need_no_page(regressed: Path) -> None:
     assert ".line" in (root[0].text or "")
 
 
-def test_a_group_that_is_none_is_refused(regressed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report", str(regressed), "--group", "a"]) == 2
-    assert "there is no group 'a'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("text", ["no JSON", "[]", '{"schema": 1}', '{"schema": 2, "equations": []}'])
 def test_what_is_no_result_ends_with_a_sentence(regressed: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
     (regressed / "result.json").write_text(text, "utf-8")
@@ -430,11 +376,6 @@ def test_what_is_no_result_ends_with_a_sentence(regressed: Path, text: str, caps
     assert printed.err.startswith(f"coordinator: {regressed / 'result.json'}")
     assert printed.err.count("\n") == 1
     assert not (regressed / "report.html").exists()
-
-
-def test_a_page_that_cannot_be_written_is_refused(regressed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report", str(regressed), "-o", str(regressed / "none" / "page.html")]) == 2
-    assert "cannot be written" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -502,19 +443,6 @@ def test_an_input_of_which_nothing_is_given_is_said_to_be_held(
     assert "held at 0, since nothing is given of them: u;" in capsys.readouterr().err
     assert main(["export", str(exportable), "--format", "python", "--hold", "u=0"]) == 0
     assert capsys.readouterr().err == ""
-
-
-def test_an_input_is_held(exportable: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("--format", "xppaut", "--hold", "u=1.5", "--initial", "x=4", "--until", "6", "--step", "2")
-    text = exported(capsys, str(exportable / "result.json"), *words)
-    assert "\npar u=1.5\ninit x=4.0\n" in text
-    assert "total=6.0, dt=2.0" in text
-
-
-def test_other_equations_may_be_taken(exportable: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "u*x/c1," in exported(capsys, str(exportable), "--format", "python", "--candidate", "1")
-    assert "c1*x," in exported(capsys, str(exportable), "--format", "python", "--pick", "x=0")
-    assert r"\frac{d x}{d t} &= - 0.75 x" in exported(capsys, str(exportable), "--format", "latex", "--pick", "x=0")
 
 
 def test_a_folder_is_written(exportable: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,6 @@ from atoll.cli.verbs import serve
 from atoll.cli.verbs import serve as listener
 from atoll.cli.verbs import serve as router
 from atoll.cli.verbs.serve import greeting
-from atoll.client.client import Client
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import NotNowError, StoreError, UnreachableError, UsageError, WrongStoreError
@@ -189,23 +188,6 @@ def coordinator(central: ZenohBus, tmp_path: Path) -> Iterator[str]:
         finally:
             stop.set()
             loop.join()
-
-
-def test_a_client_of_a_site_reaches_the_coordinator_behind_the_central_router(site: ZenohBus, coordinator: str) -> None:
-    with open_client(site.endpoint, 5.0) as bus:
-        client = Client(bus, site.endpoint)
-        assert client.greet() == coordinator
-        assert client.jobs() == ()
-        assert client.workers() == ()
-
-
-def test_a_router_knows_whether_a_coordinator_is_behind_it(
-    central: ZenohBus, site: ZenohBus, request: pytest.FixtureRequest
-) -> None:
-    assert router.coordinator_behind(central) is None
-    cluster = request.getfixturevalue("coordinator")
-    assert router.coordinator_behind(central) == cluster
-    assert router.coordinator_behind(site) == cluster
 
 
 def test_a_second_coordinator_behind_one_router_is_refused(

@@ -42,14 +42,6 @@ def test_a_result_is_written_once_and_never_over_another(tmp_path: Path) -> None
         refuse_existing_result(folder)
 
 
-def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("")
-    with pytest.raises(UsageError, match="is a file"):
-        refuse_existing_result(tmp_path / "out")
-    with pytest.raises(UsageError, match="cannot be written"):
-        write_result(tmp_path / "out" / "deeper", Result(equations=(), symbols={}))
-
-
 WORDS = ["run", "my data.csv", "--seed", "3", "--out", "here"]
 ENDED_BY_EPOCHS = {"why": "max-epochs", "config": {"budget": {"max_epochs": 20}}}
 SIMULATED = {"simulation": {"trajectories": [{"name": "1"}]}}
@@ -129,23 +121,6 @@ def test_the_command_suits_the_outcome(proposed: str, outcome: dict[str, Any]) -
     advice = after(**outcome)
     assert advice is not None
     assert advice.startswith(f"{proposed}  #" if "#" not in proposed else proposed)
-
-
-def test_a_budget_that_was_given_is_replaced() -> None:
-    words = ["run", "a.csv", "--max-epochs", "20", "--id=old"]
-    advice = after("doubtful", **ENDED_BY_EPOCHS, words=words)  # type: ignore[arg-type]
-    assert advice is not None
-    assert advice.startswith("coordinator run a.csv --max-epochs 40  #")
-    advice = after(
-        "doubtful", why="max-time", config={"budget": {"max_time": 58.6}}, words=["run", "a", "--max-time", "1m"]
-    )
-    assert advice is not None
-    assert advice.startswith("coordinator run a --max-time 120s  #")
-
-
-@pytest.mark.parametrize("changes", [{"state": "cancelled"}, {"state": "failed"}, {"equations": []}])
-def test_nothing_is_proposed_where_there_is_no_outcome(changes: dict[str, Any]) -> None:
-    assert after(**changes) is None
 
 
 def test_what_is_proposed_can_be_said() -> None:
