@@ -1,4 +1,4 @@
-"""Everything that is found of a model's dynamics, in one object."""
+"""The dynamics of a model in one object: fixed points, cycles, basins, comparison with the data, branches."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,22 +29,21 @@ if TYPE_CHECKING:
     import polars
 
 MOST_STATES: Final = 12
-"""Lorenz's model of 1996 with so many takes 8 s of one core, near the 10 s that an analysis may take."""
+"""The Lorenz 96 model with so many states takes 8 s of one core, near the 10 s that an analysis may take."""
 
 _MARGIN: Final = 0.5
-"""Widths of the measured range that the box reaches beyond it unless a user gives a box: it decides where is looked,
-which is stated, and not what is found there."""
+"""Widths of the measured range by which the default box is larger on either side. It decides where the analysis
+searches, which is reported, and not the results there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """The dynamics of `field` in `box`.
+    """The dynamics of `field` in `box` with the inputs held at `inputs` (U,).
 
-    `inputs` (U,) were held. `nullclines` has the polylines (n, 2) of each of two states, and is empty for others.
-    `lyapunov` is of courses that no fixed point or cycle explains, None where there are none. `comparisons` stand
-    beside the measured trajectories, but not beside those `not_compared`, whose inputs are not known. `branches` (of
-    fixed points) and `cycle_branches` are those along the `continuation_parameter`, which `coefficients` can be.
-    `caveat` says of which equations the verdict is `no model`, "" where of none.
+    `nullclines` has the polylines (n, 2) for each of two states, and is empty for others. `lyapunov` belongs to
+    trajectories that no fixed point or cycle explains, None where there are none. Trajectories `not_compared` have
+    inputs that are not known. `branches` (of fixed points) and `cycle_branches` follow the `continuation_parameter`,
+    one of `coefficients`. `caveat` names the equations with the verdict `no model`, "" where there are none.
     """
 
     field: VectorField
@@ -80,22 +79,22 @@ class Analysis:
         """
         points = self.fixed_points.points
         states = {name: [float(point.point[place]) for point in points] for place, name in enumerate(self.field.states)}
-        told = {name: [getattr(point, name) for point in points] for name in ("kind", "is_stable", "attracts_in_box")}
-        return frame_of(states | told, library)
+        kinds = {name: [getattr(point, name) for point in points] for name in ("kind", "is_stable", "attracts_in_box")}
+        return frame_of(states | kinds, library)
 
     def as_dict(self) -> dict[str, object]:
-        """Return all of it as plain data, as ``coordinator analyse --json`` prints it."""
+        """Return the analysis as plain data, as ``coordinator analyse --json`` prints it."""
         from atoll.analysis.rendering import as_data
 
         return as_data(self)
 
     @property
     def attractors(self) -> tuple[Attractor, ...]:
-        """The fixed points, the curves and surfaces of them, and the limit cycles that attract from within the box."""
+        """The fixed points, curves and surfaces of fixed points, and limit cycles that attract from within the box."""
         return self.basins.attractors
 
 
-@np.errstate(all="ignore")  # a box may reach to where rates overflow
+@np.errstate(all="ignore")  # rates may overflow in a part of the box
 def analyse(
     field: VectorField,
     box: Box,
@@ -104,11 +103,11 @@ def analyse(
     measured: Sequence[MeasuredTrajectory] = (),
     vary: tuple[str, tuple[float, float]] | None = None,
 ) -> Analysis:
-    """Return the dynamics of `field` in `box`; every part is bounded in steps and says what was searched.
+    """Return the dynamics of `field` in `box`; every part is bounded in steps and reports what was searched.
 
-    The `inputs` (U,) are held, at 0 unless given; the model is compared with `measured` trajectories; `vary` is what
-    varies, as `Coefficients.find` takes it, and its range. Raises UsageError where there are more than `MOST_STATES`
-    states, or nothing to vary has that name.
+    The `inputs` (U,) are held, by default at 0; the model is compared with `measured` trajectories; `vary` is the name
+    of a parameter, as `Coefficients.find` takes it, and its range. Raises UsageError for more than `MOST_STATES` states
+    and for an unknown name.
     """
     if len(field.states) > MOST_STATES:
         raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
@@ -148,7 +147,6 @@ def analyse(
 def _continued(
     box: Box, flow: Flow, parameter: ContinuationParameter, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
 ) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
-    """Return the branches of fixed points and of limit cycles; `cycles` are those of the model as it is."""
     branches = continuation(flow, box, parameter, bounds)
     value = parameter.value
     if not bounds[0] <= value <= bounds[1]:
@@ -170,21 +168,20 @@ def analyse_model(
     """Return the dynamics of a model; see `atoll.Model.analyse`."""
     model.require_one_group()
     bounds = {name: interval(ends, f"the bounds of {name!r}") for name, ends in by_name(box, "the box").items()}
-    given = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
+    held = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
     if vary is not None and not (isinstance(vary, tuple) and len(vary) == 2 and isinstance(vary[0], str)):
         raise UsageError(f"vary must be a name and a range, such as ('c1', (0.0, 1.0)), but {shown(vary)} was given")
-    along = None if vary is None else (vary[0], interval(vary[1], f"the range of {vary[0]!r}"))
+    varied = None if vary is None else (vary[0], interval(vary[1], f"the range of {vary[0]!r}"))
     field = model.field
-    for name in given:
+    for name in held:
         if name not in field.inputs:
             raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
-    held = np.array([given.get(name, 0.0) for name in field.inputs])
+    values = np.array([held.get(name, 0.0) for name in field.inputs])
     measured = measured_trajectories(model.result, field)
-    where = box_of(model.result, field, measured, bounds)
     sides = [equation.lhs for equation in model.result.equations if equation.verdict == "no model"]
-    what = "these are dynamics of equations that do not fit the data"
-    caveat = f"The verdict on {', '.join(sides)} is no model: {what}." if sides else ""
-    return replace(analyse(field, where, inputs=held, measured=measured, vary=along), caveat=caveat)
+    caveat = f"The verdict on {', '.join(sides)} is no model: these equations do not fit the data." if sides else ""
+    found = analyse(field, box_of(model.result, field, measured, bounds), inputs=values, measured=measured, vary=varied)
+    return replace(found, caveat=caveat)
 
 
 def box_of(
@@ -193,10 +190,10 @@ def box_of(
     measured: Sequence[MeasuredTrajectory],
     bounds: Mapping[str, tuple[float, float]],
 ) -> Box:
-    """Return the box to look at.
+    """Return the box to search: `bounds` by state, otherwise the measured range, wider by half on either side.
 
-    Where `bounds` leave a state out its measured range is taken, wider by half on either side, but not below 0 where
-    nothing below 0 was measured. Raises UsageError where a state has neither.
+    The box does not reach below 0 if no value below 0 was measured. Raises UsageError for a state with neither bounds
+    nor measurements.
     """
     ranges = {name: ends for name, ends in result.ranges.items() if name in field.states}
     if measured:
@@ -205,7 +202,7 @@ def box_of(
         ranges |= dict(zip(field.states, ends, strict=True))
     known: dict[str, tuple[float, float]] = {}
     for name, (low, high) in ranges.items():
-        # what was measured at one value has its own size, and what was never anything but 0 has none
+        # a state that was measured at one value has the width of that value, or 1 if it is 0
         beyond = _MARGIN * (high - low) or _MARGIN * abs(high) or 1.0
         known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
     for name in bounds:

@@ -1,19 +1,15 @@
-"""What varies along a continuation: constants, factors of one that nobody writes, or an input.
+"""Branches of fixed points as one parameter varies, and the path following that branches of limit cycles share.
 
-A constant is named as it stands in the equations (c1, c2, …), or by the term that it is the coefficient of: in
-dy/dt = y*(2 - x - y) the coefficient of ``x*y`` is one that nobody writes. Letters: D states, P parameters, U inputs.
+The parameter is a constant, named as in the equations (c1, c2, …), an unwritten coefficient, named by its term (in
+dy/dt = y*(2 - x - y) the coefficient of ``x*y`` is an unwritten 1), or an input.
 
-Curves of solutions as one parameter varies: steps along the tangent, Newton steps across it (Keller 1977).
+A curve of solutions is followed by steps along its tangent and Newton steps across it (pseudo-arclength, Keller 1977).
+A curve is given by an object that corrects a guess, and that gives at each point the tangent and some tests: numbers
+that change their sign where the character of the solutions changes.
 
-A curve says what it is a curve of: it corrects a guess, and tells of each of its points the tangent and tests, numbers
-that change their signs where the character of the solutions does. Letters: n coordinates, all of about the same scale,
-the parameter last.
-
-Fixed points as one parameter varies: pseudo-arclength continuation, with folds, branch points and Hopf points.
-
-A branch is followed in (x, p), both over their ranges. A fold is where the tangent turns back in p, a branch point
-where the determinant of the bordered matrix changes its sign, a Hopf point where a complex pair of eigenvalues crosses
-the imaginary axis (Kuznetsov 2004, chapter 10). Letters: D states, n points.
+For fixed points the coordinates are (x, p), both over their ranges. At a fold the tangent turns back in p, at a branch
+point the determinant of the bordered matrix changes its sign, at a Hopf point a complex pair of eigenvalues crosses the
+imaginary axis (Kuznetsov 2004, chapter 10). Letters: D states, P parameters, U inputs, n points or coordinates.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,18 +31,55 @@ from atoll_core.expression.program import Program, ProgramBuilder, constant_plac
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import make_coefficients_explicit
 
-_POINTS: Final = 32
-"""Points at which a term and the derivative by a constant are compared; two that agree at all of them are the same."""
+_COMPARED_POINTS: Final = 32
+"""Points at which a term and the derivative by a constant are compared."""
 
 _SAME: Final = 1e-9
-"""Share of the term by which rounding may make them differ."""
+"""Relative difference up to which they are the same function: rounding."""
+
+_SHORTEST: Final = 1e-6
+"""Shortest step along a curve."""
+
+_STRAIGHT: Final = 0.95
+"""Cosine of the largest angle between tangents one step apart: a larger angle may hide a second curve nearby."""
+
+_EVALUATIONS: Final = 60
+"""Evaluations to locate a special point: regula falsi takes about ten, bisection to `_LOCATED` would take 43."""
+
+_LOCATED: Final = 1e-13
+"""Share of the last step within which a special point is located: rounding."""
+
+_AVOIDED: Final = 0.01
+"""Share of the bracket by which a singular point is avoided."""
+
+FOLD: Final = "fold"
+BRANCH_POINT: Final = "branch point"
+HOPF: Final = "Hopf"
+
+MOST_POINTS: Final = 400
+"""Points of one branch in each direction."""
+
+MOST_BRANCHES: Final = 20
+"""Branches that are reported."""
+
+LONGEST: Final = 0.02
+"""Longest step along a branch, in ranges of parameter and box."""
+
+_SEEDED: Final = 3
+"""Values of the parameter, spread over its range, at which branches are sought, in addition to the model's value."""
+
+OUTSIDE: Final = 1.0
+"""Widths of the box beyond which a branch is not followed."""
+
+
+# ------------------------------------------------------------------------------------------------------ the parameter
 
 
 @dataclass(frozen=True, eq=False)
 class ContinuationParameter:
-    """A number that varies: the parameters (indices) go with it in the ratios `factors`, the inputs are it.
+    """A number that varies: parameters (indices) are its multiples by `factors`, inputs (indices) are equal to it.
 
-    `value` is that of the model, and `name` what users call it.
+    `value` is its value in the model, and `name` the name that users give.
     """
 
     name: str
@@ -64,19 +97,21 @@ class ContinuationParameter:
 
     def slope(self, flow: Flow, x: FloatArray) -> FloatArray:
         """Return the derivative of the rates at points (N, D) by the value, (N, D)."""
-        derivative = np.zeros(x.shape)
+        slope = np.zeros(x.shape)
         if self.parameters:
-            derivative = derivative + flow.by_parameters(x)[..., list(self.parameters)] @ np.array(self.factors)
+            derivatives = flow.field.parameter_derivatives(x, flow.inputs, flow.parameters)
+            slope = slope + derivatives[..., list(self.parameters)] @ np.array(self.factors)
         if self.inputs:
-            derivative = derivative + flow.by_inputs(x)[..., list(self.inputs)].sum(axis=-1)
-        return derivative
+            derivatives = flow.field.input_derivatives(x, flow.inputs, flow.parameters)
+            slope = slope + derivatives[..., list(self.inputs)].sum(axis=-1)
+        return flow.direction * slope
 
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """The numbers of a field that can be varied: all constants and factors of one are parameters of `explicit`.
+    """The numbers of a field that can vary: in `explicit` all constants and unwritten factors of 1 are parameters.
 
-    `origins` has for each of these its index among the parameters of `field`, None for a factor of one.
+    `origins` has the index of each among the parameters of `field`, None for an unwritten factor.
     """
 
     field: VectorField
@@ -85,21 +120,21 @@ class Coefficients:
 
     @classmethod
     def of(cls, field: VectorField) -> "Coefficients":
-        """Return those of a field."""
+        """Return the coefficients of a field."""
         programs: list[Program] = []
         origins: list[int | None] = []
         begin = 0
         for program in field.programs:
             explicit = make_coefficients_explicit(program)
-            apart, own = _apart(explicit.program, explicit.origins)
-            programs.append(apart)
+            separate, own = _separate_uses(explicit.program, explicit.origins)
+            programs.append(separate)
             origins += [None if origin is None else begin + origin for origin in own]
             begin += len(constant_places(program))
         return cls(field, replace(field, programs=tuple(programs)), tuple(origins))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """The names of the factors of one that nobody writes: ``y:x*y`` is the coefficient of x*y in dy/dt."""
+        """The names of the unwritten factors of 1: ``y:x*y`` is the coefficient of x*y in dy/dt."""
         values = self._values(self.field.values_of_parameters)
         return tuple(
             f"{parameter.variable}:{self.explicit.term_of(index, values)}"
@@ -108,10 +143,9 @@ class Coefficients:
         )
 
     def find(self, flow: Flow, name: str) -> tuple[Flow, ContinuationParameter]:
-        """Return a flow, and what of it varies, by name: constants (several with commas), a term, or an input.
+        """Return a flow and its parameter by name: constants (several with commas), a term, or an input.
 
-        Constants that are named together keep their ratios to the first. Raises UsageError where there is no such
-        constant, term or input.
+        Several constants keep their ratios to the first. Raises UsageError for an unknown name.
         """
         if name in flow.field.inputs:
             place = flow.field.inputs.index(name)
@@ -119,22 +153,20 @@ class Coefficients:
         parts = [part.strip() for part in name.split(",")]
         indices = [index for part in parts for index in self._indices(part)]
         values = self._values(flow.parameters)
-        written = [float(values[index]) for index in indices]
-        if written[0] == 0.0 and any(written):
+        named = [float(values[index]) for index in indices]
+        if named[0] == 0.0 and any(named):
             raise UsageError(f"{parts[0]} is 0, so that the others have no ratio to it; name another one first")
-        factors = tuple(value / written[0] if written[0] else 1.0 for value in written)
+        factors = tuple(value / named[0] if named[0] else 1.0 for value in named)
         varied = replace(flow, field=self.explicit, parameters=values)
-        return varied, ContinuationParameter(name, written[0], tuple(indices), factors)
+        return varied, ContinuationParameter(name, named[0], tuple(indices), factors)
 
     def _values(self, parameters: FloatArray) -> FloatArray:
-        """Return the values of the parameters of `explicit`."""
         return np.array([1.0 if origin is None else float(parameters[origin]) for origin in self.origins])
 
     def _indices(self, name: str) -> list[int]:
-        """Return which parameters of `explicit` are meant: all uses of one constant, or the coefficient of one term."""
+        """Return the parameters of `explicit` with a name: all uses of one constant, or the coefficient of one term."""
         constants = self.field.parameters
-        numbered = enumerate(constants)
-        origin = next((index for index, constant in numbered if name in (constant.name, str(index + 1))), None)
+        origin = next((place for place, known in enumerate(constants) if name in (known.name, str(place + 1))), None)
         if origin is not None:
             return [index for index, own_origin in enumerate(self.origins) if own_origin == origin]
         indices = self._of_term(name)
@@ -154,7 +186,7 @@ class Coefficients:
             program = from_infix(text, names)
         except UsageError:
             return []
-        points = np.random.default_rng(0).uniform(0.5, 1.5, (_POINTS, len(names)))
+        points = np.random.default_rng(0).uniform(0.5, 1.5, (_COMPARED_POINTS, len(names)))
         values = values_of(program, np.ascontiguousarray(points.T))
         states, inputs = points[:, : len(self.field.states)], points[:, len(self.field.states) :]
         own = self._values(self.field.values_of_parameters)
@@ -162,14 +194,14 @@ class Coefficients:
         indices = []
         for index, constant in enumerate(self.explicit.parameters):
             slope = slopes[:, self.explicit.states.index(constant.variable), index]
-            apart = min(np.abs(slope - values).max(), np.abs(slope + values).max())
-            if (not separator or variable == constant.variable) and apart <= _SAME * np.abs(values).max():
+            difference = min(np.abs(slope - values).max(), np.abs(slope + values).max())
+            if (not separator or variable == constant.variable) and difference <= _SAME * np.abs(values).max():
                 indices.append(index)
         return indices
 
 
-def _apart(program: Program, origins: Sequence[int | None]) -> tuple[Program, tuple[int | None, ...]]:
-    """Return a program in which each use of a constant is one of its own, with the origins of these in node order."""
+def _separate_uses(program: Program, origins: Sequence[int | None]) -> tuple[Program, tuple[int | None, ...]]:
+    """Return a program in which each use of a constant is a constant of its own, and their origins in node order."""
     nodes, builder = program.nodes(), ProgramBuilder()
     numbers = dict(zip(constant_places(program), origins, strict=True))
     used: dict[int, int | None] = {}
@@ -192,23 +224,7 @@ def _apart(program: Program, origins: Sequence[int | None]) -> tuple[Program, tu
     return builder.program(use(len(nodes) - 1)), tuple(used.values())
 
 
-SHORTEST: Final = 1e-6
-"""Shortest step along a curve."""
-
-FOLD: Final = "fold"
-BRANCH_POINT: Final = "branch point"
-
-_STRAIGHT: Final = 0.95
-"""Cosine of the largest angle between tangents one step apart: larger angles may hide a second curve close by."""
-
-_EVALUATIONS: Final = 60
-"""Regula falsi takes about ten; bisection to `_LOCATED` would take 43."""
-
-_LOCATED: Final = 1e-13
-"""Share of the last step within which a special point is located: what rounding leaves."""
-
-_BESIDE: Final = 0.01
-"""Share of the bracket by which a singular point is avoided."""
+# ----------------------------------------------------------------------------------------------------- path following
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +240,10 @@ PointT = TypeVar("PointT", bound=CurvePoint)
 
 
 class Curve(Protocol[PointT]):
-    """What a curve knows of its points; all return None where a rate has no finite value, or nothing is near."""
+    """A curve in coordinates of about the same scale, the parameter last.
+
+    Its methods return None where a rate is undefined, or where no point is near.
+    """
 
     longest: float
     """Longest step."""
@@ -233,13 +252,13 @@ class Curve(Protocol[PointT]):
     """Points on each side of the first one."""
 
     limits: tuple[float, float]
-    """Between which values of its last coordinate it is followed; its last point is at one of these."""
+    """Range of the last coordinate; the last point of the curve is at one of its ends."""
 
     def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
         """Return the point of the curve in the plane through `z` across `tangent`."""
 
     def curve_point(self, z: FloatArray, before: FloatArray) -> PointT | None:
-        """Return what is known of the point `z` of the curve; its tangent goes on in the direction of `before`."""
+        """Return the point `z` with its tests; its tangent continues in the direction of `before`."""
 
     def end(self, last: PointT, after: PointT) -> str | None:
         """Return why the curve is not followed to `after`; None where it is."""
@@ -251,7 +270,7 @@ class Curve(Protocol[PointT]):
 
 @dataclass(frozen=True, eq=False)
 class CurveSide(Generic[PointT]):
-    """One side of a curve: its `points` from the first one, the special ones by kind in this order, and its end."""
+    """One side of a curve: its `points` from the first one, the special ones in order with their kinds, its end."""
 
     points: list[PointT]
     special: list[tuple[str, PointT]]
@@ -274,9 +293,9 @@ def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArra
         last = points[-1]
         z = curve.correct(last.z + length * last.tangent, last.tangent)
         after = None if z is None else curve.curve_point(z, last.tangent)
-        if after is None or after.tangent @ last.tangent < _STRAIGHT or _far(after.z - last.z) > 2.0 * length:
+        if after is None or after.tangent @ last.tangent < _STRAIGHT or _length(after.z - last.z) > 2.0 * length:
             length *= 0.5
-            if length < SHORTEST:
+            if length < _SHORTEST:
                 return CurveSide(points, special, "steps have become too short")
             continue
         end = curve.end(last, after)
@@ -287,42 +306,45 @@ def continue_curve(curve: Curve[PointT], start: FloatArray, direction: FloatArra
             share = (limit - last.z[-1]) / (after.z[-1] - last.z[-1])
             final = _between(curve, last, after, share, np.append(np.zeros(len(last.z) - 1), 1.0))
             if final is not None:
-                special += locate_special_points(curve, last, final)
+                special += _special_between(curve, last, final)
                 points.append(final)
             return CurveSide(points, special, "end of the range")
-        special += locate_special_points(curve, last, after)
+        special += _special_between(curve, last, after)
         points.append(curve.adapt(after))
-        if len(points) > 10 and len(after.z) == len(start) and _far(after.z - start) < 0.5 * length:
+        if len(points) > 10 and len(after.z) == len(start) and _length(after.z - start) < 0.5 * length:
             return CurveSide(points, special, "closed")
         length = min(1.5 * length, curve.longest)
     return CurveSide(points, special, f"{curve.most} points")
 
 
-def _far(step: FloatArray) -> float:
+def _length(step: FloatArray) -> float:
     return float(np.sqrt(step @ step))
 
 
-def locate_special_points(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
+def _special_between(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
     """Return the special points between two points, where a test changes its sign, each with its kind.
 
-    At a branch point the tangent of the curve may turn as well: that is no fold.
+    At a branch point the tangent may turn as well; that is no fold.
     """
     kinds = [kind for kind in first.tests if first.tests[kind] * second.tests[kind] < 0.0]
     if BRANCH_POINT in kinds and FOLD in kinds:
         kinds.remove(FOLD)
-    return [(kind, locate_special_point(curve, first, second, kind)) for kind in kinds]
+    return [(kind, _located(curve, first, second, kind)) for kind in kinds]
 
 
-def locate_special_point(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> PointT:
-    """Return the point between two where a test vanishes, by regula falsi (the Illinois variant)."""
+def _located(curve: Curve[PointT], first: PointT, second: PointT, kind: str) -> PointT:
+    """Return the point between two where a test vanishes, by regula falsi (the Illinois variant).
+
+    scipy's root finders need a value everywhere, and at a branch point itself there is none.
+    """
     best = min((first, second), key=lambda point: abs(point.tests[kind]))
     low, high = 0.0, 1.0
     low_value, high_value = first.tests[kind], second.tests[kind]
     for _ in range(_EVALUATIONS):
         share = (low * high_value - high * low_value) / (high_value - low_value)
         point = _between(curve, first, second, share, first.tangent)
-        if point is None:  # at a branch point itself Newton steps have no matrix to go by: go beside it
-            share += _BESIDE * (high - share)
+        if point is None:  # the matrix of Newton steps is singular at a branch point: move aside
+            share += _AVOIDED * (high - share)
             point = _between(curve, first, second, share, first.tangent)
         if point is None or not np.isfinite(point.tests[kind]):
             break
@@ -340,31 +362,16 @@ def locate_special_point(curve: Curve[PointT], first: PointT, second: PointT, ki
 
 
 def _between(curve: Curve[PointT], first: PointT, second: PointT, share: float, across: FloatArray) -> PointT | None:
-    """Return the point of the curve in the plane across a direction that lies at a share of the way between two."""
     z = curve.correct(first.z + share * (second.z - first.z), across)
     return None if z is None else curve.curve_point(z, first.tangent)
 
 
-MOST_POINTS: Final = 400
-"""Points of one branch in each direction."""
-
-MOST_BRANCHES: Final = 20
-"""Branches that are shown."""
-
-LONGEST: Final = 0.02
-"""Longest step along a branch, in ranges of parameter and box."""
-
-SEEDED: Final = 3
-"""Values of the parameter, spread over its range, at which branches are sought, besides that of the model."""
-
-HOPF: Final = "Hopf"
-OUTSIDE: Final = 1.0
-"""Widths of the box beyond which a branch is not followed."""
+# ------------------------------------------------------------------------------------------- branches of fixed points
 
 
 @dataclass(frozen=True, eq=False)
 class SpecialPoint:
-    """Where the character of a branch changes: `kind` is fold, branch point or Hopf; `frequency` is that of Hopf."""
+    """A point where the character of a branch changes: `kind` is fold, branch point or Hopf (with its `frequency`)."""
 
     kind: str
     value: float
@@ -374,7 +381,7 @@ class SpecialPoint:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Fixed points (n, D) at `values` (n,) of the parameter, each with so many `unstable` eigenvalues (n,)."""
+    """Fixed points (n, D) at `values` (n,) of the parameter, and the number of `unstable` eigenvalues of each (n,)."""
 
     values: FloatArray = field(repr=False)
     points: FloatArray = field(repr=False)
@@ -409,7 +416,6 @@ class _FixedPointCurve:
         return np.asarray(by_x / self._rates[:, None] * self.scale)
 
     def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
-        """Return the fixed point in the plane through `z` across `tangent`; None: none is near."""
         guess = z.copy()
         for _ in range(10):
             rates = self.at(guess).rates(guess[:-1] * self.box.widths) / self._rates
@@ -448,31 +454,30 @@ class _FixedPointCurve:
 def continuation(
     flow: Flow, box: Box, parameter: ContinuationParameter, bounds: tuple[float, float]
 ) -> tuple[Branch, ...]:
-    """Return the branches of fixed points in `box` as `parameter` goes over `bounds`.
+    """Return the branches of fixed points in `box` as `parameter` varies over `bounds`.
 
-    Branches begin at the fixed points found at the value of the model, where it lies in `bounds`, and at values
-    spread over them; one that meets none of these is not seen.
+    Branches begin at the fixed points at the value of the model, if it lies in `bounds`, and at values spread over
+    them; a branch without any of these is missed.
     """
     curve = _FixedPointCurve(flow, box, parameter, bounds)
     own = parameter.value
-    spread = np.linspace(*bounds, 2 * SEEDED + 1)[1::2].tolist()
+    spread = np.linspace(*bounds, 2 * _SEEDED + 1)[1::2].tolist()
     branches: list[Branch] = []
     for value in [*([own] if bounds[0] <= own <= bounds[1] else []), *spread]:
         for fixed in fixed_points(parameter.at(flow, value), box).points:
             start = np.append(fixed.point / box.widths, value / curve.scale[-1])
-            is_seen = any(_passes(branch, fixed.point, value, curve) for branch in branches)
-            if len(branches) < MOST_BRANCHES and not is_seen:
+            is_known = any(_passes(branch, start, curve) for branch in branches)
+            if len(branches) < MOST_BRANCHES and not is_known:
                 branches += _branch(curve, start)
     return tuple(branches)
 
 
-def _passes(branch: Branch, point: FloatArray, value: float, curve: _FixedPointCurve) -> bool:
-    """Tell whether a branch goes through a fixed point, as far as its points are near enough to tell."""
+def _passes(branch: Branch, start: FloatArray, curve: _FixedPointCurve) -> bool:
+    """Tell whether a branch goes through the scaled point `start` (D + 1,), judged by the chords between its points."""
     scaled = np.hstack([branch.points / curve.box.widths, branch.values[:, None] / curve.scale[-1]])
-    start = np.append(point / curve.box.widths, value / curve.scale[-1])
-    sides, beside = np.diff(scaled, axis=0), start - scaled[:-1]
-    share = np.clip((beside * sides).sum(axis=1) / np.maximum((sides**2).sum(axis=1), 1e-300), 0.0, 1.0)
-    return bool((np.abs(beside - share[:, None] * sides).max(axis=1) < 1e-3).any())
+    sides, away = np.diff(scaled, axis=0), start - scaled[:-1]
+    share = np.clip((away * sides).sum(axis=1) / np.maximum((sides**2).sum(axis=1), 1e-300), 0.0, 1.0)
+    return bool((np.abs(away - share[:, None] * sides).max(axis=1) < 1e-3).any())
 
 
 def _branch(curve: _FixedPointCurve, start: FloatArray) -> list[Branch]:

@@ -1,22 +1,16 @@
-"""Closed orbits as boundary value problems: collocation at Gauss points, with the unknowns between mesh points removed.
+"""Branches of limit cycles as one parameter varies, from Hopf points and from known cycles.
 
-Time runs from 0 to 1 along the orbit. On each of N intervals of the mesh the orbit is a polynomial that satisfies the
-equations at M Gauss points; at the mesh its error falls with the power 2 M of the interval (Ascher, Mattheij and
-Russell 1995, section 5.4). The linear system of a Newton step is condensed to the states at the mesh, as AUTO does
-(Doedel, Keller and Kernévez 1991): the matrices of that, multiplied along the orbit, are the monodromy matrix.
-Letters: D states, N intervals, M Gauss points.
+An orbit is the solution of a boundary value problem, found by collocation: time runs from 0 to 1 along the orbit, and
+on each of N intervals of a mesh the orbit is a polynomial that satisfies the equations at M Gauss points. At the mesh
+its error falls with the power 2 M of the interval (Ascher, Mattheij and Russell 1995, section 5.4). The linear system
+of a Newton step is condensed to the states at the mesh, as in AUTO (Doedel, Keller and Kernévez 1991): the product of
+the condensed matrices along the orbit is the monodromy matrix. The integral condition fixes the phase (ibid.).
 
-The curve of limit cycles in (orbit, log period, parameter): Newton steps, tangents, and tests for special points.
-
-An orbit is solved for by collocation, its phase fixed by the integral condition (Doedel, Keller and Kernévez 1991).
-Letters: D states, N intervals, M Gauss points.
-
-Limit cycles as one parameter varies: branches from Hopf points and from cycles that are known.
-
-Cycles are followed by pseudo-arclength in (orbit, log period, parameter), the orbit by collocation, with the integral
-phase condition (Doedel, Keller and Kernévez 1991). A fold is where the tangent turns back in the parameter; at a period
-doubling a Floquet multiplier passes -1, at a torus point a complex pair the unit circle, at a branch point another one
-passes 1 (Kuznetsov 2004, sections 5.3 and 10.3). Letters: D states, N intervals, M Gauss points, n cycles.
+Branches are followed by pseudo-arclength in (orbit, log period, parameter). At a fold the tangent turns back in the
+parameter; at a period doubling a Floquet multiplier passes -1, at a torus point a complex pair passes the unit circle,
+at a branch point another multiplier passes 1 (Kuznetsov 2004, sections 5.3 and 10.3). Near homoclinic orbits the
+nontrivial multipliers are beyond the digits of the monodromy matrix; no test is made there. Letters: D states, N
+intervals, M Gauss points, n cycles.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +19,6 @@ from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll.analysis.continuation import (
     BRANCH_POINT,
@@ -40,31 +33,127 @@ from atoll.analysis.continuation import (
     continue_curve,
     joined,
 )
-from atoll.analysis.fixed_points import Complexes
 from atoll.analysis.flow import Box, Flow, follow
-from atoll.analysis.limit_cycles import SAMPLES, SMALLEST, LimitCycle, distance, multipliers_of
+from atoll.analysis.limit_cycles import SAMPLES, SMALLEST, LimitCycle, multipliers_of
 from atoll_core.data.dataset import FloatArray
 
 INTERVALS: Final = 80
-"""Of a mesh at first. On canards of the FitzHugh-Nagumo nerve, where multipliers change by powers of ten within 1e-8 of
-the parameter, those of folds are 1 to 2e-3 (with 40 intervals they are not); period and fold are known to 1e-9."""
+"""Intervals of a mesh. On canards of the FitzHugh-Nagumo nerve, where multipliers change by powers of ten within 1e-8
+of the parameter, the multipliers at folds are then 1 to 2e-3 (with 40 intervals they are not); period and fold are
+known to 1e-9."""
 
 GAUSS_POINTS: Final = 4
 
-
-_ROOTS, _WEIGHTS = np.polynomial.legendre.leggauss(GAUSS_POINTS)
-NODES, WEIGHTS = 0.5 * (_ROOTS + 1.0), 0.5 * _WEIGHTS
-"""Nodes (M,) in (0, 1), and weights (M,)."""
+_ROOTS, _ROOT_WEIGHTS = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+_NODES, _WEIGHTS = 0.5 * (_ROOTS + 1.0), 0.5 * _ROOT_WEIGHTS
+"""Gauss points (M,) in (0, 1), and their weights (M,)."""
 
 _POWERS: Final = np.arange(1, GAUSS_POINTS + 1)
-INTEGRALS: Final = NODES[:, None] ** _POWERS / _POWERS @ np.linalg.inv(np.vander(NODES, increasing=True))
-"""The integrals (M, M) of Lagrange's polynomials up to each node."""
+_INTEGRALS: Final = _NODES[:, None] ** _POWERS / _POWERS @ np.linalg.inv(np.vander(_NODES, increasing=True))
+"""The integrals (M, M) of Lagrange's polynomials up to each Gauss point."""
 
-_KNOTS: Final = np.append(0.0, NODES)
-"""Where on an interval a polynomial of degree M is known."""
+_KNOTS: Final = np.append(0.0, _NODES)
+"""Places on an interval at which a polynomial of degree M is known."""
 
 _DIFFERENCES: Final = np.array([1.0 / np.prod(knot - np.delete(_KNOTS, at)) for at, knot in enumerate(_KNOTS)])
-"""Of values at the knots: the divided difference of order M, and the weights of barycentric interpolation."""
+"""Weights of values at the knots: for the divided difference of order M, and for barycentric interpolation."""
+
+MOST_BRANCHES: Final = 10
+"""Branches that are reported; each costs up to two seconds."""
+
+MOST_DOUBLINGS: Final = 2
+"""How often a branch is followed from a period doubling: up to four times the first period."""
+
+MOST_CYCLES: Final = 150
+"""Cycles of one branch in each direction."""
+
+LONGEST: Final = 0.05
+"""Longest step along a branch, in ranges of parameter and box and in shares of the period."""
+
+_LONGEST_PERIOD: Final = 100.0
+"""Times the first period of a branch, up to which it is followed: near a homoclinic orbit periods have no bound."""
+
+PERIOD_DOUBLING: Final = "period doubling"
+TORUS: Final = "torus"
+HOPF_END: Final = "Hopf point"
+
+_NEWTON: Final = 8
+"""Newton steps double the correct digits: a guess good to 1 % needs four."""
+
+_KNOWN: Final = 1e-3
+"""Largest error of the trivial multiplier, which is 1, up to which the others are taken as known."""
+
+_RENEWED: Final = 4
+"""Steps after which the mesh is adapted."""
+
+
+@dataclass(frozen=True, eq=False)
+class SpecialCycle:
+    """A cycle where the character of a branch changes: `kind` is fold, branch point, period doubling or torus."""
+
+    kind: str
+    value: float
+    cycle: LimitCycle
+
+
+@dataclass(frozen=True, eq=False)
+class CycleBranch:
+    """`cycles` at `values` (n,) of the parameter; `ends` say why it is not followed beyond the first and the last."""
+
+    values: FloatArray = field(repr=False)
+    cycles: tuple[LimitCycle, ...] = field(repr=False)
+    special: tuple[SpecialCycle, ...]
+    ends: tuple[str, str]
+
+
+def cycle_continuation(
+    flow: Flow,
+    box: Box,
+    parameter: ContinuationParameter,
+    bounds: tuple[float, float],
+    *,
+    branches: Sequence[Branch] = (),
+    known: Sequence[tuple[float, LimitCycle]] = (),
+) -> tuple[CycleBranch, ...]:
+    """Return the branches of limit cycles as `parameter` varies over `bounds`.
+
+    They begin at the Hopf points of `branches` of fixed points, and at `known` cycles, each given with its value of the
+    parameter. Cycles that leave the box by more than a width are not followed.
+    """
+    search = _CycleSearch(flow, box, parameter, bounds)
+    cycle_branches: list[CycleBranch] = []
+    for branch in branches:
+        for special in branch.special:
+            if special.kind == HOPF and not _ends_at(cycle_branches, special, box, bounds):
+                cycle_branches += search.from_hopf(special, MOST_BRANCHES - len(cycle_branches))
+    for value, cycle in known:
+        if not any(_passes(branch, value, cycle, box) for branch in cycle_branches):
+            cycle_branches += search.from_cycle(value, cycle, MOST_BRANCHES - len(cycle_branches))
+    return tuple(cycle_branches)
+
+
+def _ends_at(branches: Sequence[CycleBranch], special: SpecialPoint, box: Box, bounds: tuple[float, float]) -> bool:
+    for branch in branches:
+        for end, at in zip(branch.ends, (0, -1), strict=True):
+            middle = branch.cycles[at].points.mean(axis=0)
+            near = np.abs((middle - special.point) / box.widths).max() < 2.0 * LONGEST
+            if end == HOPF_END and near and abs(branch.values[at] - special.value) < 2.0 * LONGEST * np.diff(bounds):
+                return True
+    return False
+
+
+def _passes(branch: CycleBranch, value: float, cycle: LimitCycle, box: Box) -> bool:
+    """Tell whether a branch contains a cycle, judged by its cycles at the nearest values."""
+    for (left, first), (right, second) in pairwise(zip(branch.values.tolist(), branch.cycles, strict=True)):
+        if min(left, right) <= value <= max(left, right):
+            for neighbour in (first, second):
+                apart = float(neighbour.distances(cycle.points[::20], box).max())
+                if apart < 2.0 * LONGEST and abs(np.log(neighbour.period / cycle.period)) < 2.0 * LONGEST:
+                    return True
+    return False
+
+
+# -------------------------------------------------------------------------------------------------------- collocation
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,33 +183,33 @@ class Orbit:
         return np.asarray((shares[:, :, None] * self.knots[which]).sum(axis=1) / shares.sum(axis=1)[:, None])
 
 
-def sampled(states: Callable[[FloatArray], FloatArray], mesh: FloatArray) -> Orbit:
+def _sampled(states: Callable[[FloatArray], FloatArray], mesh: FloatArray) -> Orbit:
     """Return the orbit of a function of times (n,) from 0 to 1 that returns states (n, D)."""
     times = mesh[:-1, None] + np.diff(mesh)[:, None] * _KNOTS
     values = states(times.ravel()).reshape(*times.shape, -1)
     return Orbit(mesh, values[:, 0].copy(), values[:, 1:].copy())
 
 
-def spread_mesh(orbit: Orbit) -> FloatArray:
-    """Return a mesh on which the derivative of order M + 1, which drives the error, weighs alike on all intervals."""
+def _adapted_mesh(orbit: Orbit) -> FloatArray:
+    """Return a mesh with equal shares of the derivative of order M + 1, which the error is proportional to."""
     lengths = orbit.lengths
     slopes = np.einsum("k,nkd->nd", _DIFFERENCES, orbit.knots) / lengths[:, None] ** GAUSS_POINTS
     jumps = np.abs(np.roll(slopes, -1, axis=0) - slopes) / (0.5 * (np.roll(lengths, -1) + lengths))[:, None]
     size = np.maximum(jumps, np.roll(jumps, 1, axis=0)).max(axis=1) ** (1.0 / (GAUSS_POINTS + 1))
-    weight = (size + 0.1 * max(float((size * lengths).sum()), 1e-12)) * lengths  # none is ever left without a mesh
-    return levelled(orbit.mesh, weight, len(weight))
+    weight = (size + 0.1 * max(float((size * lengths).sum()), 1e-12)) * lengths  # every part keeps some intervals
+    return _even_mesh(orbit.mesh, weight, len(weight))
 
 
-def levelled(mesh: FloatArray, weight: FloatArray, intervals: int) -> FloatArray:
+def _even_mesh(mesh: FloatArray, weight: FloatArray, intervals: int) -> FloatArray:
     """Return a mesh of so many intervals with equal shares of `weight` (n,), given on the intervals of another mesh."""
     total = np.append(0.0, np.cumsum(weight))
-    levelled_mesh = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, mesh)
-    levelled_mesh[0], levelled_mesh[-1] = 0.0, 1.0
-    return np.asarray(levelled_mesh)
+    even = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, mesh)
+    even[0], even[-1] = 0.0, 1.0
+    return np.asarray(even)
 
 
 @dataclass(frozen=True, eq=False)
-class OrbitChange:
+class _OrbitChange:
     """Changes of states at mesh (N, D) and nodes (N, M, D), of log period and parameter; as a row, their factors."""
 
     mesh_states: FloatArray
@@ -129,8 +218,33 @@ class OrbitChange:
     parameter: float
 
 
+class _Factors:
+    def __init__(self, rows: FloatArray, columns: FloatArray, values: FloatArray) -> None:
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        size = int(rows.max()) + 1
+        try:
+            self._lu = splu(csc_matrix((values, (rows, columns)), shape=(size, size)))
+        except RuntimeError as error:  # scipy's error for a pivot of 0
+            raise np.linalg.LinAlgError(str(error)) from None
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        return np.asarray(self._lu.solve(right))
+
+    @property
+    def scaled_determinant(self) -> float:
+        """The sign of the determinant times the geometric mean of the pivots: both vanish together."""
+        from sympy.combinatorics import Permutation
+
+        pivots = self._lu.U.diagonal()
+        parities = [Permutation(order.tolist()).signature() for order in (self._lu.perm_r, self._lu.perm_c)]
+        sign = np.prod(np.sign(pivots)) * parities[0] * parities[1]
+        return float(sign * np.exp(np.log(np.maximum(np.abs(pivots), 1e-300)).mean()))
+
+
 class Linearised:
-    """The equations of an orbit linearised: what a Newton step, a tangent and multipliers come from."""
+    """The equations of an orbit, linearised: the source of Newton steps, tangents and multipliers."""
 
     def __init__(
         self, orbit: Orbit, period: float, rates: FloatArray, by_states: FloatArray, by_parameter: FloatArray
@@ -141,30 +255,30 @@ class Linearised:
         rates = rates.reshape(count, number, size)
         by_states = by_states.reshape(count, number, size, size)
         by_parameter = by_parameter.reshape(count, number, size)
-        moved = spans * np.einsum("jk,nkd->njd", INTEGRALS, rates)
-        left = orbit.nodes - orbit.mesh_states[:, None] - moved
-        matrix = -spans[..., None, None] * np.einsum("jk,nkde->njdke", INTEGRALS, by_states)
+        moved = spans * np.einsum("jk,nkd->njd", _INTEGRALS, rates)
+        residuals = orbit.nodes - orbit.mesh_states[:, None] - moved
+        matrix = -spans[..., None, None] * np.einsum("jk,nkde->njdke", _INTEGRALS, by_states)
         matrix = matrix.reshape(count, number * size, number * size) + np.eye(number * size)
         columns = np.empty((count, number, size, size + 3))
         columns[..., :size] = np.eye(size)
         columns[..., size] = moved
-        columns[..., size + 1] = spans * np.einsum("jk,nkd->njd", INTEGRALS, by_parameter)
-        columns[..., size + 2] = -left
+        columns[..., size + 1] = spans * np.einsum("jk,nkd->njd", _INTEGRALS, by_parameter)
+        columns[..., size + 2] = -residuals
         solved = np.linalg.solve(matrix, columns.reshape(count, number * size, size + 3))
         self.inner = solved.reshape(count, number, size, size + 3)
-        ends = spans * np.einsum("j,njde,njec->ndc", WEIGHTS, by_states, self.inner)
+        ends = spans * np.einsum("j,njde,njec->ndc", _WEIGHTS, by_states, self.inner)
         ends[..., :size] += np.eye(size)
-        ends[..., size] += spans[:, 0] * (WEIGHTS @ rates)
-        ends[..., size + 1] += spans[:, 0] * (WEIGHTS @ by_parameter)
-        reached = orbit.mesh_states + spans[:, 0] * (WEIGHTS @ rates)
+        ends[..., size] += spans[:, 0] * (_WEIGHTS @ rates)
+        ends[..., size + 1] += spans[:, 0] * (_WEIGHTS @ by_parameter)
+        reached = orbit.mesh_states + spans[:, 0] * (_WEIGHTS @ rates)
         ends[..., size + 2] += reached - np.roll(orbit.mesh_states, -1, axis=0)
         self.ends = ends
         traces = np.einsum("njdd->nj", by_states)
-        self.log_multiplier_product = float(period * (orbit.lengths * (traces @ WEIGHTS)).sum())
+        self.log_multiplier_product = float(period * (orbit.lengths * (traces @ _WEIGHTS)).sum())
 
     @property
     def monodromy(self) -> FloatArray:
-        """The derivative (D, D) of the states after a period by those at first."""
+        """The derivative (D, D) of the states after a period by the initial ones."""
         size = self.ends.shape[1]
         product = np.eye(size)
         for transfer in self.ends[..., :size]:
@@ -172,38 +286,38 @@ class Linearised:
         return np.asarray(product)
 
     def along(self, begin: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return where the linearised flow takes a change (D,): at the mesh (N, D) and nodes (N, M, D)."""
+        """Return the change (D,) carried along the linearised flow: at the mesh (N, D) and nodes (N, M, D)."""
         size, mesh_states = len(begin), [begin]
         for transfer in self.ends[:-1, :, :size]:
             mesh_states.append(transfer @ mesh_states[-1])
-        taken = np.array(mesh_states)
-        return taken, np.einsum("njde,ne->njd", self.inner[..., :size], taken)
+        carried = np.array(mesh_states)
+        return carried, np.einsum("njde,ne->njd", self.inner[..., :size], carried)
 
-    def matrix(self, rows: tuple[OrbitChange, OrbitChange]) -> "Factors":
-        """Return the condensed system (ND + 2, ND + 2), factorised: the equations and two more rows."""
+    def factorised(self, rows: tuple[_OrbitChange, _OrbitChange]) -> _Factors:
+        """Return the condensed system (ND + 2, ND + 2), factorised: the equations and two further rows."""
         count, size = self.ends.shape[:2]
         block = np.arange(count * size).reshape(count, size)
-        across = [np.broadcast_to(block[:, :, None], (count, size, size)), block]
-        along = [np.broadcast_to(block[:, None, :], (count, size, size)), np.roll(block, -1, axis=0)]
+        places = [np.broadcast_to(block[:, :, None], (count, size, size)), block]
+        columns = [np.broadcast_to(block[:, None, :], (count, size, size)), np.roll(block, -1, axis=0)]
         values = [self.ends[..., :size], np.full((count, size), -1.0)]
         for column in (size, size + 1):
-            across.append(block)
-            along.append(np.full((count, size), count * size + column - size))
+            places.append(block)
+            columns.append(np.full((count, size), count * size + column - size))
             values.append(self.ends[..., column])
         for number, row in enumerate(rows):
             by_inner = np.einsum("njd,njdc->nc", row.nodes, self.inner[..., : size + 2])
             last = [row.log_period + by_inner[:, size].sum(), row.parameter + by_inner[:, size + 1].sum()]
-            across.append(np.full(count * size + 2, count * size + number))
-            along.append(np.arange(count * size + 2))
+            places.append(np.full(count * size + 2, count * size + number))
+            columns.append(np.arange(count * size + 2))
             values.append(np.append((row.mesh_states + by_inner[:, :size]).ravel(), last))
-        return Factors(*(np.concatenate([np.ravel(part) for part in parts]) for parts in (across, along, values)))
+        return _Factors(*(np.concatenate([np.ravel(part) for part in parts]) for parts in (places, columns, values)))
 
     def solve(
-        self, factors: "Factors", rows: tuple[OrbitChange, OrbitChange], right: tuple[float, float], *, is_step: bool
-    ) -> OrbitChange:
-        """Return the change that gives the two more `rows`, of the matrix `factors`, the values on the `right`.
+        self, factors: _Factors, rows: tuple[_OrbitChange, _OrbitChange], right: tuple[float, float], *, is_step: bool
+    ) -> _OrbitChange:
+        """Return the change that gives the two further `rows`, of the matrix `factors`, the values on the `right`.
 
-        After it the equations hold where it `is_step` (of Newton); otherwise they keep what they leave (a tangent).
+        For a Newton step (`is_step`) it removes the residuals of the equations; for a tangent it keeps them.
         """
         count, size = self.ends.shape[:2]
         share = 1.0 if is_step else 0.0
@@ -214,83 +328,14 @@ class Linearised:
         log_period, parameter = float(solution[-2]), float(solution[-1])
         nodes = np.einsum("njde,ne->njd", self.inner[..., :size], mesh_states) + constant
         nodes += self.inner[..., size] * log_period + self.inner[..., size + 1] * parameter
-        return OrbitChange(mesh_states, nodes, log_period, parameter)
+        return _OrbitChange(mesh_states, nodes, log_period, parameter)
 
 
-class Factors:
-    """A sparse matrix (n, n) factorised; raises LinAlgError where it is singular."""
-
-    def __init__(self, across: FloatArray, along: FloatArray, values: FloatArray) -> None:
-        """Take the rows, columns and values of its entries."""
-        from scipy.sparse import csc_matrix
-        from scipy.sparse.linalg import splu
-
-        size = int(across.max()) + 1
-        try:
-            self._found = splu(csc_matrix((values, (across, along)), shape=(size, size)))
-        except RuntimeError as error:  # as scipy says that a pivot is 0
-            raise np.linalg.LinAlgError(str(error)) from None
-
-    def solve(self, right: FloatArray) -> FloatArray:
-        """Return the solution (n,) for a right-hand side (n,)."""
-        return np.asarray(self._found.solve(right))
-
-    @property
-    def scaled_determinant(self) -> float:
-        """The sign of the determinant times the geometric mean of the pivots: both vanish at once."""
-        pivots = self._found.U.diagonal()
-        sign = np.prod(np.sign(pivots)) * _parity(self._found.perm_r) * _parity(self._found.perm_c)
-        return float(sign * np.exp(np.log(np.maximum(np.abs(pivots), 1e-300)).mean()))
-
-
-def _parity(order: npt.NDArray[np.int32]) -> int:
-    """Return 1 for an even permutation, -1 for an odd one."""
-    left, parity = set(range(len(order))), 1
-    while left:
-        at = left.pop()
-        while (at := int(order[at])) in left:
-            left.remove(at)
-            parity = -parity
-    return parity
-
-
-MOST_CYCLES: Final = 150
-"""Cycles of one branch in each direction."""
-
-LONGEST: Final = 0.05
-"""Longest step along a branch, in ranges of parameter and box and in parts of the period."""
-
-LONGEST_PERIOD: Final = 100.0
-"""Times the first period of a branch, beyond which it is not followed: beside a homoclinic orbit periods grow without
-bounds."""
-
-PERIOD_DOUBLING: Final = "period doubling"
-TORUS: Final = "torus"
-HOPF_END: Final = "Hopf point"
-
-_NEWTON: Final = 8
-"""Newton steps double the digits that are right: a guess good to 1 % needs four."""
-
-_KNOWN: Final = 1e-3
-"""By which the multiplier of the flow may differ from 1; it does beside homoclinic orbits, whose other ones are beyond
-the digits of the monodromy matrix."""
-
-_RENEWED: Final = 4
-"""Steps after which the mesh is laid anew."""
+# -------------------------------------------------------------------------------------------------- the curve of cycles
 
 
 @dataclass(frozen=True, eq=False)
-class CycleProblem:
-    """Limit cycles of a `flow` as `parameter` goes over `bounds`; the widths of `box` scale the states."""
-
-    flow: Flow
-    box: Box
-    parameter: ContinuationParameter
-    bounds: tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class CycleOnCurve(CurvePoint):
+class _CycleOnCurve(CurvePoint):
     """A limit cycle as a point of a curve: its `orbit` over widths of the box, `period` and linearised equations."""
 
     orbit: Orbit
@@ -298,26 +343,25 @@ class CycleOnCurve(CurvePoint):
     linearised: Linearised
 
 
-class CycleCurve:
+class _CycleCurve:
     """Cycles in coordinates z: states of the orbit over widths, logarithm of the period, parameter over its range.
 
-    States are weighed so that their part of a step's length is the root of their mean square over the mesh.
+    States have weights: their part of the length of a step is the root of their mean square over the mesh.
     """
 
     longest = LONGEST
     most = MOST_CYCLES
 
-    def __init__(self, problem: CycleProblem, orbit: Orbit, period: float, *, doublings: int = 0) -> None:
-        """`orbit` has the mesh and gives the phase at first, `period` is that with which the branch begins."""
+    def __init__(self, problem: "_CycleSearch", orbit: Orbit, period: float, *, doublings: int = 0) -> None:
+        """`orbit` gives the mesh and the first phase, `period` is the period at the beginning of the branch."""
         self.flow, self.box, self.parameter, bounds = problem.flow, problem.box, problem.parameter, problem.bounds
         self.doublings = doublings
-        self._longest_period = float(np.log(LONGEST_PERIOD * period))
+        self._longest_period = float(np.log(_LONGEST_PERIOD * period))
         self.range = bounds[1] - bounds[0]
         self.limits = (bounds[0] / self.range, bounds[1] / self.range)
         count, number, size = orbit.nodes.shape
-        self._weights = np.sqrt(
-            np.concatenate([np.full(count * size, 0.5 / count), np.tile(np.repeat(0.5 * WEIGHTS / count, size), count)])
-        )
+        by_nodes = np.tile(np.repeat(0.5 * _WEIGHTS / count, size), count)
+        self._weights = np.sqrt(np.concatenate([np.full(count * size, 0.5 / count), by_nodes]))
         self._shape, self._number = (count, number, size), count * size
         self._mesh = orbit.mesh
         self._steps = 0
@@ -325,19 +369,21 @@ class CycleCurve:
 
     def _set_phase(self, orbit: Orbit) -> None:
         """Fix the phase of cycles by an orbit r on the same mesh: the mean of (x - r) times r' is 0."""
-        times = orbit.mesh[:-1, None] + orbit.lengths[:, None] * NODES
+        times = orbit.mesh[:-1, None] + orbit.lengths[:, None] * _NODES
         step = 1e-5 * orbit.lengths[:, None]
         slopes = orbit.at((times + step).ravel()) - orbit.at((times - step).ravel())
         slopes = slopes.reshape(orbit.nodes.shape) / (2.0 * step[..., None])
-        weighed = slopes * (orbit.lengths[:, None] * WEIGHTS)[..., None]
-        self._reference, self._phase = orbit.nodes, OrbitChange(np.zeros_like(orbit.mesh_states), weighed, 0.0, 0.0)
-
-    # ------------------------------------------------------------------------------------------- coordinates
+        weighted = slopes * (orbit.lengths[:, None] * _WEIGHTS)[..., None]
+        self._reference, self._phase = orbit.nodes, _OrbitChange(np.zeros_like(orbit.mesh_states), weighted, 0.0, 0.0)
 
     def z_of(self, orbit: Orbit, period: float, value: float) -> FloatArray:
         """Return the coordinates of a cycle."""
         states = np.concatenate([orbit.mesh_states.ravel(), orbit.nodes.ravel()]) * self._weights
         return np.append(states, [np.log(period), value / self.range])
+
+    def value(self, z: FloatArray) -> float:
+        """Return the value of the parameter."""
+        return float(z[-1] * self.range)
 
     def _split(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the states at the mesh (N, D) and nodes (N, M, D)."""
@@ -346,17 +392,13 @@ class CycleCurve:
     def _orbit(self, z: FloatArray) -> Orbit:
         return Orbit(self._mesh, *self._split(z[:-2] / self._weights))
 
-    def _row(self, z: FloatArray) -> OrbitChange:
-        """Return the row of the linear system that is the product with `z`."""
-        return OrbitChange(*self._split(z[:-2] * self._weights), float(z[-2]), float(z[-1]))
+    def _row(self, z: FloatArray) -> _OrbitChange:
+        """Return the row of the linear system that is the scalar product with `z`."""
+        return _OrbitChange(*self._split(z[:-2] * self._weights), float(z[-2]), float(z[-1]))
 
-    def _z_change(self, change: OrbitChange) -> FloatArray:
+    def _z_change(self, change: _OrbitChange) -> FloatArray:
         states = np.concatenate([change.mesh_states.ravel(), change.nodes.ravel()]) * self._weights
         return np.append(states, [change.log_period, change.parameter])
-
-    def value(self, z: FloatArray) -> float:
-        """Return the value of the parameter."""
-        return float(z[-1] * self.range)
 
     def _linearised(self, z: FloatArray) -> Linearised | None:
         flow, orbit, widths = self.parameter.at(self.flow, self.value(z)), self._orbit(z), self.box.widths
@@ -365,8 +407,6 @@ class CycleCurve:
         rates = (flow.rates(x) / widths, by_states, self.parameter.slope(flow, x) / widths * self.range)
         is_known = all(np.isfinite(array).all() for array in rates)
         return Linearised(orbit, float(np.exp(z[-2])), *rates) if is_known else None
-
-    # ------------------------------------------------------------------------------------------- as a curve
 
     def correct(self, z: FloatArray, tangent: FloatArray) -> FloatArray | None:
         guess, row = z.copy(), self._row(tangent)
@@ -377,9 +417,9 @@ class CycleCurve:
             if linearised is None:
                 return None
             missed = float((self._phase.nodes * (self._orbit(guess).nodes - self._reference)).sum())
-            rows, left = (self._phase, row), (-missed, -float(tangent @ (guess - z)))
+            rows, right = (self._phase, row), (-missed, -float(tangent @ (guess - z)))
             try:
-                change = linearised.solve(linearised.matrix(rows), rows, left, is_step=True)
+                change = linearised.solve(linearised.factorised(rows), rows, right, is_step=True)
             except np.linalg.LinAlgError:
                 return None
             step = self._z_change(change)
@@ -390,46 +430,50 @@ class CycleCurve:
                 return guess
         return guess if np.abs(step).max() < 1e-7 else None
 
-    def curve_point(self, z: FloatArray, before: FloatArray) -> CycleOnCurve | None:
+    def curve_point(self, z: FloatArray, before: FloatArray) -> _CycleOnCurve | None:
         linearised = self._linearised(z)
         if linearised is None:
             return None
         rows = (self._phase, self._row(before))
         try:
-            factors = linearised.matrix(rows)
+            factors = linearised.factorised(rows)
             tangent = self._z_change(linearised.solve(factors, rows, (0.0, 1.0), is_step=False))
         except np.linalg.LinAlgError:
             return None
         tangent = tangent / np.sqrt(tangent @ tangent)
         if not np.isfinite(tangent).all():
             return None
-        # the tangent goes on in the direction of `before`: with its row the determinant has the same sign
+        # the tangent continues in the direction of `before`: with its row the determinant has the same sign
         tests = {FOLD: float(tangent[-1]), BRANCH_POINT: factors.scaled_determinant}
         tests |= _multiplier_tests(linearised.monodromy)
-        return CycleOnCurve(z, tangent, tests, self._orbit(z), float(np.exp(z[-2])), linearised)
+        return _CycleOnCurve(z, tangent, tests, self._orbit(z), float(np.exp(z[-2])), linearised)
 
-    def end(self, last: CycleOnCurve, after: CycleOnCurve) -> str | None:
+    def end(self, last: _CycleOnCurve, after: _CycleOnCurve) -> str | None:
         if not self.box.contains(after.orbit.nodes.reshape(-1, self._shape[2]) * self.box.widths, OUTSIDE).all():
             return "outside the box"
-        first, second = (point.orbit.nodes - _mean(point.orbit) for point in (last, after))
+        first, second = (
+            point.orbit.nodes - np.einsum("n,k,nkd->d", point.orbit.lengths, _WEIGHTS, point.orbit.nodes)
+            for point in (last, after)
+        )
         if float((first * second).sum()) <= 0.0 or np.abs(second).max() < 0.5 * SMALLEST:
-            return HOPF_END  # the cycle shrinks to a point, beyond which come the same cycles half a turn later
+            return HOPF_END  # the cycle shrinks to a point, beyond which the same cycles follow half a turn later
         if self.doublings:
-            first, second = (_unlike_halves(point.orbit) for point in (last, after))
+            times = np.linspace(0.0, 0.5, self._shape[0], endpoint=False)
+            first, second = (point.orbit.at(times) - point.orbit.at(times + 0.5) for point in (last, after))
             if float((first * second).sum()) <= 0.0:
-                return PERIOD_DOUBLING  # the same again: beyond it come the same cycles half a period later
+                return PERIOD_DOUBLING  # beyond it the same cycles follow half a period later
         return "period without bounds" if after.z[-2] > self._longest_period else None
 
-    def adapt(self, point: CycleOnCurve) -> CycleOnCurve:
+    def adapt(self, point: _CycleOnCurve) -> _CycleOnCurve:
         self._steps += 1
         if self._steps % _RENEWED:
             self._set_phase(point.orbit)
             return point
         kept = self._mesh, self._reference, self._phase
-        mesh = spread_mesh(point.orbit)
-        orbit = sampled(point.orbit.at, mesh)
-        along = sampled(Orbit(point.orbit.mesh, *self._split(point.tangent[:-2] / self._weights)).at, mesh)
-        tangent = self._z_change(OrbitChange(along.mesh_states, along.nodes, *point.tangent[-2:].tolist()))
+        mesh = _adapted_mesh(point.orbit)
+        orbit = _sampled(point.orbit.at, mesh)
+        along = _sampled(Orbit(point.orbit.mesh, *self._split(point.tangent[:-2] / self._weights)).at, mesh)
+        tangent = self._z_change(_OrbitChange(along.mesh_states, along.nodes, *point.tangent[-2:].tolist()))
         self._mesh = mesh
         self._set_phase(orbit)
         z = self.correct(self.z_of(orbit, point.period, self.value(point.z)), tangent / np.sqrt(tangent @ tangent))
@@ -438,140 +482,68 @@ class CycleCurve:
             self._mesh, self._reference, self._phase = kept
         return moved or point
 
-    def cycle(self, point: CycleOnCurve) -> LimitCycle:
+    def cycle(self, point: _CycleOnCurve) -> LimitCycle:
         """Return a curve point as a limit cycle."""
         points = point.orbit.at(np.arange(SAMPLES) / SAMPLES) * self.box.widths
         multipliers = multipliers_of(point.linearised.monodromy, point.linearised.log_multiplier_product)
         return LimitCycle(points[0], point.period, multipliers, point.linearised.log_multiplier_product, points)
 
 
-def _mean(orbit: Orbit) -> FloatArray:
-    return np.asarray(np.einsum("n,k,nkd->d", orbit.lengths, WEIGHTS, orbit.nodes))
-
-
-def _unlike_halves(orbit: Orbit) -> FloatArray:
-    """Return by how much the states (N, D) differ from those half a period later."""
-    times = np.linspace(0.0, 0.5, len(orbit.mesh_states), endpoint=False)
-    return orbit.at(times) - orbit.at(times + 0.5)
-
-
 def _multiplier_tests(monodromy: FloatArray) -> dict[str, float]:
-    """Return what vanishes where multipliers pass -1, and where a pair of them has the product 1.
+    """Return numbers that vanish where a multiplier passes -1, and where a pair of them has the product 1.
 
-    NaN where that of the flow, which is 1, is off by so much that the others are not known either.
+    NaN in the plane, where the nontrivial multiplier is positive, and where the trivial one is not 1: then the others
+    are not known either.
     """
-    if len(monodromy) == 2:  # that beside the flow's is positive in the plane
+    if len(monodromy) == 2:
         return {PERIOD_DOUBLING: np.nan, TORUS: np.nan}
-    own, *others = multipliers_of(monodromy, 0.0)
-    values = np.array(others) if abs(own - 1.0) < _KNOWN else np.full(len(others), np.nan + 0j)
+    trivial, *others = multipliers_of(monodromy, 0.0)
+    values = np.array(others) if abs(trivial - 1.0) < _KNOWN else np.full(len(others), np.nan + 0j)
     doubling = np.prod(values + 1.0)
     torus = np.prod([first * second - 1.0 for first, second in combinations(values, 2)]) if len(values) > 1 else 1.0
     return {PERIOD_DOUBLING: float(np.real(doubling)), TORUS: float(np.real(torus))}
 
 
-MOST_BRANCHES: Final = 10
-"""Branches that are shown; each costs up to two seconds."""
-
-MOST_DOUBLINGS: Final = 2
-"""How often branches are followed that begin at a period doubling: up to four times the first period."""
+# ------------------------------------------------------------------------------------------------- branches of cycles
 
 
 @dataclass(frozen=True, eq=False)
-class SpecialCycle:
-    """Where the character of a branch changes: `kind` is fold, branch point, period doubling or torus."""
+class _CycleSearch:
+    """Branches of cycles of a `flow` as `parameter` varies over `bounds`; the widths of `box` scale the states.
 
-    kind: str
-    value: float
-    cycle: LimitCycle
-
-
-@dataclass(frozen=True, eq=False)
-class CycleBranch:
-    """`cycles` at `values` (n,) of the parameter; `ends` say why it is not followed beyond the first and the last."""
-
-    values: FloatArray = field(repr=False)
-    cycles: tuple[LimitCycle, ...] = field(repr=False)
-    special: tuple[SpecialCycle, ...]
-    ends: tuple[str, str]
-
-
-def cycle_continuation(
-    flow: Flow,
-    box: Box,
-    parameter: ContinuationParameter,
-    bounds: tuple[float, float],
-    *,
-    branches: Sequence[Branch] = (),
-    known: Sequence[tuple[float, LimitCycle]] = (),
-) -> tuple[CycleBranch, ...]:
-    """Return the branches of limit cycles as `parameter` goes over `bounds`.
-
-    They begin at the Hopf points of `branches` of fixed points, and at `known` cycles, each given with its value of the
-    parameter. Cycles that leave the box by more than a width are not followed.
+    `most` bounds the branches that one start may give, including the branches from its period doublings.
     """
-    search = _CycleSearch(flow, box, parameter, bounds)
-    cycle_branches: list[CycleBranch] = []
-    for branch in branches:
-        for special in branch.special:
-            if special.kind == HOPF and not _ends_at(cycle_branches, special, box, bounds):
-                cycle_branches += search.from_hopf(special, MOST_BRANCHES - len(cycle_branches))
-    for value, cycle in known:
-        if not any(_passes(branch, value, cycle, box) for branch in cycle_branches):
-            cycle_branches += search.from_cycle(value, cycle, MOST_BRANCHES - len(cycle_branches))
-    return tuple(cycle_branches)
 
-
-def _ends_at(branches: Sequence[CycleBranch], special: SpecialPoint, box: Box, bounds: tuple[float, float]) -> bool:
-    """Tell whether a branch ends, or begins, at a Hopf point."""
-    for branch in branches:
-        for end, at in zip(branch.ends, (0, -1), strict=True):
-            middle = branch.cycles[at].points.mean(axis=0)
-            near = np.abs((middle - special.point) / box.widths).max() < 2.0 * LONGEST
-            if end == HOPF_END and near and abs(branch.values[at] - special.value) < 2.0 * LONGEST * np.diff(bounds):
-                return True
-    return False
-
-
-def _passes(branch: CycleBranch, value: float, cycle: LimitCycle, box: Box) -> bool:
-    """Tell whether a branch has a cycle, as far as its cycles are near enough to tell."""
-    for (left, first), (right, second) in pairwise(zip(branch.values.tolist(), branch.cycles, strict=True)):
-        if min(left, right) <= value <= max(left, right):
-            for neighbour in (first, second):
-                apart = float(distance(neighbour, cycle.points[::20], box).max())
-                if apart < 2.0 * LONGEST and abs(np.log(neighbour.period / cycle.period)) < 2.0 * LONGEST:
-                    return True
-    return False
-
-
-class _CycleSearch(CycleProblem):
-    """Branches of cycles of a flow; `most` bounds how many a start may give, with those that begin at its doublings."""
+    flow: Flow
+    box: Box
+    parameter: ContinuationParameter
+    bounds: tuple[float, float]
 
     def from_hopf(self, special: SpecialPoint, most: int) -> list[CycleBranch]:
-        """Return the branch that begins at a Hopf point: at first an ellipse around it in the plane of the pair."""
+        """Return the branch that begins at a Hopf point, with a small ellipse in the plane of the pair."""
         assert special.frequency is not None
         widths = self.box.widths
         jacobian = self.parameter.at(self.flow, special.value).jacobian(special.point) * widths / widths[:, None]
         values, vectors = np.linalg.eig(jacobian)
         vector = vectors[:, int(np.argmin(np.abs(values - 1j * special.frequency)))]
         mesh = np.linspace(0.0, 1.0, INTERVALS + 1)
-        middle = sampled(lambda times: np.tile(special.point / widths, (len(times), 1)), mesh)
-        ellipse = sampled(lambda times: np.real(vector * np.exp(2j * np.pi * times)[:, None]), mesh)
+        middle = _sampled(lambda times: np.tile(special.point / widths, (len(times), 1)), mesh)
+        ellipse = _sampled(lambda times: np.real(vector * np.exp(2j * np.pi * times)[:, None]), mesh)
         period = 2.0 * np.pi / special.frequency
-        curve = CycleCurve(self, ellipse, period)
-        return self._begun(
-            curve, curve.z_of(middle, period, special.value), curve.z_of(ellipse, 1.0, 0.0), HOPF_END, most
-        )
+        curve = _CycleCurve(self, ellipse, period)
+        z, direction = curve.z_of(middle, period, special.value), curve.z_of(ellipse, 1.0, 0.0)
+        return self._begun(curve, z, direction, HOPF_END, most)
 
     def from_cycle(self, value: float, cycle: LimitCycle, most: int) -> list[CycleBranch]:
         """Return the branch through a cycle, followed to both sides."""
         widths = self.box.widths
         moved = np.sqrt((np.diff(np.vstack([cycle.points, cycle.points[:1]]) / widths, axis=0) ** 2).sum(axis=1))
-        mesh = levelled(np.linspace(0.0, 1.0, len(moved) + 1), moved / moved.sum() + 1.0 / len(moved), INTERVALS)
+        mesh = _even_mesh(np.linspace(0.0, 1.0, len(moved) + 1), moved / moved.sum() + 1.0 / len(moved), INTERVALS)
         flow = self.parameter.at(self.flow, value)
-        orbit = sampled(lambda times: follow(flow.rates, cycle.point, cycle.period * times, widths) / widths, mesh)
-        sides: list[CurveSide[CycleOnCurve]] = []
+        orbit = _sampled(lambda times: follow(flow.rates, cycle.point, cycle.period * times, widths) / widths, mesh)
+        sides: list[CurveSide[_CycleOnCurve]] = []
         for sign in (-1.0, 1.0):
-            curve = CycleCurve(self, orbit, cycle.period)
+            curve = _CycleCurve(self, orbit, cycle.period)
             z = curve.z_of(orbit, cycle.period, value)
             direction = np.append(np.zeros(len(z) - 1), sign)
             start = curve.correct(z, direction) if np.isfinite(z).all() else None
@@ -580,21 +552,21 @@ class _CycleSearch(CycleProblem):
             sides.append(continue_curve(curve, start, direction))
         return self._joined(curve, sides[0], sides[1], most)
 
-    def from_doubling(self, curve: CycleCurve, point: CycleOnCurve, most: int) -> list[CycleBranch]:
+    def from_doubling(self, curve: _CycleCurve, point: _CycleOnCurve, most: int) -> list[CycleBranch]:
         """Return the branch of twice the period that begins at a period doubling of another one."""
         values, vectors = np.linalg.eig(point.linearised.monodromy)
         mesh_states, nodes = point.linearised.along(np.real(vectors[:, int(np.argmin(np.abs(values + 1.0)))]))
         orbit, mesh = point.orbit, np.append(0.5 * point.orbit.mesh[:-1], 0.5 + 0.5 * point.orbit.mesh)
         twice = Orbit(mesh, np.tile(orbit.mesh_states, (2, 1)), np.tile(orbit.nodes, (2, 1, 1)))
         turned = Orbit(mesh, np.vstack([mesh_states, -mesh_states]), np.vstack([nodes, -nodes]))
-        doubled = CycleCurve(self, twice, 2.0 * point.period, doublings=curve.doublings + 1)
+        doubled = _CycleCurve(self, twice, 2.0 * point.period, doublings=curve.doublings + 1)
         z = doubled.z_of(twice, 2.0 * point.period, curve.value(point.z))
         return self._begun(doubled, z, doubled.z_of(turned, 1.0, 0.0), PERIOD_DOUBLING, most)
 
     def _begun(
-        self, curve: CycleCurve, z: FloatArray, direction: FloatArray, origin: str, most: int
+        self, curve: _CycleCurve, z: FloatArray, direction: FloatArray, origin: str, most: int
     ) -> list[CycleBranch]:
-        """Return the branch that leaves `z` in a direction; what lies behind is the same half a turn later."""
+        """Return the branch that leaves `z` in a direction; the other side is the same branch half a turn later."""
         direction = direction / np.sqrt(direction @ direction)
         start = curve.correct(z + 0.25 * LONGEST * direction, direction) if most > 0 else None
         if start is None:
@@ -602,13 +574,12 @@ class _CycleSearch(CycleProblem):
         return self._joined(curve, CurveSide([], [], origin), continue_curve(curve, start, direction), most)
 
     def _joined(
-        self, curve: CycleCurve, behind: CurveSide[CycleOnCurve], ahead: CurveSide[CycleOnCurve], most: int
+        self, curve: _CycleCurve, behind: CurveSide[_CycleOnCurve], ahead: CurveSide[_CycleOnCurve], most: int
     ) -> list[CycleBranch]:
-        """Return the branch of two sides, and those that begin at its period doublings."""
         points, special = joined(behind, ahead)
         if len(points) < 2 or most < 1:
             return []
-        special = [(kind, point) for kind, point in special if _is_real(kind, point)]
+        special = [(kind, point) for kind, point in special if kind != TORUS or _has_complex_pair(point)]
         branches = [
             CycleBranch(
                 np.array([curve.value(point.z) for point in points]),
@@ -623,10 +594,8 @@ class _CycleSearch(CycleProblem):
         return branches
 
 
-def _is_real(kind: str, point: CycleOnCurve) -> bool:
-    """Tell whether a pair of multipliers with the product 1 is complex: two real ones make no torus."""
-    if kind != TORUS:
-        return True
-    values: Complexes = multipliers_of(point.linearised.monodromy, 0.0)[1:]
+def _has_complex_pair(point: _CycleOnCurve) -> bool:
+    """Tell whether the pair of multipliers with the product 1 is complex: two real ones make no torus."""
+    values = multipliers_of(point.linearised.monodromy, 0.0)[1:]
     first, _ = min(combinations(values, 2), key=lambda pair: abs(pair[0] * pair[1] - 1.0))
     return bool(abs(first.imag) > 1e-6)

@@ -1,6 +1,7 @@
-"""How the model moves beside how the data move: bounds, period, amplitudes, order of phases, and what it reaches.
+"""Motion of the model and of the data compared: bounds, period, amplitudes, phases, and the attractor reached.
 
-The model is simulated freely from where each measured trajectory begins, and as long. Letters: D states, n rows.
+The model is simulated from the initial state of each measured trajectory, over the same time. Letters: D states, n
+rows.
 """
 
 from collections.abc import Sequence
@@ -20,26 +21,27 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 
 ROWS: Final = 2000
-"""Of a simulation beside a measured trajectory."""
+"""Rows of a simulation that is compared with a measured trajectory."""
 
-_TURNS: Final = 3
-"""Rises through the mean that make a period: two gaps, whose spread can be seen."""
+_FEWEST_GAPS: Final = 2
+"""Times between rises through the mean that make a period: two, so that their spread is known."""
 
 _LONGER: Final = 8.0
-"""How much longer than a trajectory the model is simulated to see the period of its orbit: of half a turn, four."""
+"""How many times as long as a trajectory the model is simulated to find the period of its closed orbit: a trajectory of
+half a turn then shows four."""
 
 _REGULAR: Final = 0.2
-"""Spread of the gaps, as a share of their mean, up to which a course has one period: twice `_SAME`."""
+"""Spread of these times, as a share of their mean, up to which a trajectory has one period: twice `_SAME`."""
 
 _SAME: Final = 0.1
-"""Share by which period and amplitudes may differ and still be called the same."""
+"""Relative difference up to which periods and amplitudes count as equal."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTrajectory:
     """A measured trajectory: `times` (n,) from 0 and `states` (n, D).
 
-    `inputs` are those that were recorded, (U,) as a function of these times; None where they are not known.
+    `inputs` are the recorded inputs, (U,) as a function of these times; None where they are not known.
     """
 
     name: str
@@ -50,10 +52,10 @@ class MeasuredTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What is seen of a course: `amplitudes` (D,) are half the extents of its second half.
+    """The motion along a trajectory: `amplitudes` (D,) are half the extents of its second half.
 
-    `period` is the median time between rises through the mean, `phases` (D,) are the shares of a period by which each
-    state comes after the first one; None where the course does not oscillate regularly.
+    `period` is the median time between rises through the mean, `phases` (D,) are the delays of the states behind the
+    first one as shares of a period; None where the trajectory does not oscillate regularly.
     """
 
     amplitudes: FloatArray
@@ -63,10 +65,10 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryComparison:
-    """The model beside one measured trajectory; `reaches` is the index of an attractor or a code of `basins`.
+    """The model compared with one measured trajectory; `reaches` is the index of an attractor or a code of `basins`.
 
-    `orbit_period` is that of the closed orbit on which the model goes round, where such orbits are not isolated; `end`
-    (D,) is where the model is when it has reached something, or when it is followed no longer.
+    `orbit_period` is the period of the closed orbit that the model follows, where such orbits are not isolated; `end`
+    (D,) is the last state of the simulation that looks for an attractor.
     """
 
     name: str
@@ -87,13 +89,13 @@ class TrajectoryComparison:
 
     @property
     def has_same_amplitudes(self) -> bool:
-        """Whether the amplitudes of all states agree to 10 % of the largest extent of the state."""
+        """Whether the amplitudes of all states agree to 10 % of the larger one."""
         first, second = self.measured.amplitudes, self.simulated.amplitudes
         with np.errstate(invalid="ignore"):
             return bool((np.abs(second - first) <= _SAME * np.maximum(first, second)).all())
 
     @property
-    def has_same_order(self) -> bool | None:
+    def has_same_phases(self) -> bool | None:
         """Whether the phases of all states agree to a tenth of a period; None where there are none to compare."""
         first, second = self.measured.phases, self.simulated.phases
         if first is None or second is None:
@@ -103,16 +105,16 @@ class TrajectoryComparison:
 
 
 def measured_trajectories(result: Result, field: VectorField) -> tuple[MeasuredTrajectory, ...]:
-    """Return the measured courses that a result holds: smoothed measurements, else the simulation fitted to them.
+    """Return the trajectories of a result: smoothed measurements, otherwise the simulations fitted to them.
 
     Velocities of equations of second order are differences of the positions.
     """
-    courses = (_measured(result, field, part) for part in result.simulated)
-    return tuple(course for course in courses if course is not None)
+    known = (_measured(result, field, part) for part in result.simulated)
+    return tuple(trajectory for trajectory in known if trajectory is not None)
 
 
 def _measured(result: Result, field: VectorField, part: Simulated) -> MeasuredTrajectory | None:
-    """Return the course of one trajectory; None where a state is not known there, or too few rows are."""
+    """Return one trajectory; None where a state is not known, or too few rows are."""
     columns, half = [result.columns_by_symbol[name] for name in field.states], len(field.states) // 2
     known, values = part.times, part.values or {}
     smoothed = next((other for other in result.smoothed if other.name == part.name), None)
@@ -131,29 +133,29 @@ def _measured(result: Result, field: VectorField, part: Simulated) -> MeasuredTr
             return None
     states = np.array(curves).T
     start = [(part.start or {}).get(name) for name in columns]
-    if None not in start:  # knows velocities, too
+    if None not in start:  # includes velocities
         states[0] = start
     rows = np.isfinite(states).all(axis=1)
     if rows.sum() <= 3:
         return None
     begin = float(times[rows][0])
-    return MeasuredTrajectory(part.name, times[rows] - begin, states[rows], _recorded(result, field, part.name, begin))
+    inputs = _recorded_inputs(result, field, part.name, begin)
+    return MeasuredTrajectory(part.name, times[rows] - begin, states[rows], inputs)
 
 
-def _recorded(result: Result, field: VectorField, name: str, begin: float) -> Inputs | None:
+def _recorded_inputs(result: Result, field: VectorField, name: str, begin: float) -> Inputs | None:
     """Return the inputs recorded along a trajectory, from `begin` on; None where one of them was not."""
     recorded = next((part for part in result.recorded if part.name == name), None)
     if recorded is None or not field.inputs:
         return None
-    named, clock = result.symbols, result.columns.time or ""
+    symbols, time = result.symbols, result.columns.time or ""
     curves = input_curves(result, recorded)
     times = np.array(recorded.times, dtype=np.float64)
-    if clock in named:
-        curves |= {named[clock]: InputCurve(times, times, np.ones(len(times)))}
+    if time in symbols:
+        curves |= {symbols[time]: InputCurve(times, times, np.ones(len(times)))}
     if not all(symbol in curves for symbol in field.inputs):
         return None
-    shifted = [replace(curves[symbol], times=curves[symbol].times - begin) for symbol in field.inputs]
-    return Driving(shifted)
+    return Driving([replace(curves[symbol], times=curves[symbol].times - begin) for symbol in field.inputs])
 
 
 def compared(
@@ -165,12 +167,11 @@ def compared(
     *,
     has_family: bool,
 ) -> tuple[TrajectoryComparison, ...]:
-    """Return the model beside each measured trajectory; `duration` is how long courses have to reach an attractor.
+    """Return the model compared with each measured trajectory.
 
-    `has_family`: there are closed orbits that are not isolated.
-
-    A model with inputs is driven by those that were recorded; trajectories without any are left out. What it reaches is
-    with the inputs held.
+    A model with inputs is driven by the recorded ones; trajectories without are left out. For the attractor that it
+    reaches the inputs are held, and `duration` is the length of the simulation. `has_family`: there are closed orbits
+    that are not isolated.
     """
     trajectories = [trajectory for trajectory in trajectories if not flow.field.inputs or trajectory.inputs is not None]
     if not trajectories:
@@ -179,33 +180,27 @@ def compared(
     reached, ends = destinations(flow, box, attractors, starts, duration)
     comparisons = []
     for trajectory, reaches, end in zip(trajectories, reached.tolist(), ends, strict=True):
-        even = np.linspace(0.0, trajectory.times[-1], ROWS)
-        times = np.unique(np.concatenate([even, trajectory.times]))
-        course = _course(flow, trajectory, times, box)
+        times = np.union1d(np.linspace(0.0, trajectory.times[-1], ROWS), trajectory.times)
+        states = _simulated(flow, trajectory, times, box)
         with np.errstate(invalid="ignore"):
-            inside = box.excursions(course) < UNBOUNDED
-        known = np.isfinite(course).all(axis=1)
-        simulated = motion(times[known], course[known])
-        beside = known & np.isin(times, trajectory.times)
-        amplitudes = motion(times[beside], course[beside]).amplitudes
-        orbit = _orbit_period(flow, trajectory, box) if has_family and reaches == UNDECIDED else None
+            is_bounded = bool((box.excursions(states) < UNBOUNDED).all())
+        known = np.isfinite(states).all(axis=1)
+        at_rows = known & np.isin(times, trajectory.times)
+        # amplitudes at the measured times, which may be few or uneven
+        amplitudes = motion(times[at_rows], states[at_rows]).amplitudes
+        simulated = replace(motion(times[known], states[known]), amplitudes=amplitudes)
+        orbit = None
+        if has_family and reaches == UNDECIDED:
+            longer = np.linspace(0.0, _LONGER * trajectory.times[-1], ROWS)
+            states = follow(flow.rates, trajectory.states[0], longer, box.widths)
+            orbit = motion(longer, states).period if np.isfinite(states).all() else None
         measured = motion(trajectory.times, trajectory.states)
-        simulated = replace(simulated, amplitudes=amplitudes)  # over the same times: they may be few, or uneven
-        comparisons.append(
-            TrajectoryComparison(trajectory.name, bool(inside.all()), measured, simulated, reaches, orbit, end)
-        )
+        comparisons.append(TrajectoryComparison(trajectory.name, is_bounded, measured, simulated, reaches, orbit, end))
     return tuple(comparisons)
 
 
-def _orbit_period(flow: Flow, trajectory: MeasuredTrajectory, box: Box) -> float | None:
-    """Return the period of the model from where a trajectory begins, which may be too short to show one itself."""
-    times = np.linspace(0.0, _LONGER * trajectory.times[-1], ROWS)
-    course = follow(flow.rates, trajectory.states[0], times, box.widths)
-    return motion(times, course).period if np.isfinite(course).all() else None
-
-
-def _course(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: Box) -> FloatArray:
-    """Return the states (n, D) from where a measured trajectory begins, driven by its inputs where it has some."""
+def _simulated(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: Box) -> FloatArray:
+    """Return the states (n, D) from the initial state of a trajectory, driven by its inputs where it has some."""
     recorded = trajectory.inputs
     if recorded is None:
         return follow(flow.rates, trajectory.states[0], times, box.widths)
@@ -218,7 +213,10 @@ def _course(flow: Flow, trajectory: MeasuredTrajectory, times: FloatArray, box: 
 
 
 def motion(times: FloatArray, states: FloatArray) -> Motion:
-    """Return amplitudes, period and phases of a course of n rows (n, D) at rising times (n,)."""
+    """Return amplitudes, period and phases of a trajectory of n rows (n, D) at ascending times (n,).
+
+    Phases come from the Fourier component of the period.
+    """
     if len(times) < 4:
         return Motion(np.full(states.shape[1], np.nan), None, None)
     late = states[times >= 0.5 * (times[0] + times[-1])]
@@ -226,11 +224,17 @@ def motion(times: FloatArray, states: FloatArray) -> Motion:
     extents = 0.5 * (states.max(axis=0) - states.min(axis=0))
     leading = int(np.argmax(amplitudes / np.maximum(extents, 1e-300)))
     period = _period(times, states[:, leading])
-    return Motion(amplitudes, period, None if period is None else _phases(times, states, period))
+    if period is None:
+        return Motion(amplitudes, None, None)
+    rows = times >= times[-1] - period * np.floor((times[-1] - times[0]) / period)
+    whole, wave = states[rows], np.exp(-2j * np.pi * times[rows] / period)
+    components = ((whole - whole.mean(axis=0)) * (wave * np.gradient(times[rows]))[:, None]).sum(axis=0)
+    phases = (np.angle(components[0]) - np.angle(components)) / (2.0 * np.pi) % 1.0
+    return Motion(amplitudes, period, np.asarray(phases))
 
 
 def _period(times: FloatArray, values: FloatArray) -> float | None:
-    """Return the median time between rises through the mean, each after a fall well below; None: irregular, few."""
+    """Return the median time between rises through the mean, each after a fall well below; None: irregular or few."""
     mean, spread = float(values.mean()), 0.3 * float(values.std())
     rises, is_low = [], False
     for row in range(1, len(values)):
@@ -240,15 +244,6 @@ def _period(times: FloatArray, values: FloatArray) -> float | None:
             rises.append(times[row - 1] + share * (times[row] - times[row - 1]))
             is_low = False
     gaps = np.diff(rises)
-    if len(gaps) < _TURNS - 1 or gaps.std() > _REGULAR * gaps.mean():
+    if len(gaps) < _FEWEST_GAPS or gaps.std() > _REGULAR * gaps.mean():
         return None
     return float(np.median(gaps))
-
-
-def _phases(times: FloatArray, states: FloatArray, period: float) -> FloatArray:
-    """Return by which share of a period each state comes after the first, from the component of that period (D,)."""
-    rows = times >= times[-1] - period * np.floor((times[-1] - times[0]) / period)
-    whole, wave = states[rows], np.exp(-2j * np.pi * times[rows] / period)
-    steps = np.gradient(times[rows])
-    components = ((whole - whole.mean(axis=0)) * (wave * steps)[:, None]).sum(axis=0)
-    return np.asarray((np.angle(components[0]) - np.angle(components)) / (2.0 * np.pi) % 1.0)

@@ -1,24 +1,20 @@
-"""Newton steps to fixed points from many starts, and the scales of rates and times in a box.
+"""Fixed points in a box: isolated ones, and the curves and surfaces that they may form; their kinds and stability.
 
-Steps are those of Levenberg and Marquardt, which also approach points where the Jacobian is singular. The search is no
-proof: a fixed point whose catchment none of the starts met stays unseen, and the search that was done is stated.
+Steps of Levenberg and Marquardt begin at hundreds of points of the box; they also converge to points with a singular
+Jacobian. The search is no proof: a fixed point is missed if no start lies in its catchment, so the result says how many
+starts there were.
 
-What kind of fixed point a point is, by the eigenvalues of its Jacobian, and whether it attracts.
+Where the Jacobian is singular, the point may belong to a curve or a surface of fixed points. To find out, Newton steps
+begin a little away from it, in each direction in which rates hardly change. From an isolated point they return to it;
+on a curve they end about as far away as they began, and the curve is then followed to its ends.
 
-An eigenvalue counts as 0 only beside its own uncertainty: what rounding makes of the Jacobian and of the point, carried
-to first order by its left and right eigenvectors (Golub and Van Loan 2013, section 7.2). Where that does not decide,
-simulations from beside the point do. Letters: D states.
-
-Curves and surfaces of fixed points: told from isolated points by their neighbours, curves followed to their ends.
-
-Where the Jacobian at a fixed point is singular, Newton steps begin a little beside it in each direction in which rates
-hardly change. Beside a point that is isolated they return to it; on a curve or a surface they end about as far away as
-they began. Letters: D states, n points.
-
-All fixed points in a box: isolated ones, and the curves and surfaces that they may form.
+The kind is read from the eigenvalues. An eigenvalue counts as 0 only within its own numerical uncertainty: the rounding
+errors of the Jacobian and of the point, carried to first order by the left and right eigenvectors (Golub and Van Loan
+2013, section 7.2). Where that does not decide, simulations from nearby states do; they see only what happens within
+their length. Letters: D states, N starts, n points.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -28,46 +24,215 @@ import numpy.typing as npt
 from atoll.analysis.flow import UNBOUNDED, Box, Flow, IntegrationBatch, crossing, steps
 from atoll_core.data.dataset import FloatArray
 
+Complexes = npt.NDArray[np.complex128]
+
 STARTS_PER_STATE: Final = 200
 MOST_STARTS: Final = 2000
 TOLERANCE: Final = 1e-9
-"""Of a last step, in widths of the box."""
+"""Length of the last Newton step, in widths of the box."""
 
 _ITERATIONS: Final = 80
-"""Steps from each start: at a simple point a handful, at a singular one each halves the distance (2**-30 is
-`TOLERANCE`); the others are the way there."""
+"""Steps from each start: a simple root takes a handful; at a singular one each step halves the distance, so 30 steps
+reach `TOLERANCE`, and the others lead there."""
 
-EXACT: Final = 1e-13
-"""Of typical rates: what rounding leaves of 0."""
+_EXACT: Final = 1e-13
+"""Rates below this share of the typical ones are 0 up to rounding."""
 
 _LONGEST_ROOT_STEP: Final = 1e-6
-"""Longest Newton step to a root, in widths: of a root of order 5 it is 1e-8 after `_ITERATIONS`, of exp(-x) in a box of
-a thousand times the length by which it falls e-fold 1e-3."""
+"""Longest Newton step to a root, in widths. At a root of order 5 it is 1e-8 after `_ITERATIONS`; of exp(-x) in a box of
+a thousand decay lengths it is 1e-3."""
 
-SINGULAR: Final = 1e-4
+_SINGULAR: Final = 1e-4
 """Smallest singular value of a Jacobian, as a share of the largest, below which it counts as singular."""
 
+MOST_POINTS: Final = 100
+"""Distinct points that are examined: more are a curve or a surface, for which so many are enough."""
 
-def newton_starts(box: Box) -> FloatArray:
-    """Return where Newton steps begin, (N, D)."""
-    size = len(box.lower)
-    spread = box.points(min(MOST_STARTS, STARTS_PER_STATE * size))
-    return np.vstack([box.lower, box.upper, box.middle, spread])
+_APART: Final = 1e-5
+"""Points nearer than this, in widths of the box, are one."""
+
+_APART_DEGENERATE: Final = 1e-3
+"""The same where the Jacobian is singular: Newton steps approach such points slowly."""
+
+NON_HYPERBOLIC: Final = "non-hyperbolic"
+
+_AMPLITUDES: Final = (0.02, 0.1, 0.3)
+"""Amplitudes of the orbits around a centre that are simulated, in widths of the box."""
+
+_CLOSED: Final = 1e-6
+"""Share of its amplitude by which an orbit around a centre may fail to close: a hundred times the integration error."""
+
+_ROUNDING: Final = 10.0 * float(np.finfo(np.float64).eps)
+"""Relative error of an entry of a Jacobian: sums and products of a few terms."""
+
+_SHIFTS: Final = 10.0 ** np.arange(-12.0, -1.0)
+"""Widths by which a point is moved to see how precisely rounding leaves it known."""
+
+_START_WIDTH: Final = 0.05
+"""Widths from a point within which the simulations begin that tell whether it attracts."""
+
+_STARTS: Final = 16
+_MOST_STEPS: Final = 3000
+
+_DURATIONS: Final = (20.0, 200.0, 2e3, 2e4, 1e6, 1e9)
+"""Lengths of these simulations, in times that a state takes through the box: in the direction of an eigenvalue of 0 a
+point is approached by a power of time. Steps grow on the way, except where states oscillate."""
+
+MOST_SETS: Final = 10
+"""Curves and surfaces that are reported."""
+
+_NEIGHBOUR: Final = 0.01
+"""Widths from a point at which neighbours are sought, and half of that: a curve continues at both distances."""
+
+_STEP: Final = 0.02
+"""Widths from one point of a curve to the next."""
+
+_MOST_CURVE_STEPS: Final = 400
+"""Steps along a curve, in each direction."""
+
+_ON: Final = 2e-3
+"""Widths within which a point belongs to a curve that has been followed: its chords are more accurate."""
+
+_EXAMPLES: Final = 9
+"""Points of a curve or a surface that are classified."""
 
 
-def newton_ends(flow: Flow, box: Box, starts: FloatArray) -> FloatArray:
-    """Return where Newton steps from `starts` (N, D) end in a fixed point, as (n, D), in the order of the starts."""
-    points, is_root = newton_steps(flow, box, starts)
-    return np.asarray(points[is_root])
+@dataclass(frozen=True, eq=False)
+class FixedPoint:
+    """A point (D,) with dx/dt = 0, the `eigenvalues` (D,) of the Jacobian by falling real part, and its `kind`.
+
+    It `is_stable` if it attracts from all sides: by its eigenvalues, or, where one of these is 0, by simulations from
+    nearby states. It `attracts_in_box` if it attracts from the part of the box around it, which is enough for states
+    that are never below 0.
+    """
+
+    point: FloatArray
+    eigenvalues: Complexes
+    kind: str
+    is_stable: bool
+    attracts_in_box: bool
+
+    @property
+    def outline(self) -> FloatArray:
+        """The point as points (1, D)."""
+        return self.point[None]
+
+    def distances(self, states: FloatArray, box: Box) -> FloatArray:
+        """Return the distances (N,) of `states` (N, D), in widths."""
+        return np.asarray(np.sqrt((((states - self.point) / box.widths) ** 2).sum(axis=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class FixedSet:
+    """Fixed points that are not isolated: a curve of `dimension` 1, a surface of 2 or more.
+
+    `course` (n, D) are points in the box, in order if it is a curve; `points` are some of these, with their kinds by
+    the directions across the set. `whole` (m, D) is a curve including its continuation outside of the box, by at most D
+    widths.
+    """
+
+    dimension: int
+    course: FloatArray = field(repr=False)
+    whole: FloatArray = field(repr=False)
+    points: tuple[FixedPoint, ...] = field(repr=False)
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether a curve is a line."""
+        chord = self.course[-1] - self.course[0]
+        size = float(chord @ chord)
+        if self.dimension > 1 or not size > 0.0:
+            return False
+        away = self.course - self.course[0]
+        return bool(np.abs(away - np.outer(away @ chord / size, chord)).max() <= 1e-6 * np.abs(chord).max())
+
+    @property
+    def outline(self) -> FloatArray:
+        """Points (n, D) of it."""
+        return self.course
+
+    @property
+    def attracts_in_box(self) -> bool:
+        """Whether a part of it attracts."""
+        return any(point.attracts_in_box for point in self.points)
+
+    def attracts_at(self, flow: Flow, states: FloatArray, box: Box) -> np.ndarray:
+        """Tell for `states` (N, D) near it whether it attracts there, by the eigenvalues across it.
+
+        Where the largest of these is about 0, the nearest of `points` decides.
+        """
+        known = np.array([point.point for point in self.points])
+        nearest = (((states[:, None] - known) / box.widths) ** 2).sum(axis=2).argmin(axis=1)
+        attracts = np.array([point.attracts_in_box for point in self.points])[nearest]
+        values = np.linalg.eigvals(np.nan_to_num(flow.jacobian(states)))
+        sizes = np.sort(np.abs(values), axis=1)
+        is_across = np.abs(values) > sizes[:, self.dimension - 1 : self.dimension]
+        slowest = np.where(is_across, values.real, -np.inf).max(axis=1, initial=-np.inf)
+        return np.asarray((slowest < 0.0) | (attracts & (slowest <= _ON * sizes[:, -1])))
+
+    def distances(self, flow: Flow, states: FloatArray, box: Box) -> FloatArray:
+        """Return the distances (N,) of `states` (N, D), in widths; from a surface the length of a Newton step."""
+        if self.dimension == 1:
+            return box.distances(states, self.whole)
+        scale = rate_scale(flow, box)
+        inverses = np.linalg.pinv(_scaled_jacobian(flow, states, box, scale), rcond=1e-4)
+        newton = np.einsum("nij,nj->ni", inverses, np.nan_to_num(flow.rates(states) / scale))
+        return np.asarray(np.sqrt((newton**2).sum(axis=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPoints:
+    """The result of a search from so many `starts`, of which `converged` ended in a fixed point.
+
+    `points` are isolated; `sets` are curves and surfaces of other fixed points.
+    """
+
+    points: tuple[FixedPoint, ...]
+    starts: int
+    converged: int
+    sets: tuple[FixedSet, ...] = ()
+
+    @property
+    def are_isolated(self) -> bool:
+        """Whether no fixed points form a curve or a surface."""
+        return not self.sets
+
+
+def fixed_points(flow: Flow, box: Box) -> FixedPoints:
+    """Return the fixed points in `box`, by rising first coordinate, then second, and so on."""
+    spread = box.points(min(MOST_STARTS, STARTS_PER_STATE * flow.size))
+    starts = np.vstack([box.lower, box.upper, box.middle, spread])
+    ends, is_root = newton_steps(flow, box, starts)
+    inside = ends[is_root & box.contains(ends, 1e-6)]
+    sets, isolated = _fixed_sets(flow, box, distinct_points(flow, inside, box))
+    points = tuple(classified(flow, point, box) for point in isolated)
+    return FixedPoints(points, len(starts), len(inside), tuple(sets))
+
+
+def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
+    """Return one of each group of fixed points (n, D) that lie together, in order of their coordinates."""
+    singular = np.linalg.svd(_scaled_jacobian(flow, points, box, rate_scale(flow, box)), compute_uv=False)
+    apart = np.where(singular[:, -1] < _SINGULAR * singular[:, 0], _APART_DEGENERATE, _APART)
+    kept: list[FloatArray] = []
+    for point, least in zip(points, apart.tolist(), strict=True):
+        if len(kept) > MOST_POINTS:
+            break
+        if all(np.abs((point - other) / box.widths).max() > least for other in kept):
+            kept.append(point)
+    kept.sort(key=lambda point: tuple(np.round(point / box.widths, 6)))
+    return np.array(kept).reshape(-1, flow.size)
+
+
+# ------------------------------------------------------------------------------------------------------ Newton steps
 
 
 def newton_steps(flow: Flow, box: Box, starts: FloatArray) -> tuple[FloatArray, np.ndarray]:
-    """Return where Newton steps from `starts` (N, D) end, (N, D), and which of these are fixed points (N,)."""
+    """Return where Newton steps from `starts` (N, D) end, (N, D), and which of the ends are fixed points (N,)."""
     scale = rate_scale(flow, box)
     points, damping = starts.copy(), np.full(len(starts), 1e-3)
     values, last = flow.rates(points) / scale, np.full(len(starts), np.inf)
     for _ in range(_ITERATIONS):
-        step = _damped_step(scaled_jacobian(flow, points, box, scale), values, damping)
+        step = _damped_step(_scaled_jacobian(flow, points, box, scale), values, damping)
         step *= np.minimum(1.0, 0.5 / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
         tried = points + step * box.widths
         new = flow.rates(tried) / scale
@@ -80,35 +245,27 @@ def newton_steps(flow: Flow, box: Box, starts: FloatArray) -> tuple[FloatArray, 
             break
     with np.errstate(all="ignore"):
         size = np.abs(values).max(axis=1)
-        is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < EXACT) | (damping < 1e8))
+        is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < _EXACT) | (damping < 1e8))
     rows = np.flatnonzero(is_root)
-    rows = rows[_are_roots(flow, points[rows], values[rows], box, scale)]
+    # Rates that only become small, as exp(-x) does, leave a long Newton step. Rates that come near 0 and grow again
+    # leave a singular Jacobian and values above rounding.
+    matrix = _scaled_jacobian(flow, points[rows], box, scale)
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    newton = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=1e-10), values[rows])
+    is_regular = singular[:, -1] > _SINGULAR * singular[:, 0]
+    is_short = np.abs(newton).max(axis=1) < _LONGEST_ROOT_STEP
+    rows = rows[is_short & (is_regular | (size[rows] < _EXACT))]
     points[rows] = _polished(flow, points[rows], box, scale)
     is_root[:] = False
     is_root[rows] = True
     return points, is_root
 
 
-def _are_roots(flow: Flow, points: FloatArray, values: FloatArray, box: Box, scale: FloatArray) -> np.ndarray:
-    """Tell which of `points` (N, D) with small rates, `values` (N, D) over their `scale`, have a root beside them.
-
-    Where rates only become smaller, as those of exp(-x), a Newton step is long; where they come near to 0 and go away
-    again, the Jacobian is singular and rounding is not all that is left of them.
-    """
-    matrix = scaled_jacobian(flow, points, box, scale)
-    singular = np.linalg.svd(matrix, compute_uv=False)
-    step = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=1e-10), values)
-    is_regular = singular[:, -1] > SINGULAR * singular[:, 0]
-    return np.asarray(
-        (np.abs(step).max(axis=1) < _LONGEST_ROOT_STEP) & (is_regular | (np.abs(values).max(axis=1) < EXACT))
-    )
-
-
 def _polished(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
-    """Return `points` after two plain Newton steps where these make the rates smaller; whole numbers come out whole."""
+    """Return `points` after two plain Newton steps where these reduce the rates: integers become exact."""
     for _ in range(2):
         values = flow.rates(points) / scale
-        inverses = np.linalg.pinv(scaled_jacobian(flow, points, box, scale), rcond=1e-10)
+        inverses = np.linalg.pinv(_scaled_jacobian(flow, points, box, scale), rcond=1e-10)
         tried = points - np.einsum("nij,nj->ni", inverses, values) * box.widths
         with np.errstate(all="ignore"):
             is_better = np.abs(flow.rates(tried) / scale).max(axis=1) < np.abs(values).max(axis=1)
@@ -116,14 +273,8 @@ def _polished(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> Fl
     return np.where(np.abs(points) < 1e-12 * box.widths, 0.0, points)
 
 
-def scaled_jacobian(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
-    """Return the Jacobian (N, D, D) of rates over their `scale` (D,) by states in widths; 0 where it has no value."""
-    matrix = flow.jacobian(points) / scale[:, None] * box.widths
-    return np.where(np.isfinite(matrix), matrix, 0.0)
-
-
 def _damped_step(matrix: FloatArray, values: FloatArray, damping: FloatArray) -> FloatArray:
-    """Return the steps of Levenberg and Marquardt (N, D); zero where something has no value."""
+    """Return Levenberg-Marquardt steps (N, D); zero where a value is undefined."""
     transposed = matrix.transpose(0, 2, 1)
     right = transposed @ np.where(np.isfinite(values), values, 0.0)[:, :, None]
     normal = transposed @ matrix
@@ -139,8 +290,8 @@ def _damped_step(matrix: FloatArray, values: FloatArray, damping: FloatArray) ->
 def rate_scale(flow: Flow, box: Box) -> FloatArray:
     """Return the typical size (D,) of each rate in the box.
 
-    A state that does not move there is taken to be as slow as the slowest of the others; where none moves, the time
-    that it takes through the box is 1, which decides nothing.
+    A state that does not move there counts as being as slow as the slowest of the others. If none moves, the time
+    through the box is 1; no result depends on it then.
     """
     rates = np.abs(flow.rates(box.points(256)))
     finite_rates = [finite[np.isfinite(finite)] for finite in rates.T]
@@ -156,70 +307,34 @@ def time_scale(flow: Flow, box: Box) -> float:
 
 
 def jacobian_in_widths(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
-    """Return the Jacobian at (D,) or (N, D) of states in widths of the box: similar, but of no unit but time's."""
+    """Return the Jacobian at (D,) or (N, D) with states in widths of the box: similar, with the unit 1/time."""
     return np.asarray(flow.jacobian(points) / box.widths[:, None] * box.widths)
 
 
-def singular_directions(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
+def _scaled_jacobian(flow: Flow, points: FloatArray, box: Box, scale: FloatArray) -> FloatArray:
+    """Return the Jacobian (N, D, D) of rates over their `scale` (D,) by states in widths; 0 where it is undefined."""
+    matrix = flow.jacobian(points) / scale[:, None] * box.widths
+    return np.where(np.isfinite(matrix), matrix, 0.0)
+
+
+def _singular_directions(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
     """Return for each of `points` (N, D) the directions (k, D), in widths of the box, in which rates hardly change."""
-    matrices = scaled_jacobian(flow, points, box, rate_scale(flow, box))
     directions: list[FloatArray] = []
-    for matrix in matrices:
+    for matrix in _scaled_jacobian(flow, points, box, rate_scale(flow, box)):
         _, sizes, vectors = np.linalg.svd(matrix)
-        directions.append(vectors[sizes <= SINGULAR * max(sizes[0], 1.0)])
+        directions.append(vectors[sizes <= _SINGULAR * max(sizes[0], 1.0)])
     return directions
 
 
-Complexes = npt.NDArray[np.complex128]
-
-NON_HYPERBOLIC: Final = "non-hyperbolic"
-
-_AMPLITUDES: Final = (0.02, 0.1, 0.3)
-"""Of orbits around a centre, in widths of the box."""
-
-_CLOSED: Final = 1e-6
-"""Share of its distance by which an orbit around a centre may miss itself: a hundred times the error of a turn."""
-
-_ROUNDING: Final = 10.0 * float(np.finfo(np.float64).eps)
-"""Share of itself by which an entry of a Jacobian errs: sums and products of a few terms."""
-
-_SHIFTS: Final = 10.0 ** np.arange(-12.0, -1.0)
-"""Widths by which a point is moved to see how far rounding leaves its place open."""
-
-_START_WIDTH: Final = 0.05
-"""Widths from a point within which courses begin that tell whether it attracts."""
-
-_STARTS: Final = 16
-_MOST_STEPS_BESIDE: Final = 3000
-"""Of such a course."""
-
-_DURATIONS: Final = (20.0, 200.0, 2e3, 2e4, 1e6, 1e9)
-"""Lengths of such courses, in times that a state takes through the box: along an eigenvalue of 0 points are approached
-by a power of time. Steps get longer on the way, but not where courses go round."""
-
-
-@dataclass(frozen=True, eq=False)
-class FixedPoint:
-    """A point (D,) with dx/dt = 0, the `eigenvalues` (D,) of the Jacobian there by falling real part, and its `kind`.
-
-    It `is_stable` where it attracts from all sides: by its eigenvalues, or where one of these is 0 by simulations from
-    beside it. One that `attracts_in_box` does so from the part of the box beside it, which is all that counts of states
-    that are never below 0.
-    """
-
-    point: FloatArray
-    eigenvalues: Complexes
-    kind: str
-    is_stable: bool
-    attracts_in_box: bool
+# ------------------------------------------------------------------------------------------------ kinds and stability
 
 
 @np.errstate(all="ignore")
 def classified(flow: Flow, point: FloatArray, box: Box, along: FloatArray | None = None) -> FixedPoint:
     """Return a fixed point with its eigenvalues and kind.
 
-    Of one on a curve or surface of fixed points, whose directions `along` it are (k, D) in widths, k eigenvalues are 0;
-    its kind and whether it attracts are by the others.
+    For a point of a curve or surface of fixed points, `along` has the directions of that set, (k, D) in widths; then k
+    eigenvalues are 0, and the others give its kind and whether it attracts.
     """
     matrix, along = jacobian_in_widths(flow, point, box), np.zeros((0, flow.size)) if along is None else along
     if not np.isfinite(matrix).all():
@@ -239,12 +354,11 @@ def kind_of(eigenvalues: Complexes, uncertainties: FloatArray | float = 0.0) -> 
     """Return the kind of a fixed point by the eigenvalues (D,) of its Jacobian and the uncertainty of each.
 
     "stable" or "unstable" with "node" or "focus"; "saddle"; "saddle-focus", a saddle with a complex pair; "centre", an
-    imaginary pair in two dimensions, as the linear part has it; "non-hyperbolic" otherwise.
+    imaginary pair in two dimensions, by the linear part; "non-hyperbolic" otherwise.
     """
     real, has_pair = eigenvalues.real, bool((np.abs(eigenvalues.imag) > uncertainties).any())
     if not len(real) or (np.abs(real) <= uncertainties).any():
-        is_pair = len(eigenvalues) == 2 and has_pair
-        return "centre" if is_pair else NON_HYPERBOLIC
+        return "centre" if len(eigenvalues) == 2 and has_pair else NON_HYPERBOLIC
     if (real < 0.0).any() and (real > 0.0).any():
         return "saddle-focus" if has_pair else "saddle"
     return ("stable " if real[0] < 0.0 else "unstable ") + ("focus" if has_pair else "node")
@@ -255,16 +369,19 @@ def _eigenvalues(
 ) -> tuple[Complexes, FloatArray]:
     """Return the eigenvalues (D,) of the Jacobian `matrix` by falling real part, and the uncertainty of each (D,).
 
-    To first order an error E of the matrix changes an eigenvalue by y^H E x / y^H x, by its eigenvectors x and y. Of
-    eigenvectors that coincide that has no end; an eigenvalue changes by about |A| (|E|/|A|)^(1/D) at most. What is not
-    told from 0 is 0, and so are as many eigenvalues as there are directions `along` a curve or surface.
+    To first order an error E of the matrix changes an eigenvalue by y^H E x / y^H x, with its eigenvectors x and y.
+    This has no bound where eigenvectors coincide, but an eigenvalue changes by about |A| (|E|/|A|)^(1/D) at most.
+    Eigenvalues within their uncertainty become 0, and so do as many as there are directions `along` a set.
     """
     from scipy.linalg import eig
 
     values, left, right = eig(matrix, left=True, right=True)
     values = values.astype(np.complex128)
     conditions = np.maximum(np.abs((left.conj() * right).sum(axis=0)), 1e-300)
-    errors = [_rounding(flow, point, box, matrix), *_changes(flow, point, box, matrix, along)]
+    shifts = _ROUNDING * np.diag(np.maximum(np.abs(point), box.widths))
+    changes = np.abs(jacobian_in_widths(flow, point + np.vstack([shifts, -shifts]), box) - matrix).max(axis=0)
+    rounding = _ROUNDING * np.abs(matrix) + np.where(np.isfinite(changes), changes, 0.0)
+    errors = [rounding, *_changes(flow, point, box, matrix, along)]
     by_errors = [np.einsum("ij,ik,kj->j", np.abs(left), error, np.abs(right)) for error in errors]
     size = float(np.linalg.norm(matrix))
     by_errors.append(np.full(len(values), _ROUNDING * size))  # the backward error of the algorithm
@@ -274,27 +391,20 @@ def _eigenvalues(
     values.real[np.abs(values.real) <= uncertainties] = 0.0
     values.imag[np.abs(values.imag) <= uncertainties] = 0.0
     values[np.argsort(np.abs(values), kind="stable")[: len(along)]] = 0.0
-    rounded = [float(f"{value:.12g}") for value in values.real.tolist()]  # of a pair both real parts are to be one
+    rounded = [float(f"{value:.12g}") for value in values.real.tolist()]  # the real parts of a pair must be equal
     falling = np.lexsort((values.imag, -np.array(rounded)))
     return values[falling] + 0.0, uncertainties[falling]
 
 
-def _rounding(flow: Flow, point: FloatArray, box: Box, matrix: FloatArray) -> FloatArray:
-    """Return by how much entries of the Jacobian (D, D) err by rounding: their own, and that of the point."""
-    shifts = _ROUNDING * np.diag(np.maximum(np.abs(point), box.widths))
-    changes = np.abs(jacobian_in_widths(flow, point + np.vstack([shifts, -shifts]), box) - matrix).max(axis=0)
-    return np.asarray(_ROUNDING * np.abs(matrix) + np.where(np.isfinite(changes), changes, 0.0))
-
-
 def _changes(flow: Flow, point: FloatArray, box: Box, matrix: FloatArray, along: FloatArray) -> Iterator[FloatArray]:
-    """Yield by how much the Jacobian (D, D) changes between the places that rounding does not tell from the point.
+    """Yield the changes of the Jacobian (D, D) between the places that rounding does not distinguish from the point.
 
-    They are, in each direction, those where rates are below `EXACT` of typical ones, or no larger than at the point;
-    directions `along` a curve of fixed points do not count.
+    In each direction these are the places where rates are below `_EXACT` or no larger than at the point; directions
+    `along` a curve of fixed points do not count.
     """
     scale = rate_scale(flow, box)
-    directions = np.linalg.svd(scaled_jacobian(flow, point[None], box, scale)[0])[2]
-    limit = max(EXACT, 2.0 * float(np.abs(flow.rates(point) / scale).max()))
+    directions = np.linalg.svd(_scaled_jacobian(flow, point[None], box, scale)[0])[2]
+    limit = max(_EXACT, 2.0 * float(np.abs(flow.rates(point) / scale).max()))
     for direction in directions - directions @ along.T @ along:
         moved = point + _SHIFTS[:, None, None] * np.array([[1.0], [-1.0]]) * direction * box.widths
         sizes = np.abs(flow.rates(moved.reshape(-1, flow.size)) / scale).max(axis=1).reshape(-1, 2).max(axis=1)
@@ -305,145 +415,60 @@ def _changes(flow: Flow, point: FloatArray, box: Box, matrix: FloatArray, along:
 
 
 def _attracts(flow: Flow, point: FloatArray, box: Box, along: FloatArray) -> tuple[bool, bool]:
-    """Tell whether courses from beside `point` within the `box` come nearer to it and stay, and whether all do.
+    """Tell whether simulations from near `point` within the `box` approach it and stay, and whether all do.
 
-    They begin all around it, and on both sides of it in the directions in which rates hardly change, where it may
-    attract from one side alone. By directions `along` a curve or surface through the point, only how far from that they
-    are counts.
+    They begin all around it, and on both sides of it in the directions in which rates hardly change, since it may
+    attract from one side only. With directions `along` a curve or surface, distances are measured from that set.
     """
-    beside = Box(point - _START_WIDTH * box.widths, point + _START_WIDTH * box.widths)
-    slow = _START_WIDTH * singular_directions(flow, point[None], box)[0] * box.widths
-    starts = np.vstack([beside.points(_STARTS), point + slow, point - slow])
+    around = Box(point - _START_WIDTH * box.widths, point + _START_WIDTH * box.widths)
+    slow = _START_WIDTH * _singular_directions(flow, point[None], box)[0] * box.widths
+    starts = np.vstack([around.points(_STARTS), point + slow, point - slow])
     within = np.clip(starts, box.lower, box.upper)
-    batch = IntegrationBatch.of(np.vstack([within, starts]), 1e-3 * time_scale(flow, box))
-    first = _distances(batch.states, point, box, along)
-    most, sizes = _MOST_STEPS_BESIDE // len(_DURATIONS), 1e-3 * box.widths
+    scale = time_scale(flow, box)
+    batch = IntegrationBatch.of(np.vstack([within, starts]), 1e-3 * scale)
+
+    def distances(states: FloatArray) -> FloatArray:
+        away = (states - point) / box.widths
+        return np.asarray(np.abs(away - away @ along.T @ along).max(axis=1))
+
+    first = distances(batch.states)
     for duration in _DURATIONS:
-        until = duration * time_scale(flow, box)
-        batch.advance(flow.rates, until, sizes, rtol=1e-5, most_steps=most, jacobian=flow.jacobian)
+        batch.settle(flow, box, duration * scale, rtol=1e-5, most_steps=_MOST_STEPS // len(_DURATIONS))
         batch.is_lost |= box.excursions(batch.states) > UNBOUNDED
         if batch.is_lost[: len(within)].any():
             return False, False
-    last = _distances(batch.states, point, box, along)
-    is_nearer = ~batch.is_lost & (last < 0.5 * first.max())
+    is_nearer = ~batch.is_lost & (distances(batch.states) < 0.5 * first.max())
     return bool(is_nearer[: len(within)].all()), bool(is_nearer.all())
 
 
-def _distances(states: FloatArray, point: FloatArray, box: Box, along: FloatArray) -> FloatArray:
-    """Return how far states (N, D) are from a point (N,), in widths, or from the surface `along` which it lies."""
-    away = (states - point) / box.widths
-    return np.asarray(np.abs(away - away @ along.T @ along).max(axis=1))
-
-
 def _is_centre(flow: Flow, point: FloatArray, eigenvalues: Complexes, box: Box) -> bool:
-    """Tell whether orbits beside `point` close: the nearest comes round, and each that does is where it began.
+    """Tell whether orbits around `point` close: the smallest does, and each larger one that returns ends at its start.
 
-    Several are looked at, since a damping that grows with the amplitude is not seen near the point.
+    Several amplitudes are simulated, since damping that grows with the amplitude is not seen near the point.
     """
-    turns = [_turn(flow, point, share * box.widths[0], eigenvalues, box) for share in _AMPLITUDES]
-    return turns[0] is not None and all(turn is None or abs(turn - 1.0) < _CLOSED for turn in turns)
-
-
-def _turn(flow: Flow, point: FloatArray, radius: float, eigenvalues: Complexes, box: Box) -> float | None:
-    """Return the distance from `point` on its first side after a turn, over the `radius` before; None: it has none."""
     period = 2.0 * np.pi / float(np.abs(eigenvalues.imag).max())
-    start = point + np.array([radius, 0.0])
 
     def height(x: FloatArray) -> float:
         return float((x - point)[1])
 
-    for step in steps(flow.rates, start, 3.0 * period, box.widths):
-        before, after = step.start - point, step.end - point
-        if before[1] * after[1] <= 0.0 < after[0] and step.after > 0.5 * period:
-            return float((step.at(crossing(step, height)) - point)[0] / radius)
-    return None
+    def turn(radius: float) -> float | None:
+        for step in steps(flow.rates, point + np.array([radius, 0.0]), 3.0 * period, box.widths):
+            before, after = step.start - point, step.end - point
+            if before[1] * after[1] <= 0.0 < after[0] and step.after > 0.5 * period:
+                return float((step.at(crossing(step, height)) - point)[0] / radius)
+        return None
+
+    turns = [turn(share * box.widths[0]) for share in _AMPLITUDES]
+    return turns[0] is not None and all(ratio is None or abs(ratio - 1.0) < _CLOSED for ratio in turns)
 
 
-MOST_SETS: Final = 10
-"""Curves and surfaces that are shown."""
-
-_NEIGHBOUR: Final = 0.01
-"""Widths beside a point at which neighbours are sought, and half of that: a curve goes on for both."""
-
-_STEP: Final = 0.02
-"""Widths from one point of a curve to the next."""
-
-_MOST_STEPS: Final = 400
-"""Of a curve, in each direction."""
-
-_ON: Final = 2e-3
-"""Widths within which a point belongs to a curve that has been followed: its chords are off by less."""
-
-_EXAMPLES: Final = 9
-"""Points of a curve or a surface that are classified."""
-
-
-@dataclass(frozen=True, eq=False)
-class FixedSet:
-    """Fixed points that are not isolated: a curve of `dimension` 1, a surface of 2 or more.
-
-    `course` (n, D) are points of it in the box, those of a curve in their order, and `points` some of these with their
-    kinds across it. `whole` (m, D) are those of a curve also outside, to D widths of the box beyond.
-    """
-
-    dimension: int
-    course: FloatArray = field(repr=False)
-    whole: FloatArray = field(repr=False)
-    points: tuple[FixedPoint, ...] = field(repr=False)
-
-    @property
-    def is_straight(self) -> bool:
-        """Whether a curve is a line."""
-        chord = self.course[-1] - self.course[0]
-        size = float(chord @ chord)
-        if self.dimension > 1 or not size > 0.0:
-            return False
-        away = self.course - self.course[0]
-        return bool(np.abs(away - np.outer(away @ chord / size, chord)).max() <= 1e-6 * np.abs(chord).max())
-
-    @property
-    def attracts_in_box(self) -> bool:
-        """Whether a part of it attracts."""
-        return any(point.attracts_in_box for point in self.points)
-
-    def attracts_at(self, flow: Flow, states: FloatArray, box: Box) -> np.ndarray:
-        """Tell of `states` (N, D) beside it whether it attracts there: by the eigenvalues across it.
-
-        Where the largest of these is about 0, the nearest of `points` decides.
-        """
-        known = np.array([point.point for point in self.points])
-        nearest = (((states[:, None] - known) / box.widths) ** 2).sum(axis=2).argmin(axis=1)
-        attracts = np.array([point.attracts_in_box for point in self.points])[nearest]
-        values = np.linalg.eigvals(np.nan_to_num(flow.jacobian(states)))
-        sizes = np.sort(np.abs(values), axis=1)
-        is_across = np.abs(values) > sizes[:, self.dimension - 1 : self.dimension]
-        slowest = np.where(is_across, values.real, -np.inf).max(axis=1, initial=-np.inf)
-        return np.asarray((slowest < 0.0) | (attracts & (slowest <= _ON * sizes[:, -1])))
-
-    def distances(self, flow: Flow, states: FloatArray, box: Box) -> FloatArray:
-        """Return how far `states` (N, D) are from it (N,), in widths: of a surface, the length of a Newton step."""
-        if self.dimension == 1:
-            return from_course(self.whole, states, box)
-        scale = rate_scale(flow, box)
-        inverses = np.linalg.pinv(scaled_jacobian(flow, states, box, scale), rcond=1e-4)
-        steps = np.einsum("nij,nj->ni", inverses, np.nan_to_num(flow.rates(states) / scale))
-        return np.asarray(np.sqrt((steps**2).sum(axis=1)))
-
-
-def from_course(course: FloatArray, states: FloatArray, box: Box) -> FloatArray:
-    """Return how far `states` (N, D) are from the chords of a `course` (n, D), (N,), in widths."""
-    corners = course / box.widths
-    sides, beside = np.diff(corners, axis=0), states[:, None] / box.widths - corners[:-1]
-    lengths = np.maximum((sides**2).sum(axis=1), 1e-300)
-    share = np.clip((beside * sides).sum(axis=2) / lengths, 0.0, 1.0)
-    return np.asarray(np.sqrt(((beside - share[:, :, None] * sides) ** 2).sum(axis=2)).min(axis=1))
+# -------------------------------------------------------------------------------------------------- curves and surfaces
 
 
 def tangents(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
-    """Return for each of the fixed `points` (n, D) the directions (k, D), in widths, in which others lie beside it."""
-    slow = singular_directions(flow, points, box)
+    """Return for each of the fixed `points` (n, D) the directions (k, D), in widths, of other fixed points near it."""
     starts, owners = [np.zeros((0, flow.size))], list[int]()
-    for index, (point, directions) in enumerate(zip(points, slow, strict=True)):
+    for index, (point, directions) in enumerate(zip(points, _singular_directions(flow, points, box), strict=True)):
         for direction in directions:
             sides = _NEIGHBOUR * np.array([[1.0], [-1.0], [0.5], [-0.5]]) * direction
             starts.append(point + sides * box.widths)
@@ -455,11 +480,11 @@ def tangents(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
     away = (ends - np.repeat(points[owners], 4, axis=0)) / box.widths
     sizes = np.where(is_root, np.abs(away).max(axis=1), 0.0).reshape(-1, 4)
     far, near = sizes[:, :2], sizes[:, 2:]
-    goes_on = (near > 0.25 * _NEIGHBOUR) & (far > 1.5 * near) & (far < 4.0 * _NEIGHBOUR)
+    continues = (near > 0.25 * _NEIGHBOUR) & (far > 1.5 * near) & (far < 4.0 * _NEIGHBOUR)
     found: list[FloatArray] = []
     for index in range(len(points)):
-        mine = np.flatnonzero(np.array(owners) == index)
-        moved = [away[4 * row + side] for row in mine for side in (0, 1) if goes_on[row, side]]
+        rows = np.flatnonzero(np.array(owners) == index)
+        moved = [away[4 * row + side] for row in rows for side in (0, 1) if continues[row, side]]
         if not moved:
             found.append(np.zeros((0, flow.size)))
             continue
@@ -468,8 +493,8 @@ def tangents(flow: Flow, points: FloatArray, box: Box) -> list[FloatArray]:
     return found
 
 
-def fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet], FloatArray]:
-    """Return the curves and surfaces that some of the fixed `points` (n, D) lie on, and the others, (m, D)."""
+def _fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet], FloatArray]:
+    """Return the curves and surfaces that some of the fixed `points` (n, D) lie on, and the isolated points, (m, D)."""
     directions = tangents(flow, points, box)
     counts = np.array([len(along) for along in directions], dtype=np.int64)
     is_left, sets = counts > 0, list[FixedSet]()
@@ -478,40 +503,37 @@ def fixed_sets(flow: Flow, box: Box, points: FloatArray) -> tuple[list[FixedSet]
         course, whole = _followed(flow, box, points[seed], directions[seed][0])
         is_left[seed] = False
         if len(course) > 2:
-            is_left &= from_course(course, points, box) > _ON
-            sets.append(_curve(flow, box, course, whole))
+            is_left &= box.distances(points, course) > _ON
+            kinds = []
+            for row in _spread(len(course)):
+                chord = (course[min(row + 1, len(course) - 1)] - course[max(row - 1, 0)]) / box.widths
+                unit = chord[None] / max(float(np.sqrt(chord @ chord)), 1e-300)
+                kinds.append(classified(flow, course[row], box, unit))
+            sets.append(FixedSet(1, course, whole, tuple(kinds)))
         else:
             counts[seed] = 0
     rest = np.flatnonzero(is_left & (counts > 1))
     if len(rest) > 2 and len(sets) < MOST_SETS:
-        sets.append(_surface(flow, box, points[rest], [directions[index] for index in rest]))
+        dimension = int(np.median(counts[rest]))
+        rows = rest[counts[rest] == dimension]
+        examples = tuple(classified(flow, points[row], box, directions[row]) for row in rows[_spread(len(rows))])
+        sets.append(FixedSet(dimension, points[rows], points[rows], examples))
         is_left[rest] = False
     alone = (counts == 0) | (is_left & (counts > 1))
     for fixed in sets:
         if fixed.dimension == 1:
-            alone &= from_course(fixed.course, points, box) > _ON
+            alone &= box.distances(points, fixed.course) > _ON
     return sets, points[alone]
 
 
-def _curve(flow: Flow, box: Box, course: FloatArray, whole: FloatArray) -> FixedSet:
-    rows = np.unique(np.linspace(0, len(course) - 1, _EXAMPLES).round().astype(int))
-    kinds = []
-    for row in rows.tolist():
-        chord = (course[min(row + 1, len(course) - 1)] - course[max(row - 1, 0)]) / box.widths
-        kinds.append(classified(flow, course[row], box, chord[None] / max(float(np.sqrt(chord @ chord)), 1e-300)))
-    return FixedSet(1, course, whole, tuple(kinds))
-
-
-def _surface(flow: Flow, box: Box, points: FloatArray, directions: Sequence[FloatArray]) -> FixedSet:
-    dimension = int(np.median([len(along) for along in directions]))
-    rows = [row for row in range(len(points)) if len(directions[row]) == dimension]
-    shown = [rows[place] for place in np.unique(np.linspace(0, len(rows) - 1, _EXAMPLES).round().astype(int))]
-    kinds = tuple(classified(flow, points[row], box, directions[row]) for row in shown)
-    return FixedSet(dimension, points[rows], points[rows], kinds)
+def _spread(count: int) -> list[int]:
+    """Return the indices of at most `_EXAMPLES` of `count` points, spread evenly."""
+    rows: list[int] = np.unique(np.linspace(0, count - 1, _EXAMPLES).round().astype(int)).tolist()
+    return rows
 
 
 def _followed(flow: Flow, box: Box, seed: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the points (n, D) of the curve through `seed` across the box, and those from beyond it on either side."""
+    """Return the points (n, D) of the curve through `seed` in the box, and the same with its continuation outside."""
     ahead, is_closed = _followed_to_its_end(flow, box, box, seed, direction)
     if is_closed:
         course = np.array([seed, *ahead, seed])
@@ -520,8 +542,8 @@ def _followed(flow: Flow, box: Box, seed: FloatArray, direction: FloatArray) -> 
     course = np.array([*reversed(behind), seed, *ahead])
     if len(course) < 3:
         return course, course
-    beside = flow.size * box.widths  # as far as sums that are kept may lead
-    wide = Box(box.lower - beside, box.upper + beside)
+    margin = flow.size * box.widths  # a conserved sum of the states can lead so far
+    wide = Box(box.lower - margin, box.upper + margin)
     beyond = []
     for last, before in ((course[0], course[1]), (course[-1], course[-2])):
         away = (last - before) / box.widths
@@ -535,8 +557,10 @@ def _followed_to_its_end(
 ) -> tuple[list[FloatArray], bool]:
     """Return the points within `limits` after `seed` in a direction (D,), and whether they lead back to it."""
     course, here = list[FloatArray](), seed
-    for _ in range(_MOST_STEPS):
-        step = _STEP * _inside(here, direction, limits, box)
+    for _ in range(_MOST_CURVE_STEPS):
+        with np.errstate(all="ignore"):  # the last step ends at the limits
+            room = np.where(direction > 0.0, limits.upper - here, here - limits.lower) / box.widths / np.abs(direction)
+        step = float(np.clip(room[np.abs(direction) > 1e-9].min(initial=_STEP), 0.0, _STEP))
         if step < 1e-6:
             break
         ends, is_root = newton_steps(flow, box, (here + step * direction * box.widths)[None])
@@ -550,67 +574,3 @@ def _followed_to_its_end(
         if len(course) > 2 and np.sqrt(back @ back) < 0.6 * _STEP:
             return course[:-1], True
     return course, False
-
-
-def _inside(here: FloatArray, direction: FloatArray, limits: Box, box: Box) -> float:
-    """Return which share of a step in a direction, (D,) in widths of the box, remains within `limits`, at most 1."""
-    with np.errstate(all="ignore"):
-        room = (
-            np.where(direction > 0.0, limits.upper - here, here - limits.lower)
-            / box.widths
-            / (_STEP * np.abs(direction))
-        )
-    return float(np.clip(room[np.abs(direction) > 1e-9].min(initial=1.0), 0.0, 1.0))
-
-
-MOST_POINTS: Final = 100
-"""Points that are looked at: more of them are a curve or a surface, of which so many are enough."""
-
-_APART: Final = 1e-5
-"""Points nearer than this, in widths of the box, are one."""
-
-_APART_DEGENERATE: Final = 1e-3
-"""The same where the Jacobian is singular, which Newton steps approach slowly."""
-
-
-@dataclass(frozen=True, eq=False)
-class FixedPoints:
-    """What a search found from so many `starts`, of which `converged` ended in a fixed point.
-
-    `points` are isolated; `sets` are curves and surfaces of others.
-    """
-
-    points: tuple[FixedPoint, ...]
-    starts: int
-    converged: int
-    sets: tuple[FixedSet, ...] = ()
-
-    @property
-    def are_isolated(self) -> bool:
-        """Whether no fixed points form a curve or a surface."""
-        return not self.sets
-
-
-def fixed_points(flow: Flow, box: Box) -> FixedPoints:
-    """Return the fixed points in `box`, by rising first coordinate, then second, and so on."""
-    starts = newton_starts(box)
-    ends = newton_ends(flow, box, starts)
-    inside = ends[box.contains(ends, 1e-6)]
-    sets, isolated = fixed_sets(flow, box, distinct_points(flow, inside, box))
-    points = tuple(classified(flow, point, box) for point in isolated)
-    return FixedPoints(points, len(starts), len(inside), tuple(sets))
-
-
-def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
-    """Return one of each group of fixed points (n, D) that lie together, in order of their coordinates."""
-    singular = np.linalg.svd(scaled_jacobian(flow, points, box, rate_scale(flow, box)), compute_uv=False)
-    apart = np.where(singular[:, -1] < SINGULAR * singular[:, 0], _APART_DEGENERATE, _APART)
-    kept: list[FloatArray] = []
-    for point, least in zip(points, apart.tolist(), strict=True):
-        if len(kept) > MOST_POINTS:
-            break
-        if all(np.abs((point - other) / box.widths).max() > least for other in kept):
-            kept.append(point)
-    rounded = [tuple(np.round(point / box.widths, 6)) for point in kept]
-    order = sorted(range(len(kept)), key=rounded.__getitem__)
-    return np.array([kept[index] for index in order]).reshape(-1, flow.size)

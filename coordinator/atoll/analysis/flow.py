@@ -1,12 +1,13 @@
-"""The box of states that an analysis looks at.
+"""A vector field with its inputs and parameters held, the box of states to look at, and integration in time.
 
-A vector field with its inputs and parameters held, followed in time. Letters: D states, N starts.
+One initial state is integrated by LSODA, which handles stiffness (Petzold 1983). Many initial states are integrated
+together by the pair of Dormand and Prince (1980) of order 5, each with its own step. Where stability and not accuracy
+limits the step of one of them, it continues with a Rosenbrock method (RODAS3 of Sandu et al. 1997, Atmospheric
+Environment 31:3459: order 3, four stages, L-stable). scipy has no integrator of many initial states with separate
+steps; one LSODA for each of 1,600 grid points would take a hundred times as long.
 
-One start is followed by LSODA, which copes with stiffness (Petzold 1983); many starts at once by the pair of Dormand
-and Prince (1980) of order 5, each start with steps of its own. Starts whose steps are bounded by stability rather than
-by accuracy go on by a Rosenbrock method (RODAS3 of Sandu et al. 1997, Atmospheric Environment 31:3459: order 3, four
-stages, L-stable). All are bounded in steps, and a run that leaves every bound or meets a point without a value ends
-there: that is a result, not an error.
+All integrations are bounded in steps. A trajectory that leaves every bound or reaches a point where a rate is undefined
+ends there: this is a result and not an error. Letters: D states, N initial states.
 """
 
 import warnings
@@ -18,6 +19,43 @@ import numpy as np
 
 from atoll.model.vector_field import VectorField
 from atoll_core.data.dataset import FloatArray
+
+Rates = Callable[[FloatArray], FloatArray]
+
+MOST_STEPS: Final = 20_000
+"""Steps of one LSODA integration."""
+
+SETTLING: Final = 60.0
+"""Length of simulations, in times that a state takes through the box. A transient ten times as slow as that has then
+decayed to exp(-6), a quarter of a percent."""
+
+LONGER: Final = (1e2, 1e4, 1e6)
+"""Factors by which initial states that have nearly come to rest are followed longer: they move in a slow direction."""
+
+_RESTING: Final = 0.02
+"""A state counts as nearly at rest when it moves less than so many widths of the box in the time that it would take
+through the box."""
+
+UNBOUNDED: Final = 1e3
+"""Widths of the box from its middle beyond which a state counts as diverged."""
+
+_NODES: Final = (
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+_ERROR: Final = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+
+_UNSTABLE: Final = 3.25
+"""Step times largest eigenvalue at the stability boundary of the pair (Hairer and Wanner 1996, section IV.2)."""
+
+_STIFF_STEPS: Final = 15
+"""Steps at that boundary after which an initial state counts as stiff, unless six others come first (ibid.)."""
+
+_CALM_STEPS: Final = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +78,7 @@ class Box:
     def points(self, count: int, seed: int = 0) -> FloatArray:
         """Return `count` points (count, D) spread evenly over the box: an additive recurrence (Roberts 2018).
 
-        Its ratios are powers of the root of g**(D + 1) = g + 1; `seed` numbers disjoint stretches of it.
+        Its ratios are powers of the root of g**(D + 1) = g + 1; each `seed` gives points of its own.
         """
         size, root = len(self.lower), 1.5
         for _ in range(64):
@@ -50,57 +88,26 @@ class Box:
         return np.asarray(self.lower + self.widths * ((0.5 + numbers[:, None] * ratios) % 1.0))
 
     def excursions(self, states: FloatArray) -> FloatArray:
-        """Return how far states (N, D) are from the middle, (N,), in the width by which they are farthest from it."""
+        """Return the largest distance (N,) of states (N, D) from the middle in any direction, in widths."""
         return np.asarray((np.abs(states - self.middle) / self.widths).max(axis=1))
 
     def contains(self, points: FloatArray, margin: float = 0.0) -> np.ndarray:
-        """Tell of each point (N, D) whether it lies in the box widened by `margin` widths."""
+        """Tell which points (N, D) lie in the box widened by `margin` widths."""
         beyond = margin * self.widths
         return np.asarray(((points >= self.lower - beyond) & (points <= self.upper + beyond)).all(axis=-1))
 
-
-Rates = Callable[[FloatArray], FloatArray]
-Jacobians = Callable[[FloatArray], FloatArray]
-
-MOST_STEPS: Final = 20_000
-"""Steps of one start."""
-
-SETTLING: Final = 60.0
-"""Length of simulations, in times that a state takes through the box: what decays ten times as slowly as that is by
-then down to exp(-6), a quarter of a percent."""
-
-LONGER: Final = (1e2, 1e4, 1e6)
-"""How much longer starts are followed that have nearly come to rest: they are on their way along a slow direction."""
-
-_RESTING: Final = 0.02
-"""Widths of the box that a start moves, at most, in the time that a state takes through the box to count as nearly at
-rest."""
-
-UNBOUNDED: Final = 1e3
-"""Widths of the box from its middle beyond which a state counts as gone."""
-
-_NODES: Final = (
-    (1 / 5,),
-    (3 / 40, 9 / 40),
-    (44 / 45, -56 / 15, 32 / 9),
-    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
-    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
-    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
-)
-_ERROR: Final = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
-
-_UNSTABLE: Final = 3.25
-"""Step times largest eigenvalue on the boundary of stability of that pair (Hairer and Wanner 1996, section IV.2)."""
-
-_STIFF_STEPS: Final = 15
-"""Steps at that boundary after which a start counts as stiff, unless six others come first (ibid.)."""
-
-_CALM_STEPS: Final = 6
+    def distances(self, points: FloatArray, polyline: FloatArray) -> FloatArray:
+        """Return the distances (N,) of points (N, D) from the sides of a polyline (n, D), in widths."""
+        corners = polyline / self.widths
+        sides, away = np.diff(corners, axis=0), points[:, None] / self.widths - corners[:-1]
+        lengths = np.maximum((sides**2).sum(axis=1), 1e-300)
+        share = np.clip((away * sides).sum(axis=2) / lengths, 0.0, 1.0)
+        return np.asarray(np.sqrt(((away - share[:, :, None] * sides) ** 2).sum(axis=2)).min(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """dx/dt = f(x) of D states: a `field` at `inputs` (U,) and `parameters` (P,), `direction` -1 for backward time."""
+    """dx/dt = f(x) of D states: a `field` at `inputs` (U,) and `parameters` (P,); `direction` -1 is backward time."""
 
     field: VectorField
     inputs: FloatArray
@@ -109,7 +116,7 @@ class Flow:
 
     @classmethod
     def of(cls, field: VectorField, inputs: FloatArray | None = None) -> "Flow":
-        """Return the flow at the parameters of the model; inputs are 0 unless given."""
+        """Return the flow at the parameters of the model; inputs are 0 by default."""
         held = np.zeros(len(field.inputs)) if inputs is None else np.asarray(inputs, dtype=np.float64)
         return cls(field, held, field.values_of_parameters)
 
@@ -126,18 +133,13 @@ class Flow:
         """Return the Jacobian (D, D) or (N, D, D)."""
         return self.direction * self.field.jacobian(x, self.inputs, self.parameters)
 
-    def by_parameters(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of dx/dt by the parameters, (D, P) or (N, D, P)."""
-        return self.direction * self.field.parameter_derivatives(x, self.inputs, self.parameters)
 
-    def by_inputs(self, x: FloatArray) -> FloatArray:
-        """Return the derivative of dx/dt by the inputs, (D, U) or (N, D, U)."""
-        return self.direction * self.field.input_derivatives(x, self.inputs, self.parameters)
+# ------------------------------------------------------------------------------------------------- one initial state
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A step of one start: from `before` to `after`; `at(time)` is the state between, (D,)."""
+    """One step from time `before` to `after`; `at(time)` is the state in between, (D,)."""
 
     before: float
     after: float
@@ -149,9 +151,9 @@ class Step:
 def steps(
     rates: Rates, start: FloatArray, duration: float, sizes: FloatArray, *, rtol: float = 1e-9, most: int = MOST_STEPS
 ) -> Iterator[Step]:
-    """Yield the steps from `start` over `duration`; fewer where a state has no rates or `most` are done.
+    """Yield the steps from `start` over `duration`; fewer where a rate is undefined or after `most` steps.
 
-    Errors are `rtol` of a state, and a hundredth of that of its size (D,), such as its extent in a box.
+    The relative tolerance is `rtol`; the absolute one is a hundredth of it times the `sizes` (D,) of the states.
     """
     from scipy.integrate import LSODA
 
@@ -171,10 +173,10 @@ def steps(
 
 
 def crossing(step: Step, side: Callable[[FloatArray], float]) -> float:
-    """Return the time within a step at which the sign of `side` changes, which is a function of the state (D,)."""
+    """Return the time within a step at which `side`, a function of the state (D,), changes its sign."""
     from scipy.optimize import brentq
 
-    def at(share: float) -> float:  # of the step: digits of a time have its unit
+    def at(share: float) -> float:  # a share of the step, since the tolerance of brentq has no unit of time
         return side(step.at(step.before + share * (step.after - step.before)))
 
     low, high = at(0.0), at(1.0)
@@ -184,15 +186,13 @@ def crossing(step: Step, side: Callable[[FloatArray], float]) -> float:
 
 
 def follow(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return the states (n, D) at rising `times` from 0; NaN after the point where the course cannot be followed.
+    """Return the states (n, D) at ascending `times` from 0; NaN after the point where the integration ends.
 
-    `sizes` (D,) are those of the states, as of `steps`.
+    `sizes` (D,) are the sizes of the states, as in `steps`.
     """
     states = np.full((len(times), len(start)), np.nan)
-    row = 0
-    while row < len(times) and times[row] <= 0.0:
-        states[row] = start
-        row += 1
+    row = int(np.searchsorted(times, 0.0, side="right"))
+    states[:row] = start
     for step in steps(rates, start, float(times[-1]) if len(times) else 0.0, sizes):
         while row < len(times) and times[row] <= step.after:
             states[row] = step.at(float(times[row]))
@@ -200,17 +200,20 @@ def follow(rates: Rates, start: FloatArray, times: FloatArray, sizes: FloatArray
     return states
 
 
+# ----------------------------------------------------------------------------------------------- many initial states
+
+
 def is_nearly_at_rest(states: FloatArray, before: FloatArray, box: Box, span: float) -> np.ndarray:
-    """Tell which of `states` (N, D) have hardly moved from `before` (N, D), a `span` of times through the box ago."""
+    """Tell which `states` (N, D) have hardly moved since `before` (N, D), a `span` of times through the box ago."""
     return np.asarray(np.abs((states - before) / box.widths).max(axis=1) < _RESTING * span)
 
 
 @dataclass(eq=False)
 class IntegrationBatch:
-    """N starts that are integrated together: `states` (N, D), each at its time (N,) with its next step (N,).
+    """N initial states that are integrated together: `states` (N, D), each at its time (N,) with its next step (N,).
 
-    `is_lost` (N,): it met a point without rates. `bounded` and `calm` (N,) count steps at the boundary of stability,
-    and others since the last of these; `is_stiff` (N,) starts go on by implicit steps.
+    `is_lost` (N,): a rate became undefined. `bounded` (N,) counts steps at the stability boundary, `calm` (N,) other
+    steps since the last of these; initial states that count as stiff continue with implicit steps.
     """
 
     states: FloatArray
@@ -222,20 +225,19 @@ class IntegrationBatch:
 
     @classmethod
     def of(cls, states: FloatArray, step: float) -> "IntegrationBatch":
-        """Return starts at time 0, with a first step to try."""
+        """Return initial states at time 0, with the first step to try."""
         count = len(states)
         counters = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         return cls(np.array(states), np.zeros(count), np.full(count, step), np.zeros(count, dtype=bool), *counters)
 
     def of_rows(self, rows: np.ndarray) -> "IntegrationBatch":
-        """Return some of the starts."""
+        """Return some of the initial states."""
         parts = (self.states, self.times, self.sizes, self.is_lost, self.bounded, self.calm)
         return IntegrationBatch(*(part[rows] for part in parts))
 
-    @property
-    def is_stiff(self) -> np.ndarray:
-        """Which starts have shown that stability bounds their steps."""
-        return np.asarray(self.bounded >= _STIFF_STEPS)
+    def settle(self, flow: Flow, box: Box, until: float, *, rtol: float, most_steps: int) -> None:
+        """Integrate a flow until that time, with absolute errors of `rtol` times a thousandth of the box."""
+        self.advance(flow.rates, until, 1e-3 * box.widths, rtol=rtol, most_steps=most_steps, jacobian=flow.jacobian)
 
     def advance(
         self,
@@ -245,18 +247,19 @@ class IntegrationBatch:
         *,
         rtol: float,
         most_steps: int = 1000,
-        jacobian: Jacobians | None = None,
+        jacobian: Rates | None = None,
     ) -> None:
-        """Follow every start that is not lost until that time, with errors of `rtol` of `scale` (D,) and its values.
+        """Integrate every initial state that is not lost until that time.
 
-        Starts that take more than `most_steps` for it stay behind. Without a `jacobian` all steps are explicit.
+        Errors are `rtol` times `scale` (D,) and the states. Initial states that take more than `most_steps` stay
+        behind. Without a `jacobian` all steps are explicit.
         """
         tiny = 1e-12 * until
         for _ in range(most_steps):
             is_waiting = ~self.is_lost & (self.times < until - tiny)
             if not is_waiting.any():
                 return
-            is_implicit = self.is_stiff if jacobian is not None else np.zeros(len(is_waiting), dtype=bool)
+            is_implicit = (self.bounded >= _STIFF_STEPS) & (jacobian is not None)
             explicit, implicit = np.flatnonzero(is_waiting & ~is_implicit), np.flatnonzero(is_waiting & is_implicit)
             if len(explicit):
                 self._step(rates, explicit, until, rtol, scale)
@@ -274,17 +277,18 @@ class IntegrationBatch:
                 slopes.append(rates(after))
             wrong = size[:, None] * sum(weight * slope for weight, slope in zip(_ERROR, slopes, strict=True) if weight)
             allowed = rtol * (scale + np.maximum(np.abs(state), np.abs(after)))
+            # the last two stages differ along the fastest direction: their ratio estimates the largest eigenvalue
             turned, moved = (((both[0] - both[1]) / allowed) ** 2 for both in (slopes[-1:-3:-1], (after, before)))
             eigenvalue = np.sqrt(turned.sum(axis=1) / np.maximum(moved.sum(axis=1), 1e-300))
             is_bounded = size * eigenvalue > _UNSTABLE
-        good = self._take(rows, size, until, after, wrong / allowed, 0.2)
-        is_counted = good & ~self.is_stiff[rows]
+        good = self._accept(rows, size, until, after, wrong / allowed, 0.2)
+        is_counted = good & (self.bounded[rows] < _STIFF_STEPS)
         self.bounded[rows[is_counted & is_bounded]] += 1
         self.calm[rows[is_counted]] = np.where(is_bounded, 0, self.calm[rows] + 1)[is_counted]
         self.bounded[rows[is_counted & (self.calm[rows] >= _CALM_STEPS)]] = 0
 
     def _implicit_step(
-        self, rates: Rates, jacobian: Jacobians, rows: np.ndarray, until: float, rtol: float, scale: FloatArray
+        self, rates: Rates, jacobian: Rates, rows: np.ndarray, until: float, rtol: float, scale: FloatArray
     ) -> None:
         state, size = self.states[rows], np.minimum(self.sizes[rows], until - self.times[rows])
         slopes = jacobian(state)
@@ -303,19 +307,19 @@ class IntegrationBatch:
             fourth = solved(rates(after) + per_step * (first - second - 8.0 / 3.0 * third))
             after = after + fourth
             allowed = rtol * (scale + np.maximum(np.abs(state), np.abs(after)))
-        self._take(rows, size, until, after, fourth / allowed, 1.0 / 3.0)
+        self._accept(rows, size, until, after, fourth / allowed, 1.0 / 3.0)
 
-    def _take(
+    def _accept(
         self, rows: np.ndarray, size: FloatArray, until: float, after: FloatArray, wrong: FloatArray, power: float
     ) -> np.ndarray:
-        """Take the steps (N,) whose errors, over those allowed (N, D), are small enough, and tell which these are."""
+        """Take the steps (N,) whose errors, over the allowed ones (N, D), are small enough; tell which these are."""
         with np.errstate(all="ignore"):
             error = np.sqrt(np.mean(wrong**2, axis=1))
             error = np.where(np.isfinite(error), error, 1e10)
             factor = np.clip(0.9 * np.maximum(error, 1e-10) ** -power, 0.2, 5.0)
-        good, is_cut, proposed = error <= 1.0, size < self.sizes[rows], size * factor
+        good, is_last, proposed = error <= 1.0, size < self.sizes[rows], size * factor
         self.states[rows[good]] = after[good]
         self.times[rows[good]] += size[good]
-        self.sizes[rows] = np.where(good & is_cut, np.maximum(self.sizes[rows], proposed), proposed)
+        self.sizes[rows] = np.where(good & is_last, np.maximum(self.sizes[rows], proposed), proposed)
         self.is_lost[rows] |= self.sizes[rows] < 1e-13 * until
         return np.asarray(good)

@@ -1,6 +1,6 @@
 """The spectrum of Lyapunov exponents: variational equations with repeated orthogonalisation (Benettin et al. 1980).
 
-Many starts go on together; the spread of their exponents gives the standard error. Letters: D states, N starts.
+Many trajectories are followed together; the spread of their exponents gives the standard error. Letters: D states.
 """
 
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from atoll.analysis.flow import SETTLING, UNBOUNDED, Box, Flow, IntegrationBatch
 from atoll_core.data.dataset import FloatArray
 
 STARTS: Final = 128
-"""Courses: their spread gives the exponents a standard error that is itself known to 6 %, 1/sqrt(2 * 127)."""
+"""Trajectories: their spread gives a standard error that is itself known to 6 %, 1/sqrt(2 * 127)."""
 
 INTERVALS: Final = 400
-"""Orthogonalisations that count; a quarter as many before them let the vectors settle."""
+"""Orthogonalisations that count; the vectors settle during a quarter as many before them."""
 
 _SETTLING_SHARE: Final = 4
 """Orthogonalisations that count over those before them."""
@@ -24,7 +24,7 @@ _SETTLING_SHARE: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class LyapunovSpectrum:
-    """Exponents (D,) by falling size with their standard errors (D,), of `starts` courses of length `duration` each."""
+    """Exponents (D,) by falling size with their standard errors (D,), from `starts` trajectories of `duration`."""
 
     exponents: FloatArray
     standard_errors: FloatArray
@@ -35,8 +35,8 @@ class LyapunovSpectrum:
     def is_chaotic(self) -> bool:
         """Whether the largest exponent is positive by more than three standard errors and 1 % of the spectrum.
 
-        Errors have to grow by more than as the highest power of time that they do without chaos, one below the number
-        of states: on tori they grow like time itself.
+        Without chaos errors can grow as a power of time, up to the number of states less one (on tori like time
+        itself); chaotic growth has to be faster.
         """
         largest = float(np.abs(self.exponents).max())
         by_power = (len(self.exponents) - 1) * np.log(1.0 + _SETTLING_SHARE) / self.duration
@@ -46,17 +46,17 @@ class LyapunovSpectrum:
 def lyapunov_spectrum(
     flow: Flow, box: Box, seeds: FloatArray | None = None, *, starts: int = STARTS, intervals: int = INTERVALS
 ) -> LyapunovSpectrum | None:
-    """Return the exponents of what courses from `seeds` (n, D), or from the box, settle on; None where none is bounded.
+    """Return the exponents on the attractors of `seeds` (n, D), or of the box; None where no trajectory is bounded.
 
-    Of `starts` courses, each begins beside a seed; the `intervals` between orthogonalisations last about as long as a
-    vector takes to double.
+    Each of `starts` trajectories begins near a seed. One of the `intervals` between orthogonalisations lasts about as
+    long as a vector takes to double.
     """
     scale, size = time_scale(flow, box), flow.size
     first = box.points(starts)
     if seeds is not None and len(seeds):
         first = seeds[np.arange(starts) % len(seeds)] + 1e-3 * (first - box.middle)
     settled = IntegrationBatch.of(first, 1e-3 * scale)
-    settled.advance(flow.rates, SETTLING * scale, 1e-3 * box.widths, rtol=1e-5, most_steps=5000, jacobian=flow.jacobian)
+    settled.settle(flow, box, SETTLING * scale, rtol=1e-5, most_steps=5000)
     states = settled.states[~settled.is_lost & (box.excursions(settled.states) < UNBOUNDED)]
     if not len(states):
         return None

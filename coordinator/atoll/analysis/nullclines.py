@@ -1,4 +1,4 @@
-"""Nullclines of a system of two states: where one of the rates is 0, as polylines over a box.
+"""Nullclines of a system of two states: polylines on which one of the rates is 0.
 
 They are followed from cell to cell of a grid (marching squares). Crossings of grid lines are refined by bisection;
 where the rate grows there instead of vanishing it has a pole, which is no crossing.
@@ -12,15 +12,15 @@ from atoll.analysis.flow import Box, Flow
 from atoll_core.data.dataset import FloatArray
 
 GRID: Final = 80
-"""Cells along each state."""
+"""Cells in each direction."""
 
 _BISECTIONS: Final = 30
 """A crossing is then known to 1e-9 of a cell."""
 
 _MARGIN: Final = 1e-6
-"""Widths of the box that the grid reaches beyond it, for nullclines that are its sides."""
+"""Widths of the box by which the grid is larger, for nullclines that are its sides."""
 
-Edge = tuple[int, int, int]
+_Edge = tuple[int, int, int]
 """A side of a cell: 0 along the first state, 1 along the second, and the indices of its lower corner."""
 
 
@@ -35,64 +35,49 @@ def nullclines(flow: Flow, box: Box, cells: int = GRID) -> tuple[tuple[FloatArra
 
 
 def _polylines(flow: Flow, grid: FloatArray, rates: FloatArray, state: int) -> tuple[FloatArray, ...]:
+    """Return the crossings of the sides of cells, joined from cell to cell; open polylines from an end."""
     crossings = _crossings(flow, grid, rates, state)
-    neighbours: dict[Edge, list[Edge]] = {edge: [] for edge in crossings}
-    cells = len(grid) - 1
-    for row in range(cells):
-        for column in range(cells):
-            sides = [(0, row, column), (1, row + 1, column), (0, row, column + 1), (1, row, column)]
-            met = [edge for edge in sides if edge in crossings]
-            for first, second in zip(met[::2], met[1::2], strict=False):
-                neighbours[first].append(second)
-                neighbours[second].append(first)
-    return tuple(np.array([crossings[edge] for edge in chain]) for chain in _chains(neighbours))
-
-
-def _crossings(flow: Flow, grid: FloatArray, rates: FloatArray, state: int) -> dict[Edge, FloatArray]:
-    """Return the points where the rate changes its sign along the sides of cells."""
-    crossings: dict[Edge, FloatArray] = {}
-    for axis in range(2):
-        lower, upper = (slice(None, -1), slice(None)), (slice(1, None), slice(None))
-        first, second = (lower, upper) if axis == 0 else (lower[::-1], upper[::-1])
-        low, high = rates[first], rates[second]
-        # a rate of exactly 0 counts as positive, so that a line through corners of the grid is met once
-        rows, columns = np.nonzero((low >= 0.0) != (high >= 0.0))
-        is_known = np.isfinite(low[rows, columns]) & np.isfinite(high[rows, columns])
-        rows, columns = rows[is_known], columns[is_known]
-        below, above = grid[first][rows, columns], grid[second][rows, columns]
-        points, is_root = _bisected(flow, below, above, low[rows, columns], high[rows, columns], state)
-        sides = zip(rows.tolist(), columns.tolist(), points, is_root.tolist(), strict=True)
-        crossings |= {(axis, row, column): point for row, column, point, root in sides if root}
-    return crossings
-
-
-def _bisected(
-    flow: Flow, below: FloatArray, above: FloatArray, low: FloatArray, high: FloatArray, state: int
-) -> tuple[FloatArray, np.ndarray]:
-    below, above = below.copy(), above.copy()
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (below + above)
-        is_below = (flow.rates(middle)[:, state] >= 0.0) == (low >= 0.0)
-        below[is_below], above[~is_below] = middle[is_below], middle[~is_below]
-    points = 0.5 * (below + above)
-    left = np.abs(flow.rates(points)[:, state])
-    return points, left <= np.maximum(np.abs(low), np.abs(high))
-
-
-def _chains(neighbours: dict[Edge, list[Edge]]) -> list[list[Edge]]:
-    """Return the edges as chains of neighbours, open ones from an end; each edge is in one chain."""
-    chains, seen = [], set()
+    neighbours: dict[_Edge, list[_Edge]] = {edge: [] for edge in crossings}
+    for row, column in np.ndindex(len(grid) - 1, len(grid) - 1):
+        sides = [(0, row, column), (1, row + 1, column), (0, row, column + 1), (1, row, column)]
+        met = [edge for edge in sides if edge in crossings]
+        for first, second in zip(met[::2], met[1::2], strict=False):
+            neighbours[first].append(second)
+            neighbours[second].append(first)
+    polylines, visited = [], set()
     for start in sorted(neighbours, key=lambda edge: (len(neighbours[edge]) != 1, edge)):
-        if start in seen:
+        if start in visited:
             continue
         chain, current = [start], start
-        seen.add(start)
-        while (after := next((edge for edge in neighbours[current] if edge not in seen), None)) is not None:
+        visited.add(start)
+        while (after := next((edge for edge in neighbours[current] if edge not in visited), None)) is not None:
             chain.append(after)
-            seen.add(after)
+            visited.add(after)
             current = after
         if len(chain) > 2 and start in neighbours[current]:
             chain.append(start)
         if len(chain) > 1:
-            chains.append(chain)
-    return chains
+            polylines.append(np.array([crossings[edge] for edge in chain]))
+    return tuple(polylines)
+
+
+def _crossings(flow: Flow, grid: FloatArray, rates: FloatArray, state: int) -> dict[_Edge, FloatArray]:
+    """Return the points at which the rate changes its sign along the sides of cells."""
+    crossings: dict[_Edge, FloatArray] = {}
+    for axis in range(2):
+        lower, upper = (slice(None, -1), slice(None)), (slice(1, None), slice(None))
+        first, second = (lower, upper) if axis == 0 else (lower[::-1], upper[::-1])
+        # a rate of exactly 0 counts as positive, so that a line through corners of the grid crosses once
+        is_crossed = (rates[first] >= 0.0) != (rates[second] >= 0.0)
+        rows, columns = np.nonzero(is_crossed & np.isfinite(rates[first]) & np.isfinite(rates[second]))
+        low, high = rates[first][rows, columns], rates[second][rows, columns]
+        below, above = grid[first][rows, columns], grid[second][rows, columns]
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (below + above)
+            is_below = (flow.rates(middle)[:, state] >= 0.0) == (low >= 0.0)
+            below[is_below], above[~is_below] = middle[is_below], middle[~is_below]
+        points = 0.5 * (below + above)
+        is_root = np.abs(flow.rates(points)[:, state]) <= np.maximum(np.abs(low), np.abs(high))
+        sides = zip(rows.tolist(), columns.tolist(), points, is_root.tolist(), strict=True)
+        crossings |= {(axis, row, column): point for row, column, point, root in sides if root}
+    return crossings

@@ -1,12 +1,10 @@
-"""Values as JSON can hold them.
+"""An analysis as sentences and tables, which text and report draw each in its own way, and as plain data.
 
-What is said of an analysis: sentences, and listings of texts, which text and report draw each in its own way.
-
-An analysis as plain data, which ``analyse --json`` prints, and as text.
+``analyse --json`` prints the plain data.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,19 +20,21 @@ from atoll.analysis.limit_cycles import LimitCycle
 from atoll.terminal.output import attributes, plain
 from atoll_core.data.dataset import FloatArray
 
+SCHEMA: Final = 1
+
 CODES: Final[Mapping[int, str]] = {UNDECIDED: "undecided", RUNS_AWAY: "runs away", NO_VALUE: "no value"}
-"""What a start without an attractor is said to do, in the order in which it is told."""
+"""The ends of simulations without an attractor, in the order in which they are listed."""
 
 _ENDINGS: Final = {
-    UNDECIDED: "reach none of these within the time that was simulated",
+    UNDECIDED: "reach none of these within the simulated time",
     RUNS_AWAY: "run away",
-    NO_VALUE: "meet a point where a rate has no value",
+    NO_VALUE: "reach a point where a rate is undefined",
 }
 
 
 @dataclass(frozen=True)
 class TextRow:
-    """One thing that is listed: its `cells`, "" where nothing is to be said, and all of it as a `line`."""
+    """One row of a table: its `cells`, "" where there is nothing to tell, and the same as one `line`."""
 
     cells: tuple[str, ...]
     line: str
@@ -42,7 +42,7 @@ class TextRow:
 
 @dataclass(frozen=True)
 class TextTable:
-    """What is listed under a `title`, a cell for each of `heads`; without a heading lines stand for themselves."""
+    """Rows under a `title`, with a cell for each of `heads`; without a heading the lines stand for themselves."""
 
     title: str
     heads: tuple[str, ...]
@@ -50,9 +50,22 @@ class TextTable:
     has_heading: bool = True
 
 
+def as_text(analysis: Analysis) -> str:
+    """Return the analysis as lines for a person."""
+    lines: list[str] = []
+    for part in describe(analysis):
+        if isinstance(part, str):
+            lines.append(part)
+        elif part.has_heading:
+            lines += [part.title, *(f"  {row.line}" for row in part.rows)]
+        else:
+            lines += [row.line for row in part.rows]
+    return "\n".join(lines)
+
+
 def describe(analysis: Analysis) -> list[str | TextTable]:
-    """Return what is said of an analysis, in the order in which it is told; sentences begin as a line does, small."""
-    return [*_described(analysis), *_continued(analysis)]
+    """Return the sentences and tables of an analysis, in order; sentences begin with a small letter."""
+    return [*_described(analysis)]
 
 
 def _described(analysis: Analysis) -> Iterator[str | TextTable]:
@@ -72,39 +85,34 @@ def _described(analysis: Analysis) -> Iterator[str | TextTable]:
         yield f"Lyapunov exponents: {exponents}" + (", chaotic" if spectrum.is_chaotic else "")
     yield _basins(analysis)
     if analysis.is_volume_preserving:
-        yield "volumes of states are kept (the divergence is 0)"
+        yield "the flow preserves volume (the divergence is 0)"
     yield from (f"conserved (a hint): {quantity.text}" for quantity in analysis.conserved)
     if analysis.comparisons:
         heads = ("trajectory", "bounds", "period", "amplitudes", "phases", "end")
         rows = tuple(_comparison(comparison, analysis) for comparison in analysis.comparisons)
-        yield TextTable("the model, simulated freely, beside the data", heads, rows, has_heading=False)
+        yield TextTable("the model, simulated freely, compared with the data", heads, rows, has_heading=False)
     if analysis.not_compared:
         names = ", ".join(analysis.not_compared)
-        yield f"the model is not compared with the data of trajectory {names}: the result has not its inputs"
-
-
-def _continued(analysis: Analysis) -> Iterator[TextTable]:
-    parameter, heads = analysis.continuation_parameter, ("branch", "special points")
+        yield f"the model is not compared with trajectory {names}: the result does not contain its inputs"
+    parameter = analysis.continuation_parameter
     if parameter is not None:
+        columns = ("branch", "special points")
         fixed = tuple(_branch(branch) for branch in analysis.branches)
-        yield TextTable(f"fixed points as {parameter.name} (now {parameter.value:.6g}) varies:", heads, fixed)
+        yield TextTable(f"fixed points as {parameter.name} (now {parameter.value:.6g}) varies:", columns, fixed)
         cycles = tuple(_cycle_branch(branch) for branch in analysis.cycle_branches)
-        yield TextTable(f"limit cycles as {parameter.name} varies: {len(cycles)} branches", heads, cycles)
+        yield TextTable(f"limit cycles as {parameter.name} varies: {len(cycles)} branches", columns, cycles)
 
 
-def codes_of(analysis: Analysis) -> list[int]:
-    """Return the attractors (by index), and the codes that some start has."""
+def _destinations(analysis: Analysis) -> list[int]:
     reached = analysis.basins.reached
     return [*range(len(analysis.attractors)), *(code for code in CODES if (reached == code).any())]
 
 
-def reached_text(which: int, analysis: Analysis) -> str:
-    """Return what an attractor, by index, is called, or a code of `Basins`."""
-    return CODES[which] if which < 0 else attractor_text(analysis.attractors[which])
+def _destination_text(which: int, analysis: Analysis) -> str:
+    return CODES[which] if which < 0 else _attractor_text(analysis.attractors[which])
 
 
-def attractor_text(attractor: Attractor) -> str:
-    """Return what an attractor is called."""
+def _attractor_text(attractor: Attractor) -> str:
     if isinstance(attractor, LimitCycle):
         return f"limit cycle of period {attractor.period:.6g}"
     if isinstance(attractor, FixedSet):
@@ -113,7 +121,6 @@ def attractor_text(attractor: Attractor) -> str:
 
 
 def _set_text(fixed: FixedSet) -> str:
-    """Return what a curve or a surface of fixed points is called."""
     if fixed.dimension > 1:
         return f"surface of fixed points of {fixed.dimension} dimensions"
     name = "line" if fixed.is_straight else "curve"
@@ -124,53 +131,7 @@ def _point_text(point: FloatArray) -> str:
     return f"({', '.join(f'{value:.6g}' for value in point)})"
 
 
-def _fixed_points(analysis: Analysis) -> TextTable:
-    search, resting = analysis.fixed_points, analysis.cycles.resting
-    beside = f" beside {_many(search.sets)} of them" if search.sets else ""
-    title = f"fixed points: {len(search.points)}{beside} (Newton steps from {search.starts} starts)"
-    heads = (f"({', '.join(analysis.field.states)})", "kind", "eigenvalues")
-    rows = [_fixed_point(point, analysis) for point in (*search.points, *resting)]
-    for fixed in search.sets:
-        rows.append(
-            TextRow((_set_text(fixed), _share_text(fixed), ""), f"{_set_text(fixed)}, {_share_text(fixed)}; on it")
-        )
-        rows += [_fixed_point(point, analysis, across="across it ") for point in fixed.points[::2]]
-    return TextTable(title, heads, tuple(rows))
-
-
-def _many(sets: Sequence[FixedSet]) -> str:
-    """Return how many curves and surfaces there are."""
-    curves = sum(fixed.dimension == 1 for fixed in sets)
-    texts = [
-        f"{count} {name}{'s' if count > 1 else ''}"
-        for count, name in ((curves, "curve"), (len(sets) - curves, "surface"))
-        if count
-    ]
-    return " and ".join(texts)
-
-
-def _share_text(fixed: FixedSet) -> str:
-    """Return how much of a curve or a surface attracts."""
-    attracts = {point.attracts_in_box for point in fixed.points}
-    return "attracts in parts" if len(attracts) > 1 else "attracts" if True in attracts else "does not attract"
-
-
-def _fixed_point(fixed: FixedPoint, analysis: Analysis, across: str = "") -> TextRow:
-    outside = "" if analysis.box.contains(fixed.point, 1e-6) else ", outside the box"
-    cells = (_point_text(fixed.point), f"{across}{_kind_text(fixed)}{outside}", _complex_text(fixed.eigenvalues))
-    return TextRow(cells, f"{cells[0]}  {cells[1]}, eigenvalues {cells[2]}")
-
-
-def _kind_text(fixed: FixedPoint) -> str:
-    """Return the kind of a fixed point; where an eigenvalue is 0, with what simulations say."""
-    if fixed.kind != NON_HYPERBOLIC or not fixed.attracts_in_box:
-        return fixed.kind
-    node = "attracts" if fixed.eigenvalues.imag.any() else "a stable node"
-    return f"{fixed.kind}, by simulations {node}{'' if fixed.is_stable else ' within the box'}"
-
-
 def _complex_text(numbers: Iterable[complex]) -> str:
-    """Return complex numbers as text, conjugate ones as a pair."""
     texts = []
     for number in numbers:
         if number.imag < 0.0:
@@ -178,6 +139,33 @@ def _complex_text(numbers: Iterable[complex]) -> str:
         elif number.imag == 0.0 or not math.isfinite(number.imag):
             texts.append(f"{number.real:.4g}")
     return ", ".join(texts)
+
+
+def _fixed_points(analysis: Analysis) -> TextTable:
+    search, resting = analysis.fixed_points, analysis.cycles.resting
+    curves = sum(fixed.dimension == 1 for fixed in search.sets)
+    counts = ((curves, "curve"), (len(search.sets) - curves, "surface"))
+    many = " and ".join(f"{count} {name}{'s' if count > 1 else ''}" for count, name in counts if count)
+    more = f" and {many} of them" if many else ""
+    title = f"fixed points: {len(search.points)}{more} (Newton steps from {search.starts} starts)"
+    heads = (f"({', '.join(analysis.field.states)})", "kind", "eigenvalues")
+    rows = [_fixed_point(point, analysis) for point in (*search.points, *resting)]
+    for fixed in search.sets:
+        attracts = {point.attracts_in_box for point in fixed.points}
+        share = "attracts in parts" if len(attracts) > 1 else "attracts" if True in attracts else "does not attract"
+        rows.append(TextRow((_set_text(fixed), share, ""), f"{_set_text(fixed)}, {share}; on it"))
+        rows += [_fixed_point(point, analysis, across="across it ") for point in fixed.points[::2]]
+    return TextTable(title, heads, tuple(rows))
+
+
+def _fixed_point(fixed: FixedPoint, analysis: Analysis, across: str = "") -> TextRow:
+    kind = fixed.kind
+    if kind == NON_HYPERBOLIC and fixed.attracts_in_box:  # an eigenvalue is 0: simulations decide
+        node = "attracts" if fixed.eigenvalues.imag.any() else "a stable node"
+        kind += f", by simulations {node}{'' if fixed.is_stable else ' within the box'}"
+    outside = "" if analysis.box.contains(fixed.point, 1e-6) else ", outside the box"
+    cells = (_point_text(fixed.point), f"{across}{kind}{outside}", _complex_text(fixed.eigenvalues))
+    return TextRow(cells, f"{cells[0]}  {cells[1]}, eigenvalues {cells[2]}")
 
 
 def _cycles(analysis: Analysis) -> TextTable:
@@ -198,13 +186,13 @@ def _cycles(analysis: Analysis) -> TextTable:
 
 def _basins(analysis: Analysis) -> TextTable:
     rows = []
-    for which in codes_of(analysis):
+    for which in _destinations(analysis):
         part, error = analysis.basins.fraction(which)
-        known = {0.0: "none", 1.0: "all"}  # where the error says nothing
-        share = known.get(part, f"{100 * part:.1f} ± {100 * error:.1f} %")
-        ending = _ENDINGS[which] if which < 0 else f"reach the {reached_text(which, analysis)}"
+        without_error = {0.0: "none", 1.0: "all"}
+        share = without_error.get(part, f"{100 * part:.1f} ± {100 * error:.1f} %")
+        ending = _ENDINGS[which] if which < 0 else f"reach the {_destination_text(which, analysis)}"
         if which == UNDECIDED and analysis.cycles.has_family:
-            ending = "go round closed orbits, or reach none of these within the time that was simulated"
+            ending = "follow closed orbits, or reach none of these within the simulated time"
         rows.append(TextRow((share, ending), f"{share} {ending}"))
     title = f"basins: of {len(analysis.basins.reached)} initial states in the box"
     return TextTable(title, ("share", "of the initial states"), tuple(rows))
@@ -216,27 +204,25 @@ def _comparison(comparison: TrajectoryComparison, analysis: Analysis) -> TextRow
         periods = (comparison.simulated.period, comparison.measured.period)
         simulated, measured = (f"{value:.4g}" if value else "none" for value in periods)
         period = f"has period {simulated} (measured {measured})"
-    if comparison.has_same_order is not None:
-        phases = "phases agree" if comparison.has_same_order else "phases differ"
+    if comparison.has_same_phases is not None:
+        phases = "phases agree" if comparison.has_same_phases else "phases differ"
     is_same = comparison.has_same_amplitudes
+    held = ", inputs held" if analysis.field.inputs else ""
+    reached = analysis.attractors[comparison.reaches] if comparison.reaches >= 0 else None
+    is_in_set = isinstance(reached, FixedSet) and comparison.end is not None
+    at = f", at {_point_text(comparison.end)}" if is_in_set and comparison.end is not None else ""
+    end = f"reaches{held}: {_destination_text(comparison.reaches, analysis)}{at}"
+    if comparison.orbit_period is not None:
+        end = f"follows a closed orbit of period {comparison.orbit_period:.4g}{held}"
     facts = (
         "is bounded" if comparison.is_bounded else "is not bounded",
         period,
         "has the amplitudes of the data" if is_same else "has other amplitudes than the data",
         phases,
-        _end_text(comparison, analysis),
+        end,
     )
     line = f"from trajectory {comparison.name} the model {', '.join(filter(None, facts))}"
     return TextRow((comparison.name, *facts), line)
-
-
-def _end_text(comparison: TrajectoryComparison, analysis: Analysis) -> str:
-    held = ", inputs held" if analysis.field.inputs else ""
-    if comparison.orbit_period is not None:
-        return f"goes round a closed orbit of period {comparison.orbit_period:.4g}{held}"
-    reached = analysis.attractors[comparison.reaches] if comparison.reaches >= 0 else None
-    at = f", at {_point_text(comparison.end)}" if isinstance(reached, FixedSet) and comparison.end is not None else ""
-    return f"reaches{held}: {reached_text(comparison.reaches, analysis)}{at}"
 
 
 def _branch(branch: Branch) -> TextRow:
@@ -244,30 +230,27 @@ def _branch(branch: Branch) -> TextRow:
     counts = f"{unstable[0]} to {unstable[-1]}" if len(unstable) > 1 else f"{unstable[0]}"
     special = []
     for point in branch.special:
-        turning = f", frequency {point.frequency:.6g}" if point.frequency is not None else ""
-        special.append(f"{point.kind} at {point.value:.8g} {_point_text(point.point)}{turning}")
-    return _branch_row(f"a branch {_extent_text(branch.values)}; unstable eigenvalues: {counts}", special)
+        frequency = f", frequency {point.frequency:.6g}" if point.frequency is not None else ""
+        special.append(f"{point.kind} at {point.value:.8g} {_point_text(point.point)}{frequency}")
+    return _branch_row(branch.values, f"unstable eigenvalues: {counts}", special)
 
 
 def _cycle_branch(branch: CycleBranch) -> TextRow:
     first, last = branch.cycles[0].period, branch.cycles[-1].period
     stable = sum(cycle.is_stable for cycle in branch.cycles)
     stability = "stable" if stable == len(branch.cycles) else "unstable" if not stable else "stable in parts"
-    whole = f"a branch {_extent_text(branch.values)}; period {first:.6g} to {last:.6g}, {stability}"
     ends = f"begins: {branch.ends[0]}; ends: {branch.ends[1]}"
     special = [f"{point.kind} at {point.value:.8g}, period {point.cycle.period:.6g}" for point in branch.special]
-    return _branch_row(whole, [ends, *special])
+    return _branch_row(branch.values, f"period {first:.6g} to {last:.6g}, {stability}", [ends, *special])
 
 
-def _branch_row(branch: str, special: list[str]) -> TextRow:
+def _branch_row(values: FloatArray, character: str, special: list[str]) -> TextRow:
+    extent = f"from {values[0]:.4g} to {values[-1]:.4g}, least {np.min(values):.4g}, greatest {np.max(values):.4g}"
+    branch = f"a branch {extent}; {character}"
     return TextRow((branch, "; ".join(special)), "\n".join([branch, *(f"    {text}" for text in special)]))
 
 
-def _extent_text(values: FloatArray) -> str:
-    return f"from {values[0]:.4g} to {values[-1]:.4g}, least {np.min(values):.4g}, greatest {np.max(values):.4g}"
-
-
-SCHEMA: Final = 1
+# --------------------------------------------------------------------------------------------------------- plain data
 
 
 def as_data(analysis: Analysis) -> dict[str, object]:
@@ -283,7 +266,11 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "parameters": [attributes(constant, "name", "variable", "value") for constant in field.parameters],
             "unit_coefficients": analysis.coefficients.units,
             "fixed_points": [_fixed_point_data(point) for point in fixed.points],
-            "fixed_sets": [_fixed_set(fixed_set) for fixed_set in fixed.sets],
+            "fixed_sets": [
+                attributes(fixed_set, "dimension", "is_straight", "attracts_in_box", "course")
+                | {"points": [_fixed_point_data(point) for point in fixed_set.points]}
+                for fixed_set in fixed.sets
+            ],
             "fixed_points_search": {
                 **attributes(fixed, "starts", "converged"),
                 "tolerance": TOLERANCE,
@@ -291,7 +278,7 @@ def as_data(analysis: Analysis) -> dict[str, object]:
                 "reached_outside_box": [_fixed_point_data(point) for point in cycles.resting],
             },
             "nullclines": dict(zip(field.states, analysis.nullclines, strict=False)),
-            "limit_cycles": [_cycle(cycle) for cycle in cycles.cycles],
+            "limit_cycles": [_cycle_data(cycle) for cycle in cycles.cycles],
             "limit_cycles_search": {
                 **attributes(cycles, "starts", "duration", "has_family"),
                 "unsettled": len(cycles.unsettled),
@@ -305,19 +292,15 @@ def as_data(analysis: Analysis) -> dict[str, object]:
             "dynamics": [
                 {
                     "trajectory": comparison.name,
-                    "is_bounded": comparison.is_bounded,
-                    "measured": vars(comparison.measured),
-                    "simulated": vars(comparison.simulated),
-                    **attributes(comparison, "has_same_period", "has_same_amplitudes"),
-                    "has_same_phases": comparison.has_same_order,
-                    "reaches": reached_text(comparison.reaches, analysis),
-                    "orbit_period": comparison.orbit_period,
-                    "end": comparison.end,
+                    **attributes(comparison, "is_bounded", "measured", "simulated"),
+                    **attributes(comparison, "has_same_period", "has_same_amplitudes", "has_same_phases"),
+                    "reaches": _destination_text(comparison.reaches, analysis),
+                    **attributes(comparison, "orbit_period", "end"),
                 }
                 for comparison in analysis.comparisons
             ],
             "not_compared": analysis.not_compared,
-            "continuation": _continuation(analysis),
+            "continuation": _continuation_data(analysis),
         }
     )
 
@@ -332,12 +315,7 @@ def _pairs(values: Complexes) -> FloatArray:
     return np.stack([values.real, values.imag], axis=-1)
 
 
-def _fixed_set(fixed: FixedSet) -> dict[str, object]:
-    points = [_fixed_point_data(point) for point in fixed.points]
-    return attributes(fixed, "dimension", "is_straight", "attracts_in_box", "course") | {"points": points}
-
-
-def _cycle(cycle: LimitCycle) -> dict[str, object]:
+def _cycle_data(cycle: LimitCycle) -> dict[str, object]:
     return {
         **attributes(cycle, "period", "is_stable"),
         "multipliers": _pairs(cycle.multipliers),
@@ -351,11 +329,11 @@ def _cycle(cycle: LimitCycle) -> dict[str, object]:
 def _basins_data(analysis: Analysis) -> dict[str, object]:
     basins = analysis.basins
     fractions = []
-    for which in codes_of(analysis):
+    for which in _destinations(analysis):
         share, error = basins.fraction(which)
-        fractions.append({"reaches": reached_text(which, analysis), "fraction": share, "std_error": error})
+        fractions.append({"reaches": _destination_text(which, analysis), "fraction": share, "std_error": error})
     data: dict[str, object] = {
-        "attractors": [attractor_text(attractor) for attractor in basins.attractors],
+        "attractors": [_attractor_text(attractor) for attractor in basins.attractors],
         "starts": len(basins.reached),
         "duration": basins.duration,
         "fractions": fractions,
@@ -364,24 +342,22 @@ def _basins_data(analysis: Analysis) -> dict[str, object]:
     return data if basins.grid is None else data | {"grid": basins.reached.reshape(basins.grid, basins.grid)}
 
 
-def _continuation(analysis: Analysis) -> dict[str, object] | None:
+def _continuation_data(analysis: Analysis) -> dict[str, object] | None:
     parameter = analysis.continuation_parameter
     if parameter is None:
         return None
     named = {constant.name: constant.variable for constant in analysis.field.parameters}
     return {
         "parameter": {"name": parameter.name, "variable": named.get(parameter.name), "value": parameter.value},
-        "branches": [_branch_data(branch) for branch in analysis.branches],
+        "branches": [
+            {
+                **attributes(branch, "values", "points"),
+                "unstable_eigenvalues": branch.unstable,
+                "special": branch.special,
+            }
+            for branch in analysis.branches
+        ],
         "cycle_branches": [_cycle_branch_data(branch) for branch in analysis.cycle_branches],
-    }
-
-
-def _branch_data(branch: Branch) -> dict[str, object]:
-    return {
-        "values": branch.values,
-        "points": branch.points,
-        "unstable_eigenvalues": branch.unstable,
-        "special": [vars(point) for point in branch.special],
     }
 
 
@@ -401,16 +377,3 @@ def _cycle_branch_data(branch: CycleBranch) -> dict[str, object]:
         ],
         "ends": branch.ends,
     }
-
-
-def as_text(analysis: Analysis) -> str:
-    """Return the analysis as lines for a person."""
-    lines: list[str] = []
-    for part in describe(analysis):
-        if isinstance(part, str):
-            lines.append(part)
-        elif part.has_heading:
-            lines += [part.title, *(f"  {row.line}" for row in part.rows)]
-        else:
-            lines += [row.line for row in part.rows]
-    return "\n".join(lines)

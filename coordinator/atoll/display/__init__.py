@@ -1,4 +1,4 @@
-"""A model as people see it: ``notation`` writes it as text, LaTeX, MathML and HTML, ``plots`` draws it.
+"""A model as people see it: ``notation`` writes it as text, LaTeX, MathML and HTML, ``plots`` draws it with matplotlib.
 
-``series`` and ``curves`` are the numbers of its pictures, which a report and a page draw as well.
+``curves`` has the numbers of the pictures, for reports, pages and notebooks alike.
 """

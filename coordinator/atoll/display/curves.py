@@ -1,9 +1,9 @@
-"""What pictures of a result show, as numbers and labels: the same by matplotlib and on a page.
-
-Curves of a model for pictures: a page, a report and a notebook draw a simulated trajectory from here.
+"""The numbers and labels of pictures of a result: the same for matplotlib, a report and a page.
 
 A result lists a simulation at measured rows only. Between two rows the model is integrated again, and as many points
-are kept as the curve bends, so that no picture shows a polygon. Letters: D states, N rows, M points of a curve.
+are kept as the curve bends, so that no picture shows a polygon. The integration starts from the fitted initial state;
+where it differs from the listed rows (trajectories that were fitted in pieces), it starts again at each listed row.
+Letters: D states, N rows, M points of a curve.
 """
 
 import math
@@ -36,30 +36,30 @@ def label(result: Result, column: str) -> str:
 
 
 def residuals(measured: Curve, simulated: Curve) -> list[float | None]:
-    """Return measured less simulated values, None where one of both is not known."""
+    """Return measured minus simulated values, None where one of them is not known."""
     pairs = zip(measured, simulated, strict=True)
-    return [left - right if left is not None and right is not None else None for left, right in pairs]
+    return [None if value is None or known is None else value - known for value, known in pairs]
 
 
 def front(members: Sequence[Member], *, is_selected: bool = False) -> tuple[list[int], list[float | None]]:
-    """Return complexity and error of those members of a front that have one; of the selected ones where asked."""
+    """Return complexity and error of the members of a front that have an error, or of the selected ones alone."""
     shown = [member for member in members if member.normalized_error and (member.selected or not is_selected)]
     return [member.complexity or 0 for member in shown], [member.normalized_error for member in shown]
 
 
 TOLERANCE: Final = 5e-4
-"""Largest distance between a curve and its straight lines, as a share of the curve's range: below a pixel."""
+"""Largest distance between a curve and its straight lines, as a share of its range: less than a pixel."""
 MOST_POINTS: Final = 4_000
-"""Points of a curve at most: several for each pixel of a picture."""
+"""Largest number of points of a curve: several for each pixel."""
 SHOWN: Final = 6
-"""Trajectories that a picture shows at most, each in a colour of its own."""
+"""Largest number of trajectories in a picture, each in its own colour."""
 _GRIDS: Final = (2_000, 8_000, 32_000)
-"""Points at which a trajectory is simulated, more where a curve bends between them."""
+"""Points of a simulation; more if the curve bends between them."""
 _AGREEMENT: Final = TOLERANCE
-"""Largest difference between two simulations that count as the same: what no picture shows.
+"""Largest difference between two simulations that count as equal: invisible in a picture.
 
-Measured on eight results, a small sample: with seven of them nothing changes from 1e-4 to 1e-1; the listed rows of the
-eighth begin anew at one row, by 1e-3 to 5e-3, and are drawn in two pieces with a smaller difference.
+Measured on eight results, a small sample: seven of them are unchanged from 1e-4 to 1e-1; the eighth was fitted in two
+pieces that differ by 1e-3 to 5e-3 at one row, and has two pieces with any smaller value.
 """
 _TINY: Final = float(np.finfo(np.float64).tiny)
 _SUBSTEPS: Final = 24
@@ -70,9 +70,9 @@ _SUBSTEPS: Final = 24
 class ModelCurves:
     """A simulated trajectory for a picture.
 
-    `times` (M,) are those of the points; `values`, and with known standard errors `lower` and `upper`, are curves (M,)
-    by state, None where there is no value and between two pieces. `pieces` counts the fitted initial states that the
-    simulation starts from, None where that is not known.
+    `times` (M,) belong to the points; `values`, and with known standard errors `lower` and `upper`, are curves (M,) by
+    state, None where there is no value and between two pieces. `pieces` is the number of initial states of the
+    simulation, None where it is not known.
     """
 
     times: Curve
@@ -99,17 +99,20 @@ class _ListedRows:
 
 
 def curves_of(model: "Model | None", part: Simulated) -> ModelCurves:
-    """Return the curves of a simulated trajectory of a result; `model` is that of the result.
+    """Return the curves of a simulated trajectory of a result, with its `model`.
 
-    Without a model, or where it cannot be simulated as the result was, these are the listed rows. Raises nothing.
+    Without a model, or where it cannot be simulated, these are the listed rows. Raises nothing.
     """
     listed = ModelCurves(part.times, part.values or {}, part.lower, part.upper)
     known = _rows(part)
     if model is None or model.is_regression or known is None:
         return listed
+    groups = model.result.groups if differing_groups(model.result) else ()
+    own = next((model.of_group(group.group) for group in groups if part.name in group.trajectories), model)
+    recorded = next((each for each in own.result.recorded if each.name == part.name), None)
+    curves = {} if recorded is None else input_curves(own.result, recorded)
     try:
-        own = _of_group(model, part.name)
-        inputs = _inputs(own, part, known)
+        inputs = inputs_along(own, None, known.times, curves)
         found = _from_start(own, part, known, inputs) or _between_rows(own, known, inputs)
     except AtollError:  # such as an input that was not recorded
         return listed
@@ -117,7 +120,7 @@ def curves_of(model: "Model | None", part: Simulated) -> ModelCurves:
 
 
 def chosen(parts: Sequence[Simulated]) -> list[Simulated]:
-    """Return the simulated trajectories; of more than `SHOWN` some, from the worst explained to the best."""
+    """Return the simulated trajectories; if more than `SHOWN`, some from the worst to the best fit."""
     known = [part for part in parts if part.values]
     if len(known) <= SHOWN:
         return known
@@ -126,9 +129,9 @@ def chosen(parts: Sequence[Simulated]) -> list[Simulated]:
 
 
 def bends(values: FloatArray, times: FloatArray, tolerance: float = TOLERANCE) -> npt.NDArray[np.int64]:
-    """Return which points (M,) of curves (D, M) over ascending times keep straight lines within a tolerance.
+    """Return the points (M,) of curves (D, M) over ascending times that keep straight lines within a tolerance.
 
-    The tolerance is a share of the range of each curve; it grows until `MOST_POINTS` are enough. All values are finite.
+    The tolerance is a share of the range of each curve; it grows until `MOST_POINTS` suffice. All values are finite.
     """
     sizes = np.ptp(values, axis=1, keepdims=True)
     scaled = values / np.where(sizes > 0.0, sizes, 1.0)
@@ -140,7 +143,7 @@ def bends(values: FloatArray, times: FloatArray, tolerance: float = TOLERANCE) -
 
 
 def _corners(scaled: FloatArray, times: FloatArray, tolerance: float) -> npt.NDArray[np.int64]:
-    """Return the points (M,) of the method of Douglas and Peucker, by vertical distance."""
+    """Return the points (M,) by the method of Douglas and Peucker, with vertical distances."""
     last = len(times) - 1
     kept, waiting = {0, last}, [(0, last)]
     while waiting:
@@ -160,7 +163,6 @@ def _corners(scaled: FloatArray, times: FloatArray, tolerance: float) -> npt.NDA
 
 
 def _rows(part: Simulated) -> _ListedRows | None:
-    """Return the rows that have a time and all values; None where there are not two."""
     if not part.values:
         return None
     times, values = values_of_curve(part.times), np.array([values_of_curve(curve) for curve in part.values.values()])
@@ -171,27 +173,12 @@ def _rows(part: Simulated) -> _ListedRows | None:
     return _ListedRows(tuple(part.values), times, values)
 
 
-def _of_group(model: "Model", trajectory: str) -> "Model":
-    """Return the model with the constants of the group that a trajectory is of."""
-    if not differing_groups(model.result):
-        return model
-    return next(
-        (model.of_group(group.group) for group in model.result.groups if trajectory in group.trajectories), model
-    )
-
-
-def _inputs(model: "Model", part: Simulated, known: _ListedRows) -> Inputs | None:
-    """Return the inputs along a trajectory; raises UsageError where they were not recorded."""
-    recorded = next((each for each in model.result.recorded if each.name == part.name), None)
-    return inputs_along(model, None, known.times, {} if recorded is None else input_curves(model.result, recorded))
-
-
 _Found = tuple[FloatArray, FloatArray, int]
 """Times (M,), values (D, M) of the listed states, NaN between pieces, and the number of pieces."""
 
 
 def _from_start(model: "Model", part: Simulated, known: _ListedRows, inputs: Inputs | None) -> _Found | None:
-    """Return the simulation from the fitted initial state; None where it is not the one that the result lists."""
+    """Return the simulation from the fitted initial state; None where it differs from the listed rows."""
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
     places = [columns.index(state) for state in known.states if state in columns]
@@ -201,7 +188,9 @@ def _from_start(model: "Model", part: Simulated, known: _ListedRows, inputs: Inp
     first, last = known.times[0], known.times[-1]
     for points in _GRIDS:
         even = np.linspace(first, last, points)
-        grid = np.union1d(known.times, even[np.abs(even - _nearest(known.times, even)) > 1e-9 * (last - first)])
+        after = np.clip(np.searchsorted(known.times, even), 1, len(known.times) - 1)
+        gaps = np.minimum(np.abs(even - known.times[after - 1]), np.abs(even - known.times[after]))
+        grid = np.union1d(known.times, even[gaps > 1e-9 * (last - first)])
         simulation = simulate(model.field, start, grid, inputs)
         if len(simulation.t) < len(grid):
             return None
@@ -215,23 +204,18 @@ def _from_start(model: "Model", part: Simulated, known: _ListedRows, inputs: Inp
     return grid[kept], values[:, kept], 1
 
 
-def _nearest(times: FloatArray, even: FloatArray) -> FloatArray:
-    """Return for each of `even` (M,) the nearest of ascending times (N,)."""
-    after = np.clip(np.searchsorted(times, even), 1, len(times) - 1)
-    before, following = times[after - 1], times[after]
-    return np.where(even - before < following - even, before, following)
-
-
 def _is_fine(scaled: FloatArray, grid: FloatArray) -> bool:
-    """Tell whether straight lines between points are within the tolerance, by leaving out every second point."""
+    """Tell whether straight lines between points are within the tolerance, by omitting every second point."""
     before, middle, after = grid[:-2:2], grid[1:-1:2], grid[2::2]
     share = (middle - before) / (after - before)
     lines = scaled[:, :-2:2] + share * (scaled[:, 2::2] - scaled[:, :-2:2])
-    return bool((np.abs(scaled[:, 1:-1:2] - lines) <= 4.0 * TOLERANCE).all())  # of half the distance a quarter is left
+    return bool(
+        (np.abs(scaled[:, 1:-1:2] - lines) <= 4.0 * TOLERANCE).all()
+    )  # half the distance: a quarter of the error
 
 
 def _between_rows(model: "Model", known: _ListedRows, inputs: Inputs | None) -> _Found | None:
-    """Return the model integrated from each listed row to the next; a piece ends where that does not meet the next.
+    """Return the model integrated from each listed row to the next; a piece ends where it misses the next row.
 
     None where the rows do not list all states, as for equations of second order.
     """
@@ -268,7 +252,7 @@ def _between_rows(model: "Model", known: _ListedRows, inputs: Inputs | None) -> 
 def _runge_kutta(
     model: "Model", states: FloatArray, times: FloatArray, steps: FloatArray, inputs: Inputs | None
 ) -> FloatArray:
-    """Return the states (S + 1, N, D) along S equal substeps from `states` (N, D) at `times` (N,), all side by side."""
+    """Return the states (S + 1, N, D) along S equal substeps from `states` (N, D) at `times` (N,), all together."""
 
     def rates(at: FloatArray, x: FloatArray) -> FloatArray:
         given = None if inputs is None else np.array([inputs(time) for time in at.tolist()])
@@ -278,7 +262,7 @@ def _runge_kutta(
     with np.errstate(all="ignore"):
         for number in range(_SUBSTEPS):
             at, h = times + number * step, step[:, None]
-            end = np.nextafter(at + step, at)  # a held input changes at the end of an interval only
+            end = np.nextafter(at + step, at)  # a held input changes at the ends of intervals only
             k1 = rates(at, x)
             k2 = rates(at + 0.5 * step, x + 0.5 * h * k1)
             k3 = rates(at + 0.5 * step, x + 0.5 * h * k2)
@@ -289,28 +273,22 @@ def _runge_kutta(
 
 
 def _with_bands(known: _ListedRows, part: Simulated, times: FloatArray, values: FloatArray, pieces: int) -> ModelCurves:
-    """Return curves with the band of the listed rows, its half width interpolated between them."""
+    """Return curves with the band of the listed rows, with interpolated half width."""
+    from scipy.interpolate import PchipInterpolator
+
     by_state = {state: _curve(row) for state, row in zip(known.states, values, strict=True)}
     if not part.lower or not part.upper:
         return ModelCurves(_curve(times), by_state, None, None, pieces)
     bounds: tuple[dict[str, Curve], dict[str, Curve]] = ({}, {})
     for state, row in zip(known.states, values, strict=True):
-        half = _half_width(part, state, times)
+        lower, upper = (values_of_curve((curves or {})[state]) for curves in (part.lower, part.upper))
+        at, widths = values_of_curve(part.times), 0.5 * (upper - lower)
+        is_known, half = np.isfinite(at) & np.isfinite(widths), np.full(len(times), np.nan)
+        if np.count_nonzero(is_known) > 1:
+            half = PchipInterpolator(at[is_known], widths[is_known], extrapolate=False)(times)
         for side, curves in zip((-1.0, 1.0), bounds, strict=True):
             curves[state] = _curve(row + side * half)
     return ModelCurves(_curve(times), by_state, *bounds, pieces)
-
-
-def _half_width(part: Simulated, state: str, times: FloatArray) -> FloatArray:
-    """Return half the width of the band of a state at `times` (M,), NaN where it is not known."""
-    from scipy.interpolate import PchipInterpolator
-
-    lower, upper = (values_of_curve((curves or {})[state]) for curves in (part.lower, part.upper))
-    at, half = values_of_curve(part.times), 0.5 * (upper - lower)
-    is_known = np.isfinite(at) & np.isfinite(half)
-    if np.count_nonzero(is_known) < 2:
-        return np.full(len(times), np.nan)
-    return np.asarray(PchipInterpolator(at[is_known], half[is_known], extrapolate=False)(times))
 
 
 def _curve(values: FloatArray) -> Curve:

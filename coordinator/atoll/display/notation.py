@@ -22,7 +22,7 @@ _HEADS: Final = ("constant", "value", "standard error", "95 % interval", "equati
 
 
 def summary(model: "Model") -> str:
-    """Return equations with verdicts, constants with errors, and where the model comes from."""
+    """Return equations with verdicts, constants with errors, and the origin of the model."""
     lines = []
     for equation in model.equations:
         lines.append(str(equation))
@@ -77,14 +77,13 @@ def html(model: "Model") -> str:
 
 
 def _row(row: str, cell: str, contents: Iterable[str]) -> str:
-    """Return elements `cell` with these contents, which are markup, in an element `row`."""
     return f"<{row}>{''.join(f'<{cell}>{content}</{cell}>' for content in contents)}</{row}>"
 
 
 def equation_mathml(lhs: str, variable: str, expression: str, names: Sequence[str]) -> str:
     """Return one equation as MathML (presentation); `expression` is its right-hand side over `names`.
 
-    A left-hand side that is the `variable` itself is a name, even where it reads like a derivative.
+    A left-hand side that is the `variable` itself is a name, even if it reads like a derivative.
     """
     return f"{_MATH}<mrow>{''.join(_mathml_parts(lhs, variable, expression, names))}</mrow></math>"
 
@@ -95,14 +94,13 @@ def _mathml_parts(lhs: str, variable: str, expression: str, names: Sequence[str]
 
 
 def _cells(constant: "Parameter") -> tuple[str, ...]:
-    """Return what is shown of a constant, under `_HEADS`."""
     between = "?" if constant.interval is None else _between(constant.value, *constant.interval)
     error = "?" if constant.stderr is None else f"{constant.stderr:.2g}"
     return constant.name, f"{constant.value:.6g}{unit_text(constant.unit)}", error, between, constant.variable
 
 
 def _between(value: float, low: float, high: float) -> str:
-    """Return ``± half`` of an interval around `value`, else, as of a constant on its bound, ``low to high``."""
+    """Return ``± half`` for an interval around `value`, otherwise, as for a constant at its bound, ``low to high``."""
     half = 0.5 * (high - low)
     if abs(0.5 * (low + high) - value) > 0.05 * half:  # more than the two digits of the half show
         return f"{low:.4g} to {high:.4g}"

@@ -52,34 +52,36 @@ def plot_fit(model: "Model", axes: object = None) -> Axes:
 
 
 def plot_residuals(model: "Model", axes: object = None) -> Axes:
-    """Plot measured less simulated values over time, for each state, along each trajectory."""
+    """Plot measured minus simulated values over time, for each state, along each trajectory."""
     parts = [part for part in _trajectories(model) if part.values and part.measured]
     if not parts:
-        raise UsageError("the result has no measured rows beside simulated ones, so there are no residuals to plot")
+        raise UsageError("the result has no rows that are measured and simulated, so there are no residuals to plot")
     states = list(parts[0].values or {})
     each = _axes_over_time(model, states, axes)
     for at, state in zip(each, states, strict=True):
         for number, part in enumerate(parts):
-            left = residuals(part.measured[state], (part.values or {})[state])
-            at.plot(part.times, values_of_curve(left), ".", color=f"C{number % 10}")
+            differences = residuals(part.measured[state], (part.values or {})[state])
+            at.plot(part.times, values_of_curve(differences), ".", color=f"C{number % 10}")
         at.axhline(0.0, color="0.5", linewidth=0.8)
     return each
 
 
 def plot_phase(model: "Model", axes: object = None) -> Axes:
-    """Plot the plane of the first two states about the measured range: directions, with the others at their middle.
+    """Plot the plane of the first two states around the measured range, with the other states at their middle.
 
-    On it measured points, simulated trajectories and the fixed points of the model, full where they are stable.
+    It has the directions of the flow, measured points, simulated trajectories and fixed points, full if stable.
     """
     if len(model.states) < 2:
         raise UsageError("a phase plane takes two states; this model has one")
     if model.inputs:
-        raise UsageError(f"the model has the inputs {', '.join(model.inputs)}, so that no plane shows its directions")
+        raise UsageError(
+            f"the model has the inputs {', '.join(model.inputs)}, so its directions depend on more than the plane"
+        )
     model.require_one_group()
     columns, known = model.result.columns_by_symbol, model.result.ranges
     lacking = next((name for name in model.states if name not in known), None)
     if lacking is not None:
-        raise UsageError(f"the result does not say in which range {lacking!r} was measured")
+        raise UsageError(f"the result has no measured range of {lacking!r}")
     box = box_of(model.result, model.field, measured_trajectories(model.result, model.field), {})
     first, second = np.meshgrid(*(np.linspace(box.lower[place], box.upper[place], _GRID) for place in (0, 1)))
     points = np.tile([0.5 * sum(known[name]) for name in model.states], (first.size, 1))
@@ -119,7 +121,7 @@ def _add_fixed_points(at: Any, model: "Model", box: Box) -> None:
 
 
 def plot_front(model: "Model", axes: object = None) -> Axes:
-    """Plot for each equation the error of its front over complexity; the member it was made of is marked."""
+    """Plot for each equation the error of its front over complexity; the selected member is marked."""
     equations = model.result.equations
     each = _axes(axes, [f"error of {equation.lhs}" for equation in equations], "complexity")
     for at, equation in zip(each, equations, strict=True):
@@ -133,7 +135,7 @@ def _axes_over_time(model: "Model", states: Sequence[str], axes: object) -> Axes
 
 
 def _axes(axes: object, heights: Sequence[str], width: str) -> Axes:
-    """Return axes below each other with these labels; raises UsageError without matplotlib or with other axes."""
+    """Return axes below one another with these labels; raises UsageError without matplotlib or with other axes."""
     if axes is None:
         try:
             from matplotlib import pyplot

@@ -1,8 +1,8 @@
-"""Systems of equations that the same data may come from, fitted to them, each with its weight.
+"""Alternative systems of equations for the same data, fitted and weighted.
 
-Weights are Akaike's (Burnham & Anderson 2002, section 2.9), exp(-(misfit + k + k (k + 1)/(n - k - 1))) of k numbers
-fitted to n (Hurvich & Tsai 1989): by how well the data are described alone, since an experiment is to decide what the
-price of a structure has decided so far.
+Weights are Akaike's (Burnham & Anderson 2002, section 2.9), exp(-(misfit + k + k (k + 1)/(n - k - 1))) for k numbers
+fitted to n (Hurvich & Tsai 1989). They count the fit alone: an experiment should decide what the price of structure has
+decided so far.
 """
 
 import math
@@ -22,27 +22,27 @@ from atoll_core.expression.operators import ADD, ARITY, CONSTANT, DIVIDE, INVERS
 from atoll_core.expression.program import Node, Program, ProgramBuilder, constant_places, live_nodes
 from atoll_core.expression.text.parsing import from_infix
 
-MOST_RIVALS: Final = 8
-"""Systems that are kept: each pair is compared at every experiment."""
+MOST_SYSTEMS: Final = 8
+"""Systems that are kept: each pair is compared in every experiment."""
 _MOST_FITTED: Final = 24
 _PER_EQUATION: Final = 4
 _LEAST_WEIGHT: Final = 0.01
-"""Of the best system's: what the data have improbable to a hundredth needs no experiment."""
+"""Smallest weight over the best one: a system that is improbable to a hundredth needs no experiment."""
 _LONGEST: Final = 10.0
-"""Nats of a candidate beyond the equation that is shown, at most, for it to be fitted again."""
+"""Largest Δ description length of a candidate that is fitted again."""
 _FIRST_SHARE: Final = 0.1
-"""What a constant in a denominator is at first, over the mean of the rest of it."""
+"""Initial value of a constant in a denominator, over the mean of the rest of it."""
 _SAME: Final = 1e-3
-"""Nats by which the misfits of one function in other words, or with a constant to no purpose, differ at most."""
+"""Largest difference of misfits, in nats, of one function in two forms, or with a superfluous constant."""
 _WANTED: Final = ("shown", "given")
-"""Origins of systems that are candidates however they fit."""
+"""Origins of systems that are candidates however badly they fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedSystem:
-    """A system fitted to the data: `nats` are ln of the best weight over its own; weights sum to 1.
+    """A system fitted to the data: `nats` is ln of the best weight over its own; weights sum to 1.
 
-    `length` is the description length by which equations are compared and shown, in nats.
+    `length` is the description length in nats, by which results choose equations.
     """
 
     fitted: FittedEquations
@@ -52,12 +52,14 @@ class WeightedSystem:
     length: float
 
 
-def rivals_of(result: Result, shown: FittedEquations, given: Sequence[Mapping[str, str]]) -> tuple[WeightedSystem, ...]:
-    """Return the system that a result shows and those that describe the data about as well, the best first.
+def alternatives_of(
+    result: Result, shown: FittedEquations, given: Sequence[Mapping[str, str]]
+) -> tuple[WeightedSystem, ...]:
+    """Return the displayed system and those that fit about as well, the best first.
 
-    Candidates of the result take the place of equations `shown` one at a time and in pairs; systems `given` are
-    right-hand sides by state. Raises UsageError where one of these names no state with an equation, cannot be read or
-    cannot be simulated.
+    Candidates of the result replace equations of `shown` one at a time and in pairs; systems `given` are right-hand
+    sides by state. Raises UsageError for a state without an equation, and for a system that cannot be read or
+    simulated.
     """
     measured = shown.measured
     fits: list[tuple[FittedEquations, str]] = [(shown, "shown")]
@@ -80,7 +82,7 @@ def _weighed(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSyste
     kept: list[tuple[float, FittedEquations, str]] = []
     ordered = sorted(zip(lengths, fits, strict=True), key=lambda entry: (entry[1][1] not in _WANTED, entry[0]))
     for nats, (fitted, origin) in ordered:
-        is_plausible = nats - least <= -math.log(_LEAST_WEIGHT) and len(kept) < MOST_RIVALS
+        is_plausible = nats - least <= -math.log(_LEAST_WEIGHT) and len(kept) < MOST_SYSTEMS
         is_new = all(abs(fitted.misfit - other.misfit) > _SAME for _, other, _ in kept)
         if origin in _WANTED or (is_plausible and is_new):
             kept.append((nats, fitted, origin))
@@ -96,9 +98,9 @@ def _weighed(fits: Sequence[tuple[FittedEquations, str]]) -> tuple[WeightedSyste
 
 
 def weighed_pair(first: FittedEquations, second: FittedEquations) -> tuple[float, float]:
-    """Return ln of the odds for the first of two systems, fitted to the same data, and how much longer the second is.
+    """Return the log odds for the first of two systems fitted to the same data, and the Δ description length.
 
-    Both in nats: by how well they describe the data, and by the length of the description with the equations included.
+    Both in nats: the odds count the fit alone, the description length of the second less the first also the equations.
     """
     rivals = {id(rival.fitted): rival for rival in _weighed([(first, "shown"), (second, "given")])}
     one, other = rivals[id(first)], rivals[id(second)]
@@ -106,7 +108,7 @@ def weighed_pair(first: FittedEquations, second: FittedEquations) -> tuple[float
 
 
 def half_akaike(misfit: float, count: int, numbers: float) -> float:
-    """Return half of Akaike's criterion of `count` numbers fitted to so many, as corrected for few rows, in nats."""
+    """Return half of Akaike's criterion, corrected for few rows, for `count` numbers fitted to `numbers`, in nats."""
     return misfit + count + count * (count + 1.0) / max(numbers - count - 1.0, 1.0)
 
 
@@ -118,14 +120,14 @@ def _half_akaike(fitted: FittedEquations) -> float:
 def _given(shown: EquationSet, texts: Mapping[str, str]) -> EquationSet:
     for name, text in texts.items():
         if name not in shown.variables:
-            raise UsageError(f"a rival names '{name}'; equations are those of {', '.join(shown.variables)}")
+            raise UsageError(f"a rival names '{name}'; there are equations of {', '.join(shown.variables)}")
         place = shown.variables.index(name)
         shown = replace(shown, fixed=shown.fixed - {place}).exchanged(place, from_infix(text, shown.names))
     return shown
 
 
 def _systems(result: Result, measured: FitData, shown: EquationSet) -> Iterator[tuple[EquationSet, str]]:
-    """Yield systems with one or two other equations than those that are shown."""
+    """Yield systems in which one or two of the displayed equations are replaced."""
     options: list[tuple[int, Program, str]] = []
     for place, entry in enumerate(result.equations):
         if place in shown.fixed:
@@ -150,7 +152,7 @@ def _systems(result: Result, measured: FitData, shown: EquationSet) -> Iterator[
 def without_poles(program: Program, equations: EquationSet, measured: FitData) -> Iterator[Program]:
     """Yield the program with another denominator: for n/d n/(d + c) and n d/(d**2 + c), for n/(d + c) the latter alone.
 
-    Where d is never near 0 in the data, these describe them as well as n/d, and where it is, they have no pole.
+    Where d is never near 0 in the data, these fit as well as n/d, and they have no pole.
     """
     nodes = program.nodes()
     for index, (code, left, right, _) in enumerate(nodes):
@@ -166,7 +168,7 @@ def without_poles(program: Program, equations: EquationSet, measured: FitData) -
 
 
 def _without_constant(nodes: Sequence[Node], node: int) -> int:
-    """Return what a node is the sum of beside a constant; itself where it is no such sum."""
+    """Return the other operand of a sum with a constant; the node itself where it is no such sum."""
     code, left, right, _ = nodes[node]
     if code == ADD and nodes[left][0] == CONSTANT:
         return right
@@ -174,7 +176,7 @@ def _without_constant(nodes: Sequence[Node], node: int) -> int:
 
 
 def _size(program: Program, node: int, equations: EquationSet, measured: FitData) -> float | None:
-    """Return the mean of a part of a program over the data; None where it is a number or changes its sign."""
+    """Return the mean of a part of a program over the data; None where it is constant or changes its sign."""
     measurements = measured.measurements
     rows = [measurements.variables.index(name) for name in equations.names]
     points = np.ascontiguousarray(np.concatenate([measurements.smoothed, measurements.inputs])[rows])
@@ -184,7 +186,7 @@ def _size(program: Program, node: int, equations: EquationSet, measured: FitData
 
 
 def _rebuilt(program: Program, index: int, divisor: int, constant: float, *, is_square: bool) -> Program:
-    """Return the program whose quotient at a node has the sum of a part, or its square, and a constant below it."""
+    """Return the program with the sum of a part, or its square, and a constant as denominator at a node."""
     nodes, builder = program.nodes(), ProgramBuilder()
     new: list[int] = []
     for place, (code, left, right, value) in enumerate(nodes):
@@ -203,7 +205,7 @@ def _rebuilt(program: Program, index: int, divisor: int, constant: float, *, is_
 
 
 def _has_pole(fitted: FittedEquations) -> bool:
-    """Tell whether a constant that was added to a denominator has the sign that makes it vanish somewhere."""
+    """Tell whether the constant added to a denominator got the sign with which it vanishes somewhere."""
     programs = fitted.fit.system.programs[-len(fitted.equations.programs) :]
     for before, after in zip(fitted.equations.explicit, programs, strict=True):
         nodes = after.nodes()

@@ -1,7 +1,7 @@
-"""Two models beside each other: whose equations describe the same data better, and how sure that is.
+"""Two models compared: which equations fit the same data better, and with what odds.
 
-Models of trajectories are fitted again, all constants free, to the same measurements, and weighed by Akaike's weights,
-as the candidates of a suggestion are. EquationSet y = f(X) are compared as they are, over the rows that a result lists.
+Models of trajectories are fitted again, all constants free, to the same measurements, and weighted by Akaike's weights
+like the candidates of a suggestion. Equations y = f(X) are compared as they are, over the rows that a result lists.
 Letters: N rows.
 """
 
@@ -19,23 +19,21 @@ from atoll.model.equations import Parameter
 from atoll.model.model import Model
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.result.result import Result
-from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
 from atoll_core.expression.program import structure, variables_of
-from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import first_lines
 
 SCHEMA: Final = 1
 _NAMES: Final = ("A", "B")
 _LEVEL: Final = 0.95
-"""Probability with which all constants of two fits of one law agree: that of the intervals which results give."""
+"""Probability with which all constants of two fits of one law agree: the level of intervals in results."""
 
 
 @dataclass(frozen=True)
 class ComparedModel:
-    """One of two models on some data: its `equations` by left-hand side as they are compared, with so many `constants`.
+    """One of two models on some data: its `equations` by left-hand side, and its number of `constants`.
 
     `residuals` are root mean squares over the standard deviation of each state.
     """
@@ -47,10 +45,10 @@ class ComparedModel:
 
 @dataclass(frozen=True)
 class OnData:
-    """Both models on the same data, of which `source` says where they come from.
+    """Both models on the same data, named by `source`.
 
-    `nats` is the logarithm of the odds for A, by how well the data are described; `longer` by how many nats the
-    description by B is longer, which also counts what the equations are made of (None of equations without time).
+    `nats` is the logarithm of the odds for A, by the fit alone; `longer` is the description length of B less that of A
+    in nats, equations included (None for equations without time).
     """
 
     source: str
@@ -60,12 +58,12 @@ class OnData:
 
     @property
     def sentence(self) -> str:
-        """Which of the two is right, and how sure that is."""
+        """Which of the two the data favour, and with what odds."""
         return which_of_two(*_NAMES, self.nats)
 
     @property
     def length_sentence(self) -> str:
-        """Whose description is shorter; "" where that is not known."""
+        """Whose description is shorter; "" where it is not known."""
         if self.longer is None or abs(self.longer) < 0.05:
             return ""
         shorter = _NAMES[0] if self.longer > 0.0 else _NAMES[1]
@@ -74,10 +72,10 @@ class OnData:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What two models, called A and B, have in common and how well they describe the same data.
+    """Two models, called A and B: the forms of their equations, and their fits to the same data.
 
-    `names` are what they were given as, `forms` says of each equation whether both have the same; `data` has an entry
-    for the data of A and, where these are others, of B.
+    `names` are the names given by the user, `forms` compares each equation; `data` has an entry for the data of A and,
+    where these are different, of B.
     """
 
     names: tuple[str, str]
@@ -104,10 +102,9 @@ class Comparison:
         return first_lines(str(self), "print it")
 
     def as_dict(self) -> dict[str, object]:
-        """Return all of it as plain data, as ``coordinator compare --json`` prints it."""
+        """Return the comparison as plain data, as ``coordinator compare --json`` prints it."""
         data = [
-            attributes(on, "source", "nats", "longer", "sentence")
-            | {letter: vars(side) for letter, side in zip(_NAMES, on.sides, strict=True)}
+            attributes(on, "source", "nats", "longer", "sentence") | dict(zip(_NAMES, on.sides, strict=True))
             for on in self.data
         ]
         models = {
@@ -120,25 +117,29 @@ class Comparison:
 def compare(
     first: Result, second: Result, names: tuple[str, str] = ("the first", "the second"), table: Table | None = None
 ) -> Comparison:
-    """Return two models beside each other.
+    """Return the comparison of two models.
 
     Args:
-        first: A; its data are those that both are compared on.
-        second: B; where its data are others, both are compared on these as well.
-        names: what they are called.
-        table: measurements in the place of those of the results.
+        first: A; both are compared on its data.
+        second: B; if its data are different, both are compared on these as well.
+        names: the names of the models.
+        table: measurements in place of the measurements in the results.
 
     Raises:
-        UsageError: they are not of the same states or target, or there are no measurements.
+        UsageError: they have different states or targets, or there are no measurements.
         AtollError: one cannot be simulated along the data.
     """
     models = Model(first), Model(second)
     for model in models:
         model.require_one_group()
-    _require_alike(*models)
+    sides = [[equation.lhs for equation in model.equations] for model in models]
+    if sorted(sides[0]) != sorted(sides[1]) or models[0].is_regression != models[1].is_regression:
+        left, right = (", ".join(lhs) for lhs in sides)
+        raise UsageError(f"A has equations of {left} and B of {right}; compare models of the same quantities")
     on = _regressions if models[0].is_regression else _dynamics
     data = [on(first, second, "A", table)]
-    if table is None and not _have_same_data(first, second):
+    digests = [None if result.data is None else result.data.digest for result in (first, second)]
+    if table is None and digests[0] != digests[1]:
         turned = on(second, first, "B", table)
         turned_length = None if turned.longer is None else -turned.longer
         data.append(OnData(turned.source, (turned.sides[1], turned.sides[0]), -turned.nats, turned_length))
@@ -146,21 +147,8 @@ def compare(
     return Comparison(names, (shown[0], shown[1]), _forms(*models), tuple(data))
 
 
-def _require_alike(first: Model, second: Model) -> None:
-    """Raise UsageError where two models are not of the same quantities."""
-    sides = [[equation.lhs for equation in model.equations] for model in (first, second)]
-    if sorted(sides[0]) != sorted(sides[1]) or first.is_regression != second.is_regression:
-        left, right = (", ".join(names) for names in sides)
-        raise UsageError(f"A has equations of {left} and B of {right}; compare models of the same quantities")
-
-
-def _have_same_data(first: Result, second: Result) -> bool:
-    digests = [None if result.data is None else result.data.digest for result in (first, second)]
-    return digests[0] == digests[1]
-
-
 def _forms(first: Model, second: Model) -> dict[str, str]:
-    """Return for each equation whether both models have the same, and by how much its constants differ."""
+    """Return for each equation whether both models have the same form, and the difference of its constants."""
     others = {equation.lhs: equation for equation in second.equations}
     forms = {}
     for equation in first.equations:
@@ -181,7 +169,7 @@ def _forms(first: Model, second: Model) -> dict[str, str]:
 
 
 def _difference(first: Sequence[Parameter], second: Sequence[Parameter]) -> str:
-    """Return by how many standard errors the constants of two equations of one form differ."""
+    """Return the largest difference of the constants of two equations of one form, in standard errors."""
     largest, name = 0.0, ""
     for one, other in zip(first, second, strict=True):
         error = math.hypot(one.stderr or 0.0, other.stderr or 0.0)
@@ -190,11 +178,11 @@ def _difference(first: Sequence[Parameter], second: Sequence[Parameter]) -> str:
         errors = abs(one.value - other.value) / error if error > 0.0 else 0.0
         if errors >= largest:
             largest, name = errors, one.name
-    agree = "agree within their errors" if largest <= _most_errors(len(first)) else "differ"
+    agree = "agree within their errors" if largest <= most_errors(len(first)) else "differ"
     return f"its constants {agree}, {name} by {largest:.2g} standard errors"
 
 
-def _most_errors(count: int) -> float:
+def most_errors(count: int) -> float:
     """Return the standard errors that the largest of so many normal differences does not exceed at `_LEVEL` (Šidák)."""
     from scipy.special import ndtri
 
@@ -202,7 +190,6 @@ def _most_errors(count: int) -> float:
 
 
 def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
-    """Compare on the data of `holder`, called `letter`, or of a table."""
     _require_columns(holder, other)
     shown = fit_shown(measured_of(holder, table), holder)
     texts = {equation.variable: equation.expression or "" for equation in other.equations}
@@ -222,7 +209,7 @@ def _dynamics(holder: Result, other: Result, letter: str, table: Table | None) -
 
 
 def _require_columns(holder: Result, other: Result) -> None:
-    """Raise UsageError where the data of one result lack what the equations of the other are made of."""
+    """Raise UsageError where the data of one result lack variables in the equations of the other."""
     for equation in other.equations:
         program = from_infix(equation.expression or "", other.names)
         used = {other.names[place] for place in variables_of(program)}
@@ -235,13 +222,11 @@ def _require_columns(holder: Result, other: Result) -> None:
 
 
 def _side(result: Result, fitted: FittedEquations) -> ComparedModel:
-    equations, measurements = fitted.equations, fitted.measured.measurements
-    programs = fitted.fit.system.programs[-len(equations.programs) :]
-    pairs = zip(result.equations, programs, strict=True)
-    texts = {equation.lhs: to_infix(program, equations.names, digits=4) for equation, program in pairs}
+    measurements = fitted.measured.measurements
     observed = [measurements.variables[place] for place in measurements.observed.tolist()]
     shares = np.sqrt(fitted.fit.squares) / measurements.scales[measurements.observed]
-    return ComparedModel(texts, len(fitted.values), dict(zip(observed, shares.tolist(), strict=True)))
+    residuals = dict(zip(observed, shares.tolist(), strict=True))
+    return ComparedModel(fitted.texts(result), len(fitted.values), residuals)
 
 
 def _regressions(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
@@ -254,30 +239,19 @@ def _regressions(holder: Result, other: Result, letter: str, table: Table | None
     _require_columns(holder, other)
     target = np.array(rows.measured, dtype=np.float64)
     count = float(rows.rows or len(target))
+    by_symbol = {holder.symbols.get(column, column): curve for column, curve in rows.variables.items()}
     sides, lengths = [], []
     for result in (holder, other):
-        values = Model(result).predict(_columns(holder, result))
-        left = target - values
-        known = np.isfinite(left)
-        square = float(np.mean(left[known] ** 2)) if known.all() else math.inf
-        constants = len(Model(result).params)
+        model, unused = Model(result), (0.0,) * len(target)
+        columns = {name: np.array(by_symbol.get(name, unused), dtype=np.float64) for name in result.names}
+        residuals = target - model.predict(columns)
+        known = np.isfinite(residuals)
+        square = float(np.mean(residuals[known] ** 2)) if known.all() else math.inf
         spread = float(np.nanstd(target)) or 1.0
-        equation = Model(result).equations[0]
-        sides.append(
-            ComparedModel(
-                {equation.lhs: equation.expression}, constants, {equation.variable: math.sqrt(square) / spread}
-            )
-        )
+        equation = model.equations[0]
+        shares = {equation.variable: math.sqrt(square) / spread}
+        sides.append(ComparedModel({equation.lhs: equation.expression}, len(model.params), shares))
         misfit = 0.5 * count * math.log(max(square, 1e-24 * spread**2)) if math.isfinite(square) else math.inf
-        lengths.append(half_akaike(misfit, constants, count))
+        lengths.append(half_akaike(misfit, len(model.params), count))
     nats = lengths[1] - lengths[0] if math.isfinite(lengths[0]) or math.isfinite(lengths[1]) else 0.0
     return OnData(f"{len(target)} of {count:.0f} rows of {letter}", (sides[0], sides[1]), nats, None)
-
-
-def _columns(holder: Result, result: Result) -> dict[str, FloatArray]:
-    """Return the variables of a result over the rows that another one lists, by symbol."""
-    rows = holder.regression
-    assert rows is not None
-    by_symbol = {holder.symbols.get(column, column): curve for column, curve in rows.variables.items()}
-    length = len(rows.measured)
-    return {name: np.array(by_symbol.get(name, (0.0,) * length), dtype=np.float64) for name in result.names}

@@ -1,27 +1,24 @@
-"""Possible experiments, what each candidate foretells of them, and what is expected of their outcome.
+"""Possible experiments, the predictions of each candidate for them, and the expected gain of their outcome.
 
-An experiment is one trajectory from an initial state, measured at given times with errors like those of the data. What
-a candidate foretells is Gaussian to first order: its simulation, with the errors of its constants. Initial states are
-fitted, so that a difference that a shift of them explains, within their bounds, is worth nothing.
+An experiment is one trajectory from an initial state, measured at given times with errors like those of the data. The
+prediction of a candidate is Gaussian to first order: its simulation, with the errors of its constants. Initial states
+are fitted, so a difference that a shift of them within their bounds explains is worth nothing.
 
-With the differences d of two candidates i and j in standard errors of the measurements, and the covariances S of what
-each foretells, the discrepancy is d' (S_i + S_j)^-1 d (Buzzi-Ferraris & Forzatti 1983, Chem. Eng. Sci. 38:225); a
-quarter of it is the Bhattacharyya distance B_ij of both. The information expected about which candidate is right is at
-least -sum_i w_i ln sum_j w_j exp(-B_ij) (Kolchinsky & Tracey 2017, Entropy 19:361), in nats and at most the entropy of
-the weights w. The evidence expected for the right candidate, sum_i w_i sum_j w_j/(1 - w_i) 4 B_ij nats, is that of Box
-and Hill (1967) where spreads are alike; Hunter & Reiner (1965) have it without errors of constants. Experiments are
-ranked by it, of each pair as much as decides.
+With the differences d of two candidates i and j in standard errors of the measurements, and the covariances S of both
+predictions, the discrepancy is d' (S_i + S_j)^-1 d (Buzzi-Ferraris & Forzatti 1983, Chem. Eng. Sci. 38:225); a quarter
+of it is the Bhattacharyya distance B_ij. The expected information about the right candidate is at least
+-sum_i w_i ln sum_j w_j exp(-B_ij) (Kolchinsky & Tracey 2017, Entropy 19:361), in nats, and at most the entropy of the
+weights w. The expected evidence for the right candidate, sum_i w_i sum_j w_j/(1 - w_i) 4 B_ij nats, agrees with Box and
+Hill (1967) where spreads are equal; Hunter & Reiner (1965) have it without errors of constants. Experiments are ranked
+by this evidence, for each pair of candidates as much as decides.
 
-The best experiments are looked at without that approximation: what candidate i foretells is added to the data, and
-candidate j fitted to all of it. The deviance that this costs j stands in the place of the discrepancy, with 8 B_ij for
-it as before.
+The best experiments are examined without the first-order approximation: the prediction of candidate i is added to the
+data, and candidate j is fitted to all of it. The increase in deviance of j then replaces the discrepancy, with 8 B_ij
+in place of 4 B_ij.
 
-What an experiment tells of the constants of one candidate is 1/2 ln det(1 + C F), with their covariance C and its
-information F (Lindley 1956; D-optimality). Letters: D states, U inputs, P constants, O measured states, n rows.
-
-The experiments that can be made: what is asked for, and where and how long can be measured.
-
-Letters: D states, U inputs, n points of D numbers and one for each input that can be chosen.
+The expected information about the constants of one candidate is 1/2 ln det(1 + C F), with their covariance C and the
+Fisher information F of the experiment (Lindley 1956; D-optimality). Letters: D states, U inputs, P constants, O
+measured states, n rows.
 """
 
 import math
@@ -44,15 +41,15 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
 Cost = Literal["trajectory", "duration", "samples"]
-"""What an experiment costs: as much as any other, its duration, or its samples."""
+"""The cost of an experiment: the same for all, its duration, or its samples."""
 COSTS: Final[tuple[str, ...]] = get_args(Cost)
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """An experiment: `initial` (D,) and constant `inputs` (U,), measured at `times` (n,) from that of `initial` on.
+    """An experiment: `initial` (D,) and constant `inputs` (U,), measured at `times` (n,), the first one at `initial`.
 
-    `clock` are the inputs (by index) that are the time.
+    `clock` are the inputs (by index) that are the time itself.
     """
 
     initial: FloatArray
@@ -71,11 +68,11 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class DesignPrediction:
-    """What a candidate foretells of an experiment, in standard errors of the measurements.
+    """The prediction of a candidate for an experiment, in standard errors of the measurements.
 
-    `values` (n, O) are those of the measured states; `spread` (n, O, P + D) are their derivatives by the constants
-    times the root of the constants' covariance, then those by the initial state times the widths of its bounds. The
-    first `reached` rows come before the model runs away.
+    `values` (n, O) are the measured states; `spread` (n, O, P + D) are their derivatives by the constants times the
+    root of the constants' covariance, then by the initial state times the widths of its bounds. The simulation has
+    `reached` rows before it diverges.
     """
 
     values: FloatArray
@@ -85,10 +82,10 @@ class DesignPrediction:
 
 @dataclass(frozen=True, eq=False)
 class DesignPredictor:
-    """Simulates a candidate at experiments.
+    """Simulates a candidate for experiments.
 
-    `widths` (D,) are those of the bounds of initial states, `limits` (D, 2) where a state has run away, `sigmas` (O,)
-    the errors of a measurement.
+    `widths` (D,) are the widths of the bounds of initial states; beyond `limits` (D, 2) a state counts as diverged;
+    `sigmas` (O,) are the errors of a measurement.
     """
 
     fitted: FittedEquations
@@ -98,7 +95,7 @@ class DesignPredictor:
 
     @cached_property
     def root(self) -> FloatArray:
-        """A root (P, P) of the covariance of the constants, which are known beforehand to within their own size."""
+        """A root (P, P) of the covariance of the constants, with a prior standard error of 100 %."""
         sizes = np.abs(self.fitted.values)
         sizes = np.maximum(sizes, 1e-12 * max(float(sizes.max(initial=0.0)), 1e-280))
         unit = np.nan_to_num(self.fitted.fit.reduced) * np.outer(sizes, sizes) + np.eye(len(sizes))
@@ -106,7 +103,7 @@ class DesignPredictor:
         return np.asarray(sizes[:, None] * directions / np.sqrt(known))
 
     def at(self, design: Design) -> DesignPrediction:
-        """Return what the candidate foretells of an experiment."""
+        """Return the prediction for an experiment."""
         measurements, fit = self.fitted.measured.measurements, self.fitted.fit
         states, count, rows = len(measurements.scales), len(fit.system.places), len(design.times)
         inputs, slopes = design.courses()
@@ -124,9 +121,9 @@ class DesignPredictor:
 
 
 def _axes(matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues and eigenvectors of a symmetric matrix; below `least` they are by rounding alone.
+    """Return eigenvalues, at least `least`, and eigenvectors of a symmetric matrix.
 
-    What is told of constants may differ by more than rounding lets an inverse be taken.
+    Information about constants can span more orders of magnitude than an inverse allows.
     """
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.maximum(values, least), np.asarray(vectors)
@@ -147,10 +144,10 @@ def discrepancy(first: DesignPrediction, second: DesignPrediction) -> float:
 
 @dataclass(frozen=True)
 class Gain:
-    """What is expected of an experiment, in nats.
+    """The expected gain of an experiment, in nats.
 
-    `information` is that about which candidate is right, or about the constants of one; `evidence` what the right
-    candidate gains on the others, at most four times `FARTHEST`. `worth` is what experiments are ranked by.
+    `information` is about the right candidate, or about the constants of one; `evidence` is the Δ log-likelihood for
+    the right candidate, at most four times `FARTHEST`. `worth` ranks experiments.
     """
 
     information: float
@@ -160,27 +157,27 @@ class Gain:
 
 NONE: Final = Gain(0.0, 0.0, 0.0)
 FARTHEST: Final = 500.0
-"""Bhattacharyya distance of a candidate that cannot be simulated along an experiment, and the largest: exp(-500) is
-nothing, and larger ones are those of a model far outside of what it was fitted to."""
+"""Largest Bhattacharyya distance, also of a candidate that cannot be simulated along an experiment: exp(-500) is
+negligible, and larger ones mean a model far outside of its data."""
 
 
 def needed(lengths: Sequence[float]) -> FloatArray:
-    """Return how many nats of evidence are useful for candidate i against j, by description lengths so far.
+    """Return the useful nats of evidence for candidate i against j, by the description lengths so far.
 
-    As many as it takes for i to be shorter by what is called distinct, and two standard deviations more: evidence of
-    the mean k has the variance 2 k. More is worth nothing.
+    They make the description of i distinctly shorter, plus two standard deviations: evidence with the mean k has the
+    variance 2 k. More evidence is worth nothing.
     """
     behind = np.maximum(np.subtract.outer(lengths, lengths), 0.0) + SETTINGS.inference.distinct_nats
     return np.asarray(behind + 2.0 * np.sqrt(2.0 * behind))
 
 
 def expected_gain(distances: FloatArray, weights: Sequence[float], useful: FloatArray) -> Gain:
-    """Return what is expected of an experiment with these Bhattacharyya distances of all pairs of candidates.
+    """Return the expected gain of an experiment from the Bhattacharyya distances of all pairs of candidates.
 
-    Its worth is the evidence, of each pair as much as is `useful`.
+    Its worth is the evidence, for each pair as much as is `useful`.
     """
     shares = np.asarray(weights)
-    kept = np.flatnonzero(shares > 0.0)  # a candidate that the data have excluded tells nothing: 0 ln 0 = 0
+    kept = np.flatnonzero(shares > 0.0)  # candidates that the data have excluded contribute 0 ln 0 = 0
     shares, distances, useful = shares[kept], distances[np.ix_(kept, kept)], useful[np.ix_(kept, kept)]
     information = -float(shares @ np.log(np.exp(-distances) @ shares))
     pairs = np.outer(shares, shares) / np.maximum(1.0 - shares, 1e-300)[:, None]
@@ -190,26 +187,27 @@ def expected_gain(distances: FloatArray, weights: Sequence[float], useful: Float
     )
 
 
-def distances_of(foretold: Sequence[DesignPrediction], weights: Sequence[float]) -> FloatArray:
-    """Return the Bhattacharyya distances of all pairs of candidates at an experiment, to first order.
+def distances_of(predictions: Sequence[DesignPrediction], weights: Sequence[float]) -> FloatArray:
+    """Return the Bhattacharyya distances of all pairs of candidates for an experiment, to first order.
 
-    0 of an experiment that the candidate of most weight cannot be simulated along.
+    They are 0 where the candidate of largest weight cannot be simulated along the experiment.
     """
-    count = len(foretold)
+    count = len(predictions)
     distances = np.zeros((count, count))
-    if foretold[int(np.argmax(weights))].reached < len(foretold[0].values):
+    if predictions[int(np.argmax(weights))].reached < len(predictions[0].values):
         return distances
     for i in range(count):
         for j in range(i):
-            distances[i, j] = distances[j, i] = min(0.25 * discrepancy(foretold[i], foretold[j]), FARTHEST)
+            distances[i, j] = distances[j, i] = min(0.25 * discrepancy(predictions[i], predictions[j]), FARTHEST)
     return distances
 
 
 def certainties(distances: FloatArray, weights: Sequence[float]) -> tuple[float, ...]:
-    """Return how probable it is, at least, that an experiment tells the first candidate from each other one rightly.
+    """Return lower bounds of the probability that an experiment tells the first candidate from each other correctly.
 
-    If one of the two is right. By the bound of Bhattacharyya (1943): who then takes the likelier one errs with at most
-    sqrt(v_i v_j) exp(-B_ij), where v are the weights of the two alone; without an experiment with the smaller of these.
+    This holds if one of the two is right. The choice of the more likely one is wrong with a probability of at most
+    sqrt(v_i v_j) exp(-B_ij) (Bhattacharyya 1943), where v are the weights of the two alone; without an experiment it is
+    the smaller of these.
     """
     sure = []
     for other in range(1, len(weights)):
@@ -222,14 +220,14 @@ def certainties(distances: FloatArray, weights: Sequence[float]) -> tuple[float,
 
 
 def distance_after(
-    ahead: FittedEquations, fitted: FittedEquations, design: Design, foretold: DesignPrediction, sigmas: FloatArray
+    ahead: FittedEquations, fitted: FittedEquations, design: Design, prediction: DesignPrediction, sigmas: FloatArray
 ) -> float:
-    """Return the Bhattacharyya distance of two candidates at an experiment, one of them `fitted` to its outcome.
+    """Return the Bhattacharyya distance of two candidates for an experiment, one of them `fitted` to its outcome.
 
-    The one `ahead` is right and has `foretold` the outcome; `sigmas` (O,) are the errors of a measurement.
+    The candidate `ahead` is right and has predicted the outcome `prediction`; `sigmas` (O,) are the measurement errors.
     """
     measurements = ahead.measured.measurements
-    longer = with_trajectory(measurements, design, foretold.values.T * sigmas[:, None])
+    longer = with_trajectory(measurements, design, prediction.values.T * sigmas[:, None])
     before, steps = fitted.fit, SETTINGS.effort.steps
     estimator = MultipleShooting(longer, before.estimator.tolerance)
     added = np.zeros(before.starts.shape[1])  # the initial state, and offsets of 0
@@ -247,41 +245,41 @@ def distance_after(
 
 
 def with_trajectory(measurements: Measurements, design: Design, values: FloatArray) -> Measurements:
-    """Return measurements with one trajectory more, of measured `values` (O, n)."""
+    """Return measurements with one more trajectory, with measured `values` (O, n)."""
     rows, count = len(design.times), measurements.rows
     states = np.repeat(design.initial[:, None], rows, axis=1)
     states[measurements.observed] = values
     inputs, slopes = design.courses()
     ones = np.ones_like(values)
+
+    def joined(left: FloatArray, right: FloatArray) -> FloatArray:
+        return np.ascontiguousarray(np.concatenate([left, right], axis=1))
+
     inverse, resting = measurements.inverse_variances, measurements.resting
     return replace(
         measurements,
         bounds=np.concatenate([measurements.bounds, [[count, count + rows]]]),
         owners=np.append(measurements.owners, len(measurements.names)),
         times=np.concatenate([measurements.times, design.times]),
-        measured=_beside(measurements.measured, values),
-        weights=_beside(measurements.weights, ones),
-        smoothed=_beside(measurements.smoothed, states),
-        inputs=_beside(measurements.inputs, inputs),
-        input_slopes=_beside(measurements.input_slopes, slopes),
+        measured=joined(measurements.measured, values),
+        weights=joined(measurements.weights, ones),
+        smoothed=joined(measurements.smoothed, states),
+        inputs=joined(measurements.inputs, inputs),
+        input_slopes=joined(measurements.input_slopes, slopes),
         names=(*measurements.names, "experiment"),
-        inverse_variances=None if inverse is None else _beside(inverse, ones),
+        inverse_variances=None if inverse is None else joined(inverse, ones),
         resting=None if resting is None else np.concatenate([resting, ones == 0.0], axis=1),
     )
 
 
-def _beside(left: FloatArray, right: FloatArray) -> FloatArray:
-    return np.ascontiguousarray(np.concatenate([left, right], axis=1))
+def precision(prediction: DesignPrediction, constants: int) -> tuple[Gain, FloatArray]:
+    """Return the expected gain for the constants, and the share (P, P) of their errors that remains.
 
-
-def precision(foretold: DesignPrediction, constants: int) -> tuple[Gain, FloatArray]:
-    """Return what an experiment is expected to tell of the constants, and the share (P, P) of errors that it leaves.
-
-    With the root L of the covariance before, that after is L (shares) L'.
+    With the root L of the covariance before, the covariance after is L (shares) L'.
     """
-    if foretold.reached < len(foretold.values):
+    if prediction.reached < len(prediction.values):
         return NONE, np.eye(constants)
-    by_all = foretold.spread.reshape(-1, foretold.spread.shape[2])
+    by_all = prediction.spread.reshape(-1, prediction.spread.shape[2])
     of, free = by_all[:, :constants], by_all[:, constants:]
     known, directions = _axes(free.T @ free, 0.0)
     along = directions.T @ (free.T @ of)
@@ -294,25 +292,25 @@ def precision(foretold: DesignPrediction, constants: int) -> tuple[Gain, FloatAr
 MOST_SAMPLES: Final = 2_000
 MOST_SUGGESTIONS: Final = 20
 _POINTS: Final = 192
-"""Points that are tried all over the bounds, for experiments of all lengths together."""
+"""Points all over the bounds, for experiments of all lengths together."""
 _FEWEST_POINTS: Final = 32
 _MOST_CORNERS: Final = 32
 _CORNER: Final = 0.02
-"""How far from its corners a box is tried, over its widths: at the very corner a state may have no rates."""
+"""Distance of points from the corners, over the widths: at the very corner a rate may be undefined."""
 _SHORTER: Final = (1.0, 0.5, 0.25, 0.125)
-"""Shares of the duration, or of the samples, that are tried where these cost something."""
+"""Shares of the duration, or of the samples, that are tried where these have a cost."""
 _FEWEST_SAMPLES: Final = 8
 _APART: Final = 0.25
-"""Share of the width by which suggestions differ in at least one number."""
+"""Share of the widths by which suggestions differ in at least one number."""
 
 
 @dataclass(frozen=True)
 class DesignRequest:
-    """What is asked for.
+    """A request for suggestions.
 
-    `bounds` are of initial states and inputs by name (others are those of the data); `duration` and `samples` are those
-    of an experiment (None: as of the median trajectory that was measured); `cost` is what an experiment costs, `count`
-    how many are suggested; `rivals` are further systems, right-hand sides by state.
+    `bounds` of initial states and inputs by name (by default the ranges of the data); `duration` and `samples` of an
+    experiment (None: as the median measured trajectory); its `cost`; the `count` of suggestions; `rivals`: further
+    systems, as right-hand sides by state.
     """
 
     bounds: Mapping[str, tuple[float, float]]
@@ -337,10 +335,10 @@ class DesignRequest:
 
 @dataclass(frozen=True, eq=False)
 class DesignSpace:
-    """Experiments from initial states of `states`, with constant `inputs`, both within `box`.
+    """The possible experiments: initial states of `states` and constant `inputs`, both within `box`.
 
-    `clock` are the inputs (by index) that are the time, which cannot be chosen; `begin` is the first time, `duration`
-    and `samples` those of the longest experiment. `measured` is the box of what was measured, smoothed.
+    `clock` are the inputs (by index) that are the time itself; `begin` is the first time; `duration` and `samples`
+    belong to the longest experiment. `measured` is the box of the smoothed data.
     """
 
     states: tuple[str, ...]
@@ -369,7 +367,7 @@ class DesignSpace:
         return np.asarray(self.box.widths[: len(self.states)])
 
     def limits(self, measured: FloatArray) -> FloatArray:
-        """Return the range (D, 2) outside of which a state has blown up, by measured states (D, N) and bounds."""
+        """Return the range (D, 2) outside of which a state has diverged, by measured states (D, N) and bounds."""
         low = np.minimum(self.box.lower[: len(self.states)], measured.min(axis=1))
         high = np.maximum(self.box.upper[: len(self.states)], measured.max(axis=1))
         reach = SETTINGS.shooting.blow_up_widths * np.maximum(high - low, 1e-300)
@@ -390,7 +388,7 @@ class DesignSpace:
         return np.concatenate([inner, self.box.lower + corners * self.box.widths])
 
     def design(self, point: FloatArray, share: float) -> Design:
-        """Return the experiment at a point, of a share of the longest one."""
+        """Return the experiment at a point, with a share of the longest duration or of the samples."""
         duration = self.duration * (share if self.cost == "duration" else 1.0)
         fewest = min(_FEWEST_SAMPLES, self.samples)
         samples = max(round(self.samples * share), fewest) if self.cost == "samples" else self.samples
@@ -404,11 +402,11 @@ class DesignSpace:
         return np.concatenate([design.initial, design.inputs[list(self.free)]])
 
     def share(self, design: Design) -> float:
-        """Return which share of the longest experiment one is."""
+        """Return the share of the longest experiment."""
         return self.price(design) / {"trajectory": 1.0, "duration": self.duration, "samples": self.samples}[self.cost]
 
     def price(self, design: Design) -> float:
-        """Return what an experiment costs."""
+        """Return the cost of an experiment."""
         lasts, samples = float(design.times[-1] - design.times[0]), float(len(design.times))
         return {"trajectory": 1.0, "duration": lasts, "samples": samples}[self.cost]
 

@@ -1,8 +1,6 @@
-"""The trajectories that a model was fitted to, laid out for fits again: those of a result, or of data files.
+"""The trajectories of a result, or of data files, and its equations fitted to them again with all constants free.
 
-The equations of a result as systems that can be fitted, with all their constants free.
-
-Letters: P fitted constants, G segments, D states.
+Letters: O measured states, P fitted constants, G segments, D states.
 """
 
 import math
@@ -13,7 +11,7 @@ from typing import Final, get_args
 
 import numpy as np
 
-from atoll.model.equations import differing_groups, program_of
+from atoll.model.equations import differing_groups, matched, program_of
 from atoll_coordinator.data.recording import Method, Recording, Smoothing, Trajectory
 from atoll_coordinator.data.trajectories.measurements import format_number
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -42,11 +40,10 @@ _OTHER_KINDS: Final = {"regression": "a regression without time", "process": "a 
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """Measured trajectories: the `measurements` for fits of the equations of a result, of the `modelled` states.
+    """Measured trajectories: `measurements` for fits of the equations of a result, which are for the `modelled` states.
 
-    `rows` counts all rows that were measured, those of `measurements` being some of them, spread evenly; `independent`
-    (O,) are the rows of each state that decide, as errors may go together; `source` says in words where the data come
-    from.
+    `rows` counts all measured rows, of which `measurements` has some, spread evenly; `independent` (O,) is the
+    effective number of rows of each state, as errors may be correlated; `source` names the data in words.
     """
 
     recording: Recording
@@ -58,24 +55,24 @@ class FitData:
 
     @property
     def share(self) -> FloatArray:
-        """Independent rows (O,) over the rows that a fit counts."""
+        """Independent rows (O,) over the rows in a fit."""
         return np.asarray(self.independent / np.maximum(self.measurements.weights.sum(axis=1), 1.0))
 
     @property
     def longest(self) -> int:
-        """The most rows that are simulated at a stretch."""
+        """The most rows that are simulated from one initial state."""
         return int(np.diff(self.measurements.bounds, axis=1).max())
 
     def shortened(self, piece: int) -> "FitData":
-        """Return the same with at most so many rows simulated at a stretch."""
+        """Return the same with at most so many rows simulated from one initial state."""
         return replace(self, measurements=measurements_of(self.recording, self.modelled, piece=piece))
 
 
 def measured_of(result: Result, table: Table | None = None) -> FitData:
-    """Return the measurements behind the model of a result, or those of a table, read as the job did.
+    """Return the measurements of the model of a result, or of a table, read as in the job.
 
     Raises:
-        UsageError: the states of the result were not measured in time, or it does not have the measurements.
+        UsageError: the states of the result were not measured in time, or it has no measurements.
         DataError: the data cannot be used as they are.
     """
     kind = result.columns.kind
@@ -93,7 +90,7 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     groups = {trajectory.group for trajectory in recording.trajectories}
     if differing_groups(result) and (table is None or len(groups) > 1):
         raise UsageError(
-            "constants of the model differ between groups of trajectories, which cannot be fitted again together",
+            "constants of the model differ between groups of trajectories, which cannot be fitted together",
             python="give the data of one group as data",
             command="give the data of one group with --data",
         )
@@ -105,7 +102,7 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
     piece = max(_FEWEST_ROWS, int(min(pieces) * share)) if pieces else SETTINGS.shooting.piece
     measurements = measurements_of(recording, modelled, piece=piece)
     independent = measurements.weights.sum(axis=1)
-    if table is None:  # rows that were left out of the stored ones count as much as those that are there
+    if table is None:  # measured rows that are not stored count as well
         independent = independent / max(share, 1e-300)
     fitted = sum(part.rows or 0 for part in result.recorded if not part.held_out)
     ratios = [min(1.0, (known.independent_rows or fitted) / fitted) if fitted else 1.0 for known in errors]
@@ -114,9 +111,7 @@ def measured_of(result: Result, table: Table | None = None) -> FitData:
 
 
 def _stored(result: Result) -> Recording:
-    """Return what a result has of its measurements."""
-    trajectories = result.recorded
-    if not trajectories:
+    if not result.recorded:
         raise UsageError(
             "the result has no measurements", python="give them as data", command="give the data file with --data"
         )
@@ -128,7 +123,6 @@ def _stored(result: Result) -> Recording:
         method: Method = next((method for method in get_args(Method) if method == noise.method), "interpolation")
         smoothing.append(Smoothing(name, method, noise.sd or 0.0, noise.relative or 0.0))
     smoothed = {part.name: part for part in result.smoothed}
-    parts = [_trajectory(part, smoothed.get(part.name), states, inputs) for part in trajectories]
     return Recording(
         states,
         tuple(symbols[name] for name in states),
@@ -138,7 +132,7 @@ def _stored(result: Result) -> Recording:
         2 if columns.order == 2 else 1,
         0.0,
         tuple(smoothing),
-        tuple(parts),
+        tuple(_trajectory(part, smoothed.get(part.name), states, inputs) for part in result.recorded),
         tuple(config_of(result).data.offsets),
     )
 
@@ -166,7 +160,7 @@ def _trajectory(
 
 
 def _curve(times: FloatArray, measured: FloatArray, name: str, smoothed: Smoothed | None) -> FloatArray:
-    """Return the smoothed state at these times; of a state that was interpolated what was measured."""
+    """Return the smoothed state at these times; the measured values if the state was interpolated."""
     if smoothed is not None and name in smoothed.smoothed:
         known, values = np.array(smoothed.times), np.array(smoothed.smoothed[name], dtype=np.float64)
     else:
@@ -180,7 +174,7 @@ def _stacked(rows: Sequence[FloatArray | Curve], count: int) -> FloatArray:
 
 
 def starts_of(result: Result, measured: FitData) -> FloatArray | None:
-    """Return the initial states (G, D) that a result has fitted to its trajectories; None where they are others."""
+    """Return the initial states (G, D) fitted in a result; None where segments are not its whole trajectories."""
     known = {part.name: part.start for part in result.simulated}
     measurements, columns = measured.measurements, result.columns_by_symbol
     rows = [known.get(measurements.names[owner]) for owner in measurements.owners.tolist()]
@@ -193,12 +187,12 @@ def starts_of(result: Result, measured: FitData) -> FloatArray | None:
 
 
 def config_of(result: Result) -> JobConfig:
-    """Return the configuration of the job that a result is of."""
+    """Return the configuration of the job of a result."""
     return JobConfig.model_validate({"preset": result.preset or "default", **result.config})
 
 
 def _prepared(result: Result, table: Table) -> Recording:
-    """Return the recording of another table, read and smoothed as the job did; of one group where the result is."""
+    """Return the recording of another table, read and smoothed as in the job; of one group if the result is."""
     from atoll_coordinator.data.prepare import prepare
 
     config, group = config_of(result), result.group
@@ -214,9 +208,9 @@ def _prepared(result: Result, table: Table) -> Recording:
 
 
 def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None) -> Table:
-    """Return the rows of one group, without the `column` of groups unless it tells trajectories apart as well."""
+    """Return the rows of one group, without the `column` of groups unless it also separates trajectories."""
     if column not in table.names:
-        raise UsageError(f"the data have no column {column!r}, which says what is of group {group!r}; add it")
+        raise UsageError(f"the data have no column {column!r}, which marks the rows of group {group!r}; add it")
     values = table.column(column)
     names = {value: table.label(column, value) or format_number(value) for value in dict.fromkeys(values.tolist())}
     rows = np.flatnonzero([names[value] == group for value in values.tolist()])
@@ -237,7 +231,7 @@ def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None
 
 
 def _trajectory_of_group(recording: Recording, group: str) -> Recording:
-    """Return the trajectory that is the group; a single one is taken for it."""
+    """Return the trajectory that is the group; a single trajectory is taken as it is."""
     names = [trajectory.name for trajectory in recording.trajectories]
     if len(names) == 1:
         return recording
@@ -247,22 +241,22 @@ def _trajectory_of_group(recording: Recording, group: str) -> Recording:
 
 
 def _lacking(group: str, names: Sequence[str]) -> UsageError:
-    return UsageError(f"the data have nothing of group {group!r}, only of {', '.join(names)}; give data of that group")
+    return UsageError(f"the data have no rows of group {group!r}, only of {', '.join(names)}; give data of that group")
 
 
 _FINEST: Final = 1e-9
 _COARSEST: Final = 1e-5
 _TOLERANCE_OF_NOISE: Final = 1e-3
-"""Errors of a step of the integration over those of the measurements: below what a deviance shows."""
+"""Integration errors of a step over measurement errors: too small to change a deviance."""
 
 
 @dataclass(frozen=True)
 class FreeConstant:
     """A constant that is fitted.
 
-    `name` is that of `atoll.Model.params` (c1, c2, …), of a factor of one that nobody writes `1 of` its term;
-    `variable` is the state whose equation it stands in, `sign` whether the text has a minus before it, and `is_written`
-    whether it is in the text.
+    `name` is its name in `atoll.Model.params` (c1, c2, …), or `1 of` its term for an unwritten factor of 1; `variable`
+    is the state of its equation, `sign` is -1 where the text has a minus before it, and `is_written`: it is in the
+    text.
     """
 
     name: str
@@ -273,11 +267,10 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class EquationSet:
-    """Right-hand sides of the states that have an equation: `programs` over `names`, the symbols of the result.
+    """Right-hand sides of the states with an equation: `programs` over `names`, the symbols of the result.
 
-    `explicit` are the same with factors of one as constants, unless they are taken as they are written; `fixed` are
-    those (by index) whose constants are given, `bounds` are on all constants of an equation (by index), where the user
-    has set some.
+    `explicit` are the same with unwritten factors of 1 as constants, unless `are_as_written`; the constants of `fixed`
+    equations (by index) are given, `bounds` are the user's bounds on all constants of an equation (by index).
     """
 
     names: tuple[str, ...]
@@ -289,7 +282,7 @@ class EquationSet:
 
     @cached_property
     def explicit(self) -> tuple[ExplicitCoefficients, ...]:
-        """The programs with their factors of one as constants, but those that are given or bounded."""
+        """The programs with unwritten factors of 1 as constants, except given and bounded ones."""
         kept = range(len(self.programs)) if self.are_as_written else {*self.fixed, *self.bounds}
         return tuple(
             as_written(program) if place in kept else make_coefficients_explicit(program)
@@ -297,13 +290,13 @@ class EquationSet:
         )
 
     def exchanged(self, place: int, program: Program) -> "EquationSet":
-        """Return the same with another equation, which has no bounds."""
+        """Return the same with another equation, without bounds."""
         bounds = {index: pairs for index, pairs in self.bounds.items() if index != place}
         programs = (*self.programs[:place], program, *self.programs[place + 1 :])
         return replace(self, programs=programs, bounds=bounds, are_as_written=False)
 
     def system(self, measurements: Measurements, order: int) -> System:
-        """Return the system of the explicit programs; with order 2, positions change by the velocities."""
+        """Return the system of the explicit programs; for order 2, the rates of positions are the velocities."""
         programs = [explicit.program for explicit in self.explicit]
         count = len(programs) if order == 2 else 0
         velocities = measurements.variables[count : 2 * count]
@@ -324,7 +317,7 @@ class EquationSet:
 
 
 def equations_of(result: Result) -> EquationSet:
-    """Return the equations that a result shows."""
+    """Return the displayed equations of a result."""
     names, entries = result.names, result.equations
     programs = tuple(program_of(equation, names) for equation in entries)
     fixed = frozenset(place for place, equation in enumerate(entries) if equation.origin == "known")
@@ -334,7 +327,6 @@ def equations_of(result: Result) -> EquationSet:
 
 
 def _bounds(equation: Equation) -> tuple[tuple[float, float], ...]:
-    """Return the bounds of all constants of an equation; none where no constant has any."""
     ends = [constant.bounds or (None, None) for constant in equation.constants]
     if not any(end is not None for pair in ends for end in pair):
         return ()
@@ -342,7 +334,7 @@ def _bounds(equation: Equation) -> tuple[tuple[float, float], ...]:
 
 
 def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, ...]:
-    """Return the fitted constants in the order of the system; names are those of the text of the result's equations."""
+    """Return the fitted constants in the order of the system, with the names in the texts of the result."""
     constants: list[FreeConstant] = []
     taken = 0
     for place, (variable, explicit) in enumerate(zip(equations.variables, equations.explicit, strict=True)):
@@ -350,7 +342,7 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
         values = program.constants[constant_places(program)].tolist()
         text = from_infix(result.equations[place].expression or "", equations.names)
         shown = text.constants[constant_places(text)].tolist()
-        numbers = _matched(values, shown)
+        numbers = matched(values, shown)
         terms = iter(explicit.terms)
         for origin in explicit.origins if place not in equations.fixed else ():
             if origin is None:
@@ -365,25 +357,13 @@ def constants_of(equations: EquationSet, result: Result) -> tuple[FreeConstant, 
     return tuple(constants)
 
 
-def _matched(values: Sequence[float], shown: Sequence[float]) -> list[int | None]:
-    """Return for each constant of a program its place in the text, as `atoll.model.equations` numbers them."""
-    left = list(range(len(values)))
-    numbers: list[int | None] = [None] * len(values)
-    for number, value in enumerate(shown):
-        place = next((index for index in left if abs(values[index]) == abs(value)), None)
-        if place is not None:
-            numbers[place] = number
-            left.remove(place)
-    return numbers
-
-
 @dataclass(frozen=True, eq=False)
 class FittedEquations:
-    """Equations fitted to measured trajectories in whole, or in pieces of at most `piece` rows.
+    """Equations fitted to whole measured trajectories, or to pieces of them.
 
-    `errors` are those of the measurements by the residuals, corrected for the numbers fitted; they are held from now
-    on. `degrees_of_freedom` are those that are left, `misfit` is minus the log-likelihood with fitted variances,
-    up to a constant. Rows count as `share` (O,) of a row each, as errors go together.
+    `errors` are the measurement errors estimated from the residuals, corrected for the numbers fitted; later fits hold
+    them. `degrees_of_freedom` are left after the fit; `misfit` is minus the log-likelihood with fitted variances, up to
+    a constant.
     """
 
     equations: EquationSet
@@ -398,13 +378,19 @@ class FittedEquations:
         """The fitted constants (P,)."""
         return self.fit.system.values
 
+    def texts(self, result: Result) -> dict[str, str]:
+        """Return the fitted right-hand sides by left-hand side of a result, with rounded constants."""
+        programs = self.fit.system.programs[-len(self.equations.programs) :]
+        pairs = zip(result.equations, programs, strict=True)
+        return {equation.lhs: to_infix(program, self.equations.names, digits=4) for equation, program in pairs}
+
     @cached_property
     def bounded_covariance(self) -> FloatArray:
-        """The covariance (P, P) of the constants, with large variances of those that the data leave open."""
+        """The covariance (P, P) of the constants, with large variances where the data leave constants open."""
         return bounded_covariance(self.fit)
 
     def deviance(self, fit: TrajectoryFit) -> float:
-        """Return the squared residuals of a fit with these errors over their variances, beyond those of this fit."""
+        """Return the squared residuals over the variances of these errors, in excess of this fit."""
         return self.fit.estimator.cost(fit) - self.fit.estimator.cost(self.fit)
 
     def again(self, system: System, starts: FloatArray) -> TrajectoryFit | None:
@@ -418,7 +404,7 @@ def fit_equations(
 ) -> FittedEquations | None:
     """Return the equations fitted with all their constants free; None where they cannot be simulated.
 
-    Where trajectories cannot be fitted in whole, shorter pieces are, of which the errors are those of the smoother.
+    Where they cannot be fitted with unwritten factors of 1 as constants, they are fitted as written.
     """
     written = replace(equations, are_as_written=True)
     return _fitted(measured, equations, starts) or _fitted(measured, written, starts)
@@ -427,7 +413,7 @@ def fit_equations(
 def fit_shown(measured: FitData, result: Result) -> FittedEquations:
     """Return the equations of a result fitted again; raises AtollError where they cannot be simulated.
 
-    In shorter pieces where whole trajectories leave more than the noise.
+    In shorter pieces where residuals of whole trajectories exceed the noise.
     """
     equations, measurements = equations_of(result), measured.measurements
     negligible = SETTINGS.common.negligible * measurements.scales[measurements.observed]
@@ -461,7 +447,7 @@ def _fitted(measured: FitData, equations: EquationSet, starts: FloatArray | None
     decided = float(np.minimum(counts * measured.share, measured.independent).sum())
     left = max(counts.sum() - best.system.values.size - best.starts.size, 1.0)
     degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
-    # with all rows that decide, and as many numbers fitted, the variance of a row that a fit counts
+    # the variance of a row in the fit, corrected for fitted numbers and for correlated or unlisted rows
     widened = np.sqrt(counts.sum() / left / measured.share)
     least = SETTINGS.interpolation.smallest_noise * measurements.scales[measurements.observed]
     sigmas = np.maximum(np.sqrt(best.squares), least) * widened

@@ -1,20 +1,14 @@
-"""What the data determine of each constant of a model, as it is said. Letters: P constants, n points of a profile.
+"""How well the data determine the constants of a model: profile likelihoods, and directions of joint change.
 
-Profile likelihoods: how much worse the data are described as one constant moves and all others are fitted again.
+Along a profile one constant is held at each value, and all other constants and all initial states are fitted again. The
+measurement errors are held at their values in the best fit, so that the deviance, the sum of squared residuals over
+their variances in excess of the best fit, is exactly the squared distance in standard errors where the model is linear
+(Bates & Watts 1988, chapter 6). A value lies within the interval while its deviance is at most the squared quantile of
+Student's t, which for many rows equals the quantile of chi-squared with one degree of freedom.
 
-Along a profile the other constants and all initial states are fitted at each value. The errors of the measurements are
-those of the best fit, so that the deviance, the sum of squared residuals over their variances beyond that of the best
-fit, is exactly the squared distance in standard errors where the model is linear (Bates & Watts 1988, chapter 6). A
-value lies within the interval while its deviance is at most the squared quantile of Student's t, which is that of
-chi-squared with one degree of freedom where rows are many. Letters: P constants, n points.
-
-Directions in which constants can change together without describing the data worse, and what they leave determined.
-
-The directions are eigenvectors of the curvature of the misfit by the constants, initial states eliminated, each
+The directions are eigenvectors of the curvature of the misfit by the constants, with initial states eliminated, each
 constant in units of its own size: in logarithmic coordinates where it keeps its sign (Gutenkunst et al. 2007). Letters:
 P constants, n points of a profile.
-
-The identifiability of the constants of a model: profiles of all of them, and what is known of them together.
 """
 
 import json
@@ -27,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from atoll.experiments.fits import FittedEquations, FreeConstant, constants_of, equations_of, fit_shown, measured_of
-from atoll.terminal.output import plain
+from atoll.terminal.output import attributes, plain
 from atoll_coordinator.model.batches import BatchFunction, Spread
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, covariance
 from atoll_coordinator.result.result import Result
@@ -45,7 +39,7 @@ SCHEMA: Final = 1
 Determination = Literal[
     "determined", "open above", "open below", "practically non-identifiable", "structurally non-identifiable"
 ]
-"""An interval that is closed, has no upper or no lower end, neither; or the deviance does not change at all
+"""The interval is closed, has no upper end, no lower end, or neither; or the deviance does not change at all
 (Raue et al. 2009)."""
 
 
@@ -54,7 +48,7 @@ class Direction:
     """A direction in the space of constants.
 
     `error` is the standard error along it, over the sizes of the constants (infinite: not determined at all); `weights`
-    (P,) its components, of length 1; `is_sloppy` tells whether the data leave it open; `words` says what of the
+    (P,) are its components, of length 1; `is_sloppy`: the data leave it open; `words` says which combination of the
     constants is determined, "" where it is not sloppy.
     """
 
@@ -66,10 +60,10 @@ class Direction:
 
 @dataclass(frozen=True, eq=False)
 class ProfiledConstant:
-    """A constant with its profile, in the sign that the text of its equation gives it.
+    """A constant with its profile, with its sign in the text of the equation.
 
-    `estimate` is the best value, `std_error` the standard error by the curvature there (infinite: none), `interval` by
-    the profile, `quadratic` the estimate plus and minus the quantile times the standard error.
+    `estimate` is the best value, `std_error` the standard error by the curvature there (infinite: none), `interval` the
+    interval by the profile, `quadratic` the estimate plus and minus the quantile times the standard error.
     """
 
     name: str
@@ -86,14 +80,14 @@ class ProfiledConstant:
 
     @property
     def _digits(self) -> int:
-        """How many digits tell the ends of the interval apart, and two more; four at least."""
+        """The digits that distinguish the ends of the interval, and two more; at least four."""
         largest = max((abs(end) for end in self.interval if math.isfinite(end)), default=0.0)
         width = self.interval[1] - self.interval[0]
         return max(4, math.ceil(math.log10(largest / width)) + 2) if 0.0 < width < largest else 4
 
     @property
     def sentence(self) -> str:
-        """What is known of it, in a sentence without its name."""
+        """Estimate and interval in a sentence without its name."""
         low, high = (f"{end:.{self._digits}g}" for end in self.interval)
         ends = {
             "determined": f": {low} to {high}",
@@ -105,11 +99,11 @@ class ProfiledConstant:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What the data determine of the constants of a model.
+    """How well the data determine the constants of a model.
 
-    `quantile` is that of Student's t at `level` with `freedom` degrees, and the deviance is compared with its square.
-    `directions` are of all constants together, the least determined first. `source` says which data, `piece` in pieces
-    of how many rows trajectories were simulated.
+    `quantile` is the quantile of Student's t at `level` with `freedom` degrees; deviances are compared with its square.
+    `directions` are directions in all constants, the least determined first. `source` names the data; trajectories were
+    simulated in pieces of `piece` rows.
     """
 
     level: float
@@ -152,60 +146,55 @@ class Identifiability:
         return frame_of(columns | ends, library)
 
     def as_dict(self) -> dict[str, object]:
-        """Return all of it as plain data; null is infinite."""
+        """Return it as plain data; null is infinite."""
         names = [constant.name for constant in self.constants]
+        constants = []
+        for constant in self.constants:
+            data = {**vars(constant), "sentence": constant.sentence}
+            constants.append(data | {"profile": {name: data.pop(name) for name in ("values", "deviances")}})
         return plain(
             {
                 "schema": SCHEMA,
-                "level": self.level,
-                "freedom": self.freedom,
+                **attributes(self, "level", "freedom"),
                 "threshold": self.quantile**2,
                 "data": self.source,
                 "piece": self.piece,
-                "constants": [_constant_data(constant) for constant in self.constants],
+                "constants": constants,
                 "directions": [
-                    {
-                        "error": direction.error,
-                        "weights": dict(zip(names, direction.weights, strict=True)),
-                        "is_sloppy": direction.is_sloppy,
-                        "words": direction.words,
-                    }
+                    vars(direction) | {"weights": dict(zip(names, direction.weights, strict=True))}
                     for direction in self.directions
                 ],
             }
         )
 
 
-def _constant_data(constant: ProfiledConstant) -> dict[str, object]:
-    data: dict[str, object] = {**vars(constant), "sentence": constant.sentence}
-    profile = {name: data.pop(name) for name in ("values", "deviances")}
-    return {**data, "profile": profile}
+# ------------------------------------------------------------------------------------------------------------ profiles
 
 
 MOST_STEPS: Final = 40
-"""Values on either side of the best one."""
+"""Values on each side of the best one."""
 FARTHEST: Final = 1e3
-"""A constant is followed until it has moved by so many times its size."""
+"""A constant is followed until it has changed by so many times its size."""
 _STEPS_INSIDE: Final = 5
 _GROWTH: Final = 3.0
 _HALVINGS: Final = 5
 _SECANTS: Final = 4
 _REFINEMENTS: Final = 14
-"""Fits by which an end of an interval is found: the first ones by a secant, then by halving what is left."""
+"""Fits to locate an end of an interval: first by secants, then by bisection."""
 _CLOSE: Final = 1e-3
-"""An end of an interval lies where the root of the deviance is the quantile, up to this share."""
+"""Relative error of the root of the deviance at an end of an interval."""
 FLAT: Final = 0.01
-"""Deviance below which nothing is seen of a change: a tenth of a standard error."""
+"""Deviance below which a change is invisible: a tenth of a standard error."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConstantProfile:
     """The profile of one constant.
 
-    `values` (n,) ascend, the best one among them, with their `deviances` (n,); `path` (n, P) are all constants there.
-    `lower` and `upper` are the ends of the interval, infinite where the deviance stays below the threshold as far as it
-    was followed, from `values[0]` to `values[-1]`; 0 where the constant may be as small as one likes, but not 0.
-    `is_cut` (lower, upper) tells that an end is a bound on the constant, or that the model cannot be simulated beyond.
+    `values` (n,) ascend and include the best one, with their `deviances` (n,); `path` (n, P) are all constants there.
+    `lower` and `upper` are the ends of the interval, infinite where the deviance stays below the threshold from
+    `values[0]` to `values[-1]`; 0 where the constant may be arbitrarily small, but not 0. `is_cut` (lower, upper): the
+    end is a bound on the constant, or the model cannot be simulated beyond it.
     """
 
     best: float
@@ -218,20 +207,18 @@ class ConstantProfile:
 
     @property
     def is_flat(self) -> bool:
-        """Whether no value describes the data any worse: nothing in such data could tell the constant."""
+        """Whether all values fit equally well: no data of this kind determine the constant."""
         inside = self.deviances[(self.values > self.lower) & (self.values < self.upper)]
         return all(self.is_open) and bool(inside.max() < FLAT)
 
     @property
     def is_open(self) -> tuple[bool, bool]:
-        """Whether the interval has no lower, and no upper end; 0 is none, where the logarithm has none."""
+        """Whether the interval has no lower, and no upper end; an end at 0 is none, since the logarithm has none."""
         return math.isinf(self.lower) or self.lower == 0.0, math.isinf(self.upper) or self.upper == 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class _ProfilePoint:
-    """A value, the root of the deviance and the fit of all other constants there."""
-
     value: float
     root: float
     fit: TrajectoryFit
@@ -255,7 +242,7 @@ def profile(fitted: FittedEquations, index: int, quantile: float) -> ConstantPro
 
 
 class _ProfileSide:
-    """One side of a profile: values away from the best one, each fitted from where the last two fits point."""
+    """One side of a profile: each value is fitted from the extrapolation of the last two fits."""
 
     def __init__(self, fitted: FittedEquations, index: int, quantile: float, direction: float) -> None:
         self._fitted, self._index, self._quantile, self._direction = fitted, index, quantile, direction
@@ -290,7 +277,6 @@ class _ProfileSide:
         return points[1:], self._direction * math.inf, False
 
     def _next(self, points: list[_ProfilePoint], step: float) -> tuple[_ProfilePoint | None, float]:
-        """Return the next point and the step to it, a shorter one where the model cannot be simulated or is bounded."""
         step = min(step, abs(self._bound - points[-1].value))
         for _ in range(_HALVINGS if step > 0.0 else 0):
             point = self._point(points, points[-1].value + self._direction * step)
@@ -303,7 +289,7 @@ class _ProfileSide:
         lower, upper, last = self._lower.copy(), self._upper.copy(), points[-1].fit
         lower[self._index] = upper[self._index] = value
         held = replace(self._fitted.fit.system, lower=lower, upper=upper)
-        for constants, starts in (self._foreseen(points, value), (last.system.values, last.starts)):
+        for constants, starts in (self._extrapolated(points, value), (last.system.values, last.starts)):
             fit = self._fitted.again(held.with_values(constants), starts)
             if fit is not None:
                 deviance = self._fitted.deviance(fit)
@@ -311,8 +297,8 @@ class _ProfileSide:
                 return _ProfilePoint(value, root, fit)
         return None
 
-    def _foreseen(self, points: list[_ProfilePoint], value: float) -> tuple[FloatArray, FloatArray]:
-        """Return the constants and the initial states that a straight line through the last points gives."""
+    def _extrapolated(self, points: list[_ProfilePoint], value: float) -> tuple[FloatArray, FloatArray]:
+        """Return the constants and the initial states by a straight line through the last points."""
         last = points[-1]
         constants, starts = last.fit.system.values, last.fit.starts
         if len(points) == 1:
@@ -326,7 +312,7 @@ class _ProfileSide:
         return moved, starts + share * (starts - before.fit.starts)
 
     def _crossing(self, points: list[_ProfilePoint]) -> tuple[list[_ProfilePoint], float]:
-        """Return where the root of the deviance is the quantile, and the points fitted on the way."""
+        """Return the points fitted between the last two, and the value with the quantile as root of the deviance."""
         *before, inside, outside = points
         points_between = list[_ProfilePoint]()
         near, far = inside.root - self._quantile, outside.root - self._quantile
@@ -350,23 +336,23 @@ class _ProfileSide:
 
 
 SLOPPY: Final = 1.0
-"""Quantiles of the error along a direction, over the constants themselves, from which it is not determined: then they
-could as well be twice as large, or 0."""
+"""Interval along a direction, over the constants themselves, from which it is not determined: they could be twice as
+large, or 0."""
 _PART: Final = 0.1
-"""Share of the largest component from which a constant takes part in a direction."""
+"""Share of the largest component from which a constant belongs to a direction."""
 _LEFT: Final = 0.1
-"""Share of the change of its terms that a relation may show along a profile and still be called determined."""
+"""Largest change of a determined relation along a profile, as a share of the change of its terms."""
 _LARGEST_POWER: Final = 3
 _LEAST_CURVATURE: Final = 1e-11
-"""Share of the largest eigenvalue below which curvature is rounding."""
+"""Share of the largest eigenvalue below which curvature is rounding error."""
 
 
 def directions(fitted: FittedEquations, profiles: Sequence[ConstantProfile], names: Sequence[str], signs: FloatArray,
                quantile: float) -> tuple[Direction, ...]:  # fmt: skip
     """Return the directions, the least determined one first.
 
-    Of each constant there is a profile, its name, and in `signs` (P,) -1 where that stands for minus the constant;
-    `quantile` counts the standard errors on either side of an interval.
+    `signs` (P,) are -1 where a name stands for minus the constant; `quantile` is the number of standard errors on
+    either side of an interval.
     """
     sizes = np.maximum(np.abs(fitted.values), 1e-300)
     curvature = np.nan_to_num(fitted.fit.reduced) * np.outer(sizes, sizes)
@@ -398,29 +384,29 @@ def _words(vector: FloatArray, profiles: Sequence[ConstantProfile], names: Seque
 
 
 def relation_of(path: FloatArray, names: tuple[str, str]) -> str | None:
-    """Return what of two constants stays the same along a path (n, 2), such as ``a*b`` or ``a + b``; None: nothing.
+    """Return the combination of two constants that stays the same along a path (n, 2): ``a*b``, ``a + b``; or None.
 
-    Products of powers up to cubes are tried, and sums. A sum with another factor than one is said only where no product
-    stays the same: along a short path every relation is nearly one of these.
+    Products of powers up to cubes are tried, and sums. A sum with a factor other than 1 is reported only if no product
+    stays the same, since along a short path every relation is nearly such a sum.
     """
     product, total = _product(path, names), _sum(path, names)
-    if total.left <= min(_LEFT, product.left) and (total.is_plain or product.left > _LEFT):
+    if total.change <= min(_LEFT, product.change) and (total.is_plain or product.change > _LEFT):
         return total.text
-    return product.text if product.left <= _LEFT else None
+    return product.text if product.change <= _LEFT else None
 
 
 @dataclass(frozen=True)
 class _ConstantRelation:
-    """How much a relation changes along a path, over the changes of its terms; `is_plain`: without a factor."""
+    """The change of a relation along a path, over the changes of its terms; `is_plain`: without a factor."""
 
-    left: float = math.inf
+    change: float = math.inf
     text: str = ""
     is_plain: bool = False
 
 
 def _product(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
     signs = np.sign(path)
-    kept = (signs == np.sign(signs.sum(axis=0))).all(axis=1)  # beyond 0 the same may hold with other signs
+    kept = (signs == np.sign(signs.sum(axis=0))).all(axis=1)  # beyond 0 another relation may hold
     path = path[kept & (path != 0.0).all(axis=1)]
     if len(path) < max(3, len(signs) // 2):
         return _ConstantRelation()
@@ -432,11 +418,13 @@ def _product(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
     power = Fraction(abs(ratio)).limit_denominator(_LARGEST_POWER)
     if not 0 < power.numerator <= _LARGEST_POWER:
         return _ConstantRelation()
-    # along the path the logarithm of the second changes by `ratio` times that of the first
+    # along the path the logarithm of the second changes `ratio` times as much as the first
     first, second = power.numerator, power.denominator * (1 if ratio < 0.0 else -1)
-    left = float(np.ptp(first * logs[:, 0] + second * logs[:, 1])) / float(first * spread[0] + abs(second) * spread[1])
+    change = float(np.ptp(first * logs[:, 0] + second * logs[:, 1])) / float(
+        first * spread[0] + abs(second) * spread[1]
+    )
     operator = "*" if second > 0 else "/"
-    return _ConstantRelation(left, f"{_power(names[0], first)}{operator}{_power(names[1], abs(second))}", True)
+    return _ConstantRelation(change, f"{_power(names[0], first)}{operator}{_power(names[1], abs(second))}", True)
 
 
 def _sum(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
@@ -446,13 +434,13 @@ def _sum(path: FloatArray, names: tuple[str, str]) -> _ConstantRelation:
     ratio = _slope(path)
     factor = float(f"{abs(ratio):.2g}")
     sign = -1.0 if ratio > 0.0 else 1.0
-    left = float(np.ptp(factor * path[:, 0] + sign * path[:, 1])) / float(factor * spread[0] + spread[1])
+    change = float(np.ptp(factor * path[:, 0] + sign * path[:, 1])) / float(factor * spread[0] + spread[1])
     first = names[0] if factor == 1.0 else f"{factor:g}*{names[0]}"
-    return _ConstantRelation(left, f"{first} {'+' if sign > 0 else '-'} {names[1]}", factor == 1.0)
+    return _ConstantRelation(change, f"{first} {'+' if sign > 0 else '-'} {names[1]}", factor == 1.0)
 
 
 def _slope(path: FloatArray) -> float:
-    """Return the slope of the second column over the first, of the principal axis of both in their own units."""
+    """Return the slope of the second column over the first, by the principal axis in scaled units."""
     centred = path - path.mean(axis=0)
     scale = centred.std(axis=0)
     return float(scale[1] / scale[0]) * (1.0 if float(centred[:, 0] @ centred[:, 1]) >= 0.0 else -1.0)
@@ -466,7 +454,7 @@ MOST_CONSTANTS: Final = 60
 """More constants than this take minutes."""
 _RESTARTS: Final = 2
 _BETTER: Final = 0.01
-"""Deviance below that of the best fit from which a profile has found a better one."""
+"""Decrease in deviance from which a profile has found a better fit."""
 
 _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
     (False, False): "determined",
@@ -479,24 +467,24 @@ _BY_OPEN_ENDS: Final[Mapping[tuple[bool, bool], Determination]] = {
 def identify(
     result: Result, table: Table | None = None, level: float = 0.95, spread: Spread | None = None
 ) -> Identifiability:
-    """Return what the data (None: those of the result) determine of the constants of a model, by intervals of a level.
+    """Return how well the data (None: of the result) determine the constants of a model, by intervals of a level.
 
-    The profiles of constants are independent of one another; `spread` spreads them.
+    The profiles are independent of one another; `spread` distributes them over workers.
 
     Raises:
-        UsageError: the level is none, the model has no constants or too many, or there are no measurements.
+        UsageError: the level is invalid, the model has no constants or too many, or there are no measurements.
         AtollError: the model cannot be simulated along them.
     """
     if not 0.0 < level < 1.0:
         raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
     measured, equations = measured_of(result, table), equations_of(result)
     if not constants_of(equations, result):
-        raise UsageError("the model has no constants that were fitted, so there is nothing to profile")
+        raise UsageError("the model has no fitted constants, so there is nothing to profile")
     fitted = fit_shown(measured, result)
     constants = constants_of(fitted.equations, result)
     count = len(constants)
     if count > MOST_CONSTANTS:
-        raise UsageError(f"the model has {count} constants that were fitted; at most {MOST_CONSTANTS} can be profiled")
+        raise UsageError(f"the model has {count} fitted constants; at most {MOST_CONSTANTS} can be profiled")
     from scipy import special
 
     quantile = float(special.stdtrit(fitted.degrees_of_freedom, 0.5 + level / 2.0))
@@ -506,7 +494,7 @@ def identify(
         errors = np.sqrt(np.diag(covariance(fitted.fit))).tolist()
     names = [constant.name for constant in constants]
     profiled = [_profiled_constant(*described, quantile) for described in zip(constants, profiles, errors, strict=True)]
-    order = sorted(range(count), key=lambda place: _reading(constants[place], fitted))
+    order = sorted(range(count), key=lambda place: _reading_order(constants[place], fitted))
     eigendirections = directions(fitted, profiles, names, signs, quantile)
     return Identifiability(
         level,
@@ -519,15 +507,15 @@ def identify(
     )
 
 
-def _reading(constant: FreeConstant, fitted: FittedEquations) -> tuple[int, bool, int, str]:
-    """Return what orders constants as they are read: by equation, in the order of the text, factors of one last."""
+def _reading_order(constant: FreeConstant, fitted: FittedEquations) -> tuple[int, bool, int, str]:
+    """Return the sort key of constants: by equation, in the order of the text, unwritten factors last."""
     number = int(constant.name[1:]) if constant.name[:1] == "c" and constant.name[1:].isdigit() else 0
     return fitted.equations.variables.index(constant.variable), not constant.is_written, number, constant.name
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """What travels of a `_Profiler`: its result as JSON, the bytes of its table, and the rest."""
+    """A `_Profiler` as it is sent to workers: its result as JSON, the bytes of its table, and the rest."""
 
     result: str
     table: bytes | None
@@ -537,15 +525,15 @@ class _Parts:
     def profiler(self) -> "_Profiler":
         result = Result.of(json.loads(self.result))
         table = None if self.table is None else Table.from_bytes(self.table)
-        made = _Profiler(fit_shown(measured_of(result, table), result), self.quantile, result, table)
+        profiler = _Profiler(fit_shown(measured_of(result, table), result), self.quantile, result, table)
         for values in self.restarts:
-            made = made.from_values(values) or made
-        return made
+            profiler = profiler.from_values(values) or profiler
+        return profiler
 
 
 @dataclass(frozen=True, eq=False)
 class _Profiler:
-    """The fit of a result to a table that profiles are of, followed until the root of the deviance is `quantile`.
+    """Profiles of the fit of a result to a table, each until the root of the deviance is `quantile`.
 
     `restarts` are the values (P,) of constants from which it was fitted again, one after the other.
     """
@@ -561,19 +549,17 @@ class _Profiler:
         return profile(self.fitted, index, self.quantile)
 
     def from_values(self, values: FloatArray) -> "_Profiler | None":
-        """Return the fit from other values of the constants; None where it is no better."""
+        """Return the profiler of the fit from other values of the constants; None where it is no better."""
         fit = self.fitted.again(self.fitted.fit.system.with_values(values), self.fitted.fit.starts)
         if fit is None or self.fitted.deviance(fit) >= 0.0:
             return None
         return replace(self, fitted=replace(self.fitted, fit=fit), restarts=(*self.restarts, values))
 
     def parts(self) -> _Parts:
-        """Return what travels."""
         table = None if self.table is None else self.table.to_bytes()
         return _Parts(self.result.to_json(), table, self.quantile, self.restarts)
 
     def itself(self) -> "_Profiler":
-        """Return it as it is."""
         return self
 
 
@@ -581,10 +567,10 @@ _PROFILE: Final = BatchFunction("profile", _Parts, int, ConstantProfile, _Profil
 
 
 def _profiled(profiler: _Profiler, count: int, spread: Spread) -> tuple[FittedEquations, list[ConstantProfile]]:
-    """Return the profiles of all constants, and the fit that they are of: a better one where a profile has met it."""
+    """Return the profiles of all constants, and their fit: a better one where a profile has found it."""
     for _ in range(_RESTARTS + 1):
-        made = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)
-        profiles = [likelihood for likelihood in made if likelihood is not None]
+        mapped = spread.map(_PROFILE, profiler.itself, range(count), parts=profiler.parts)
+        profiles = [likelihood for likelihood in mapped if likelihood is not None]
         lowest = min(profiles, key=lambda likelihood: float(likelihood.deviances.min()))
         if lowest.deviances.min() > -_BETTER:
             break

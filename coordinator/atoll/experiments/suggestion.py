@@ -1,22 +1,21 @@
-"""How sure one is which of two equations is right, in words.
+"""The next experiments: those that are worth most for their cost, and how they are presented.
 
-The experiments that are worth most, as they are said.
+Experiments are tried all over the bounds, the best are improved one number after the other, and the best of those that
+differ are kept. Where candidates predict different outcomes, an experiment is worth the evidence that it is expected to
+give about the right one; otherwise, or with only one candidate, the information about its constants.
 
-The next experiments that are worth most for their cost.
-
-Experiments are tried all over the bounds, the best improved one number after the other, and of those that are alike the
-best is kept. Where candidates differ, an experiment is worth what it is expected to tell about which is right; where
-they do not, or there is only one, what it is expected to tell of its constants.
+Candidates are weighted by the fit alone (Akaike), while a result also counts the length of equations: an experiment
+should overrule simplicity. So the displayed equations may have a small weight where few rows decide.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from atoll.experiments.alternatives import WeightedSystem, rivals_of
+from atoll.experiments.alternatives import WeightedSystem, alternatives_of
 from atoll.experiments.designs import (
     NONE,
     Cost,
@@ -41,7 +40,6 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.frames import FrameLibrary, frame_of
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
-from atoll_core.expression.program import Program
 from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import enumerated, first_lines
@@ -49,32 +47,44 @@ from atoll_core.quoting import enumerated, first_lines
 if TYPE_CHECKING:
     import polars
 
+SCHEMA: Final = 1
+
+Purpose = Literal["discrimination", "precision"]
+"""To tell candidates apart, or to determine the constants of the only one."""
+
 UNDECIDED: Final = 3.0
 DECIDED: Final = 20.0
-"""Odds below which data do not decide between two, and from which they do.
+"""Odds below which data do not decide between two candidates, and from which they do.
 
 By Kass and Raftery (1995, doi 10.1080/01621459.1995.10476572) odds below 3 are "not worth more than a bare mention",
-and those from 20 on strong.
+and odds of 20 and more strong.
 """
 _MOST_ODDS: Final = 1e6
 _SUREST: Final = 0.999
 _NOTHING: Final = 0.01
 """Nats that are no difference."""
+_SURE: Final = 0.95
+"""Probability from which an experiment counts as telling two candidates apart."""
+_WEIGHTS: Final = "weights count the fit to the data alone (Akaike); the result also counts the length of equations"
+_IMPROVED: Final = 6
+"""Experiments that are improved and examined closely: the best of those that differ."""
+_ROUNDS: Final = (0.1, 0.1, 0.03, 0.03)
+"""Steps of an improvement, over the widths of the bounds."""
+_REFITTED: Final = 5
+"""Number of candidates, with the largest weights, that are fitted to predicted outcomes of the best experiments."""
+_TOO_MANY: Final = 10
+"""If so many experiments of a kind would not decide between candidates, another purpose serves better."""
 
 
-def odds_text(odds: float) -> str:
-    """Return odds of at least 1 as a number of times, bounded."""
-    if odds >= _MOST_ODDS:
-        return "more than a million times"
-    return f"{odds:.2g} times" if odds < 100.0 else f"{float(f'{odds:.1g}'):,.0f} times"
+# ---------------------------------------------------------------------------------------------------------------- odds
 
 
 def which_of_two(first: str, second: str, nats: float) -> str:
-    """Return which of two candidates the data favour, and how strongly, in a sentence.
+    """Return a sentence on which of two candidates the data favour, and how strongly.
 
     Args:
-        first: what one candidate is called.
-        second: what the other is called.
+        first: the name of one candidate.
+        second: the name of the other one.
         nats: logarithm of the odds for the first; negative where the data favour the second.
     """
     if nats < 0.0:
@@ -83,31 +93,21 @@ def which_of_two(first: str, second: str, nats: float) -> str:
         return f"{first} and {second} describe the data equally well."
     odds = math.exp(min(nats, 2.0 * math.log(_MOST_ODDS)))
     shares = "" if odds >= 100.0 else f" ({100.0 * odds / (1.0 + odds):.0f} to {100.0 / (1.0 + odds):.0f} %)"
-    by = f"{first} is {odds_text(odds)} as probable as {second}{shares}"
+    times = f"{odds:.2g} times" if odds < 100.0 else f"{float(f'{odds:.1g}'):,.0f} times"
+    if odds >= _MOST_ODDS:
+        times = "more than a million times"
+    by = f"{first} is {times} as probable as {second}{shares}"
     if odds < UNDECIDED:
         return f"The data do not decide between {first} and {second}: {by}, if one of them is right."
     strongly = "decide for" if odds >= DECIDED else "favour, without deciding for it,"
     return f"The data {strongly} {first}: {by}, if one of them is right."
 
 
-def certainty_text(certainty: float) -> str:
+def certainty_text_of(certainty: float) -> str:
     """Return a lower bound of a probability, never rounded up."""
     if certainty >= _SUREST:
         return f"more than {100.0 * _SUREST:.1f} %"
     return f"at least {math.floor(100.0 * certainty):.0f} %"
-
-
-SCHEMA: Final = 1
-
-Purpose = Literal["discrimination", "precision"]
-"""To tell candidates apart, or to determine the constants of the only one."""
-
-
-_SURE: Final = 0.95
-"""From which probability on an experiment counts as telling two candidates apart."""
-_WEIGHTS: Final = (
-    "weights are by how well the data are described alone (Akaike); the result also counts how long equations are"
-)
 
 
 def equations_text(equations: Mapping[str, str]) -> str:
@@ -115,14 +115,16 @@ def equations_text(equations: Mapping[str, str]) -> str:
     return "; ".join(f"{side} = {text}" for side, text in equations.items())
 
 
+# --------------------------------------------------------------------------------------------------------- suggestions
+
+
 @dataclass(frozen=True)
 class CandidateSystem:
-    """A candidate with its fitted constants: `equations` by left-hand side, `origin` where it comes from.
+    """A candidate with its fitted constants: `equations` by left-hand side, `origin` of the candidate.
 
-    Its `weight` among all candidates is Akaike's, by how well it describes the data alone; `nats` how far it is behind
-    the best one: ln of the ratio of weights. `longer` is how many nats more than the shown one its description has,
-    which is what results choose by: it also counts what the equations are made of. `written` are the equations with the
-    constants of the result, where these are others; empty where not.
+    `weight` is its Akaike weight among all candidates, by the fit to the data alone; `nats` is the logarithm of the
+    weight of the best candidate over its own. `longer` is its Δ description length to the displayed equations, in nats,
+    by which results choose. `written` are the equations with the constants of the result, where these differ.
     """
 
     equations: Mapping[str, str]
@@ -134,7 +136,7 @@ class CandidateSystem:
 
     @property
     def origin_text(self) -> str:
-        """Where it comes from, and how much longer its description is than that of the equations shown."""
+        """The origin, with the Δ description length to the displayed equations."""
         if self.origin == "shown":
             return self.origin
         return f"{self.origin}, Δ description length {self.longer:.3g}"
@@ -144,13 +146,12 @@ class CandidateSystem:
 class Suggestion:
     """An experiment: a trajectory from the `initial` state with constant `inputs`, measured at `times`.
 
-    `information` in nats is what its outcome is expected to tell, about which candidate is right or of the constants;
-    `evidence` how many nats the right candidate is expected to gain on the others, 2,000 at most. `worth` is what
-    experiments are ranked by, over their cost: the evidence, of each pair of candidates as much as decides, or the
-    information about constants. `worst` is the constant of largest relative error, with that error before and after
-    the experiment (None where candidates are told apart). `certainties` are the probabilities, at least, of telling the
-    first candidate from each other one rightly after the experiment, if one of the two is right; empty where constants
-    are determined. `remark` says where the start lies outside of what was measured, "" where it does not.
+    `information` in nats is expected about the right candidate, or about the constants; `evidence` is the expected
+    Δ log-likelihood for the right candidate, 2,000 at most. `worth`, over `cost`, ranks experiments: the evidence, for
+    each pair of candidates as much as decides, or the information about constants. `worst` is the constant of largest
+    relative error, with that error before and after (None where candidates are told apart). `certainties` are lower
+    bounds of the probability to tell the first candidate from each other one correctly, if one of the two is right;
+    empty where constants are determined. `remark` names initial values outside of the measured range, "" without.
     """
 
     initial: Mapping[str, float]
@@ -166,55 +167,54 @@ class Suggestion:
 
     @property
     def certainty_text(self) -> str:
-        """Which candidates are told apart, and how surely; "" where constants are determined."""
+        """The candidates that are told apart, with the certainty; "" where constants are determined."""
         if not self.certainties:
             return ""
         if len(self.certainties) == 1:
-            return f"which of the two is right is known then with {certainty_text(self.certainties[0])} certainty"
+            return f"which of the two is right is known then with {certainty_text_of(self.certainties[0])} certainty"
         apart = [place for place, sure in enumerate(self.certainties, start=2) if sure >= _SURE]
         rest = [place for place, sure in enumerate(self.certainties, start=2) if sure < _SURE]
         parts = []
         if apart:
             least = min(self.certainties[place - 2] for place in apart)
             each = " each" if len(apart) > 1 else ""
-            named = enumerated([*map(str, apart)])
-            parts.append(f"tells 1 from {named} with {certainty_text(least)} certainty{each}")
+            parts.append(
+                f"tells 1 from {enumerated([*map(str, apart)])} with {certainty_text_of(least)} certainty{each}"
+            )
         if rest:
             parts.append(f"does not surely tell 1 from {enumerated([*map(str, rest)])}")
         return ", ".join(parts)
 
     @property
     def worth_per_cost(self) -> float:
-        """What it is ranked by, nats per unit of its cost."""
+        """The rank of the experiment, nats per unit of its cost."""
         return self.worth / self.cost
 
     @property
     def initial_text(self) -> str:
-        """Where it begins, and with which inputs."""
+        """The initial state and the inputs."""
         return ", ".join(f"{name} = {value:.4g}" for name, value in {**self.initial, **self.inputs}.items())
 
     @property
     def samples_text(self) -> str:
-        """How often and how long is measured."""
+        """The number of samples and their range in time."""
         return f"{len(self.times)} samples from {self.times[0]:.4g} to {self.times[-1]:.4g}"
 
     def as_dict(self) -> dict[str, object]:
         """Return it as plain data."""
-        of_trajectory = attributes(self, "initial", "inputs", "times", "cost")
-        gain = attributes(self, "worth", "worth_per_cost", "information", "evidence")
         heads = ("name", "relative_error", "expected_relative_error")
         worst = None if self.worst is None else dict(zip(heads, self.worst, strict=True))
-        told_apart = attributes(self, "certainties", "remark")
-        return plain(of_trajectory | gain | {"worst_constant": worst} | told_apart)
+        named = ("initial", "inputs", "times", "cost", "worth", "worth_per_cost", "information", "evidence")
+        return plain(attributes(self, *named) | {"worst_constant": worst} | attributes(self, "certainties", "remark"))
 
 
 @dataclass(frozen=True)
 class Suggestions:
-    """Experiments in the order of what they tell per cost.
+    """Experiments by falling worth per cost.
 
-    `purpose` and `reason` say what for and why; `entropy` in nats is how undecided the candidates are, the most that an
-    experiment can tell about them. `bounds` are what is searched of initial states and inputs; of `measured` the
-    range of the smoothed data. `source` says which data.
+    `purpose` and `reason` say what they are for and why; `entropy` in nats measures how undecided the candidates are:
+    the most that an experiment can tell about them. `bounds` are the searched ranges of initial states and inputs;
+    those in `measured` are ranges of the smoothed data. `source` names the data.
     """
 
     purpose: Purpose
@@ -228,7 +228,15 @@ class Suggestions:
     source: str
 
     def __str__(self) -> str:
-        lines = [*self._candidate_lines(), f"purpose: {self.purpose_text}"]
+        lines = [f"candidates, their constants fitted again ({self.source}):"]
+        for number, candidate in enumerate(self.candidates, start=1):
+            origin, texts = candidate.origin_text, equations_text(candidate.equations)
+            lines.append(f"  {number}. weight {candidate.weight:.2g} ({origin})  {texts}")
+            if candidate.written:
+                lines.append(f"     with the constants of the result  {equations_text(candidate.written)}")
+        if self.candidates and self.candidates[0].origin != "shown":
+            lines.append(_WEIGHTS)
+        lines += [*filter(None, [self.verdict]), f"purpose: {self.purpose_text}"]
         parts = [
             f"{name} {low:.4g} to {high:.4g} ({'of the data, smoothed' if name in self.measured else 'given'})"
             for name, (low, high) in self.bounds.items()
@@ -240,16 +248,31 @@ class Suggestions:
             lines += [f"  warning: {experiment.remark}"] if experiment.remark else []
         return "\n".join(lines)
 
+    def _worth(self, experiment: Suggestion) -> str:
+        per = "" if self.cost == "trajectory" else f" ({experiment.worth_per_cost:.3g} per unit of {self.cost})"
+        if experiment.worst is None:
+            doubt = min(experiment.information / self.entropy, 1.0) if self.entropy > 0.0 else 0.0
+            return f"{experiment.certainty_text}; resolves {100.0 * doubt:.0f} % of the doubt{per}"
+        name, before, after = experiment.worst
+        shrinks = f"the error of {name} from {100 * before:.2g} to {100 * after:.2g} %"
+        return f"{experiment.information:.3g} nats about the constants expected{per}, {shrinks}"
+
     def __repr__(self) -> str:
         return first_lines(str(self), "print it")
 
     @property
     def verdict(self) -> str:
-        """Which of the two likeliest candidates the data favour so far, and how strongly; "" of one alone."""
+        """Which of the two most probable candidates the data favour so far, and how strongly; "" for one alone."""
         if len(self.candidates) < 2:
             return ""
         first, second = self.candidates[:2]
         return which_of_two("candidate 1", "candidate 2", second.nats - first.nats)
+
+    @property
+    def purpose_text(self) -> str:
+        """The purpose of the experiments, and the reason."""
+        purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
+        return f"{purpose}, since {self.reason}"
 
     def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
         """Return the experiments, a row each: initial state and inputs by name, `since`, `until`, `samples`, `cost`, …
@@ -268,34 +291,8 @@ class Suggestions:
             columns[name] = [getattr(each, name) for each in experiments]
         return frame_of(columns, library)
 
-    @property
-    def purpose_text(self) -> str:
-        """What the experiments are for, and why."""
-        purpose = "to tell them apart" if self.purpose == "discrimination" else "to determine constants"
-        return f"{purpose}, since {self.reason}"
-
-    def _candidate_lines(self) -> list[str]:
-        lines = [f"candidates, their constants fitted again ({self.source}):"]
-        for number, candidate in enumerate(self.candidates, start=1):
-            origin, texts = candidate.origin_text, equations_text(candidate.equations)
-            lines.append(f"  {number}. weight {candidate.weight:.2g} ({origin})  {texts}")
-            if candidate.written:
-                lines.append(f"     with the constants of the result  {equations_text(candidate.written)}")
-        if self.candidates and self.candidates[0].origin != "shown":
-            lines.append(_WEIGHTS)
-        return [*lines, *filter(None, [self.verdict])]
-
-    def _worth(self, experiment: Suggestion) -> str:
-        per = "" if self.cost == "trajectory" else f" ({experiment.worth_per_cost:.3g} per unit of {self.cost})"
-        if experiment.worst is None:
-            doubt = min(experiment.information / self.entropy, 1.0) if self.entropy > 0.0 else 0.0
-            return f"{experiment.certainty_text}; resolves {100.0 * doubt:.0f} % of the doubt{per}"
-        name, before, after = experiment.worst
-        shrinks = f"the error of {name} from {100 * before:.2g} to {100 * after:.2g} %"
-        return f"{experiment.information:.3g} nats about the constants expected{per}, {shrinks}"
-
     def as_dict(self) -> dict[str, object]:
-        """Return all of it as plain data, as ``coordinator suggest --json`` prints it."""
+        """Return the suggestions as plain data, as ``coordinator suggest --json`` prints them."""
         about = {
             "schema": SCHEMA,
             **attributes(self, "purpose", "reason", "entropy"),
@@ -309,36 +306,29 @@ class Suggestions:
         return plain(about)
 
 
-_IMPROVED: Final = 6
-"""Experiments that are improved, the best of those that differ, and looked at closely."""
-_ROUNDS: Final = (0.1, 0.1, 0.03, 0.03)
-"""Steps of an improvement, over the widths of the bounds."""
-_REFITTED: Final = 5
-"""Candidates, the heaviest, that are fitted to each other's outcomes of the best experiments."""
-_TOO_MANY: Final = 10
-"""Experiments of a kind that would not decide between candidates: then another purpose serves better."""
+# -------------------------------------------------------------------------------------------------------------- search
 
 
 def suggest(result: Result, request: DesignRequest, table: Table | None = None) -> Suggestions:
-    """Return the experiments to make next for a result, the best first.
+    """Return the next experiments for a result, the best first.
 
     Raises:
         UsageError: a number or name of the request does not fit, there are no measurements, the model cannot be
-            simulated within the bounds, or it has neither candidates nor constants that an experiment could tell of.
+            simulated within the bounds, or it has neither several candidates nor constants.
     """
     request.check()
     shown = fit_shown(measured_of(result, table), result)
     space = space_of(result, shown.measured, request)
-    # left-hand sides of rivals are written as x, as the result has them (dx/dt), or dx
+    # users name an equation x, dx/dt as in the result, or dx
     sides = {equation.lhs: equation.variable for equation in result.equations}
     sides |= {side.partition("/")[0]: name for side, name in sides.items()}
     given = [{sides.get(side, side): text for side, text in rival.items()} for rival in request.rivals]
-    return _Suggester(result, request, space, shown, rivals_of(result, shown, given)).suggestions()
+    return _Suggester(result, request, space, shown, alternatives_of(result, shown, given)).suggestions()
 
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """An experiment with what is expected of it; `worth`, information and evidence per cost rank it, one by one."""
+    """An experiment with its expected gain; `worth`, information and evidence per cost rank it, in this order."""
 
     design: Design
     cost: float
@@ -353,11 +343,11 @@ class _Tried:
 
 @dataclass(frozen=True)
 class _DesignSearch:
-    """Finds the experiments of most worth by what `value` says of each, the best looked at again by `look`."""
+    """Finds the experiments of largest worth by the `value` of each; the best are examined again by `examined`."""
 
     space: DesignSpace
     value: Callable[[Design], Gain]
-    look: Callable[[_Tried], _Tried] = lambda tried: tried
+    examined: Callable[[_Tried], _Tried] = lambda tried: tried
 
     def best(self, count: int, seed: int) -> list[_Tried]:
         """Return `count` experiments that differ, the best first; fewer where others are worth nothing."""
@@ -365,7 +355,8 @@ class _DesignSearch:
         points = space.points(seed)
         tried = [self._tried(space.design(point, share)) for share in space.shares for point in points]
         improved = [self._improved(experiment) for experiment in self._apart(tried, most)]
-        return self._apart([self.look(experiment) for experiment in self._apart([*improved, *tried], most)], count)
+        finalists = self._apart([*improved, *tried], most)
+        return self._apart([self.examined(experiment) for experiment in finalists], count)
 
     def _tried(self, design: Design) -> _Tried:
         gain = self.value(design)
@@ -373,7 +364,6 @@ class _DesignSearch:
         return _Tried(design, self.space.price(design), gain if is_finite else NONE)
 
     def _improved(self, best: _Tried) -> _Tried:
-        """Return an experiment moved to more worth, one number after the other."""
         for step in _ROUNDS:
             for moved in self.space.around(self.space.point(best.design), step):
                 neighbour = self._tried(self.space.design(moved, self.space.share(best.design)))
@@ -381,7 +371,6 @@ class _DesignSearch:
         return best
 
     def _apart(self, tried: Sequence[_Tried], count: int) -> list[_Tried]:
-        """Return the best of experiments that differ, without those that are worth nothing."""
         kept: list[_Tried] = []
         for experiment in sorted(tried, key=lambda experiment: experiment.worth, reverse=True):
             is_other = all(self.space.are_apart(experiment.design, other.design) for other in kept)
@@ -391,7 +380,7 @@ class _DesignSearch:
 
 
 class _Suggester:
-    """What is suggested for a result, and for which purpose."""
+    """Chooses the purpose of experiments for a result, and writes the suggestions."""
 
     def __init__(
         self,
@@ -399,65 +388,63 @@ class _Suggester:
         request: DesignRequest,
         space: DesignSpace,
         shown: FittedEquations,
-        rivals: Sequence[WeightedSystem],
+        systems: Sequence[WeightedSystem],
     ) -> None:
         self._result, self._request, self._space = result, request, space
-        self._shown, self._rivals = shown, tuple(rivals)
+        self._shown, self._systems = shown, tuple(systems)
         limits = space.limits(shown.measured.measurements.smoothed)
         self._sigmas = shown.errors.sigmas * np.sqrt(np.maximum(shown.measured.share, 1.0))
-        self._candidates = [DesignPredictor(rival.fitted, space.widths, limits, self._sigmas) for rival in self._rivals]
+        self._predictors = [DesignPredictor(known.fitted, space.widths, limits, self._sigmas) for known in systems]
         self._of_shown = DesignPredictor(shown, space.widths, limits, self._sigmas)
-        self._weights = [rival.weight for rival in self._rivals]
-        self._useful = needed([rival.length for rival in self._rivals])
+        self._weights = [known.weight for known in systems]
+        self._useful = needed([known.length for known in systems])
 
     def suggestions(self) -> Suggestions:
-        """Return all of it."""
         count, seed = self._request.count, self._request.seed
         chosen: list[_Tried] = []
-        if len(self._rivals) > 1:
-            chosen = _DesignSearch(self._space, self._discrimination, self._looked_at).best(count, seed)
+        if len(self._systems) > 1:
+            chosen = _DesignSearch(self._space, self._discrimination, self._examined).best(count, seed)
         reason = self._reason(chosen)
         if reason is None:
-            return self._said("discrimination", chosen, f"{len(self._rivals)} candidates differ")
+            return self._written("discrimination", chosen, f"{len(self._systems)} candidates differ")
         if not len(self._shown.values):
             raise UsageError(f"{reason}, and the model has no constants, so no experiment tells more")
-        precise = _DesignSearch(self._space, self._precision).best(count, seed)
-        if not precise:
+        constants = len(self._shown.values)
+        precise = _DesignSearch(self._space, lambda design: precision(self._of_shown.at(design), constants)[0])
+        chosen = precise.best(count, seed)
+        if not chosen:
             raise UsageError("the model cannot be simulated from any initial state within the bounds; give others")
-        return self._said("precision", precise, reason)
+        return self._written("precision", chosen, reason)
 
     def _reason(self, chosen: Sequence[_Tried]) -> str | None:
-        """Return why experiments do not serve to tell candidates apart; None where they do."""
-        if len(self._rivals) < 2:
+        """Return why experiments cannot tell candidates apart; None where they can."""
+        if len(self._systems) < 2:
             return "there is only one candidate"
         if sum(weight > 0.0 for weight in self._weights) < 2:
-            return f"the data have excluded all but one of {len(self._rivals)} candidates already"
+            return f"the data have excluded all but one of {len(self._systems)} candidates already"
         best = max((experiment.gain.evidence for experiment in chosen), default=0.0)
         if best * _TOO_MANY < SETTINGS.inference.distinct_nats:
-            return f"all {len(self._rivals)} candidates predict the same within the bounds"
+            return f"all {len(self._systems)} candidates predict the same within the bounds"
         return None
 
     def _discrimination(self, design: Design) -> Gain:
-        foretold = [candidate.at(design) for candidate in self._candidates]
-        return expected_gain(distances_of(foretold, self._weights), self._weights, self._useful)
+        predictions = [predictor.at(design) for predictor in self._predictors]
+        return expected_gain(distances_of(predictions, self._weights), self._weights, self._useful)
 
-    def _looked_at(self, tried: _Tried) -> _Tried:
-        """Return an experiment with what is expected of it, the heaviest candidates fitted to its outcomes."""
-        foretold = [candidate.at(tried.design) for candidate in self._candidates]
-        distances = distances_of(foretold, self._weights)
-        heaviest = sorted(range(len(foretold)), key=lambda place: -self._weights[place])[:_REFITTED]
+    def _examined(self, tried: _Tried) -> _Tried:
+        """Return an experiment with its gain when the candidates of largest weight are fitted to its outcomes."""
+        predictions = [predictor.at(tried.design) for predictor in self._predictors]
+        distances = distances_of(predictions, self._weights)
+        heaviest = sorted(range(len(predictions)), key=lambda place: -self._weights[place])[:_REFITTED]
         for i in heaviest:
             for j in heaviest:
-                if i != j and foretold[i].reached == len(tried.design.times):
-                    pair = self._rivals[i].fitted, self._rivals[j].fitted
-                    distances[i, j] = distance_after(*pair, tried.design, foretold[i], self._sigmas)
+                if i != j and predictions[i].reached == len(tried.design.times):
+                    pair = self._systems[i].fitted, self._systems[j].fitted
+                    distances[i, j] = distance_after(*pair, tried.design, predictions[i], self._sigmas)
         sure = certainties(distances, self._weights)
         return replace(tried, gain=expected_gain(distances, self._weights, self._useful), certainties=sure)
 
-    def _precision(self, design: Design) -> Gain:
-        return precision(self._of_shown.at(design), len(self._shown.values))[0]
-
-    def _said(self, purpose: Purpose, chosen: Sequence[_Tried], reason: str) -> Suggestions:
+    def _written(self, purpose: Purpose, chosen: Sequence[_Tried], reason: str) -> Suggestions:
         box, symbols = self._space.box, self._result.symbols
         given = {symbols.get(name, name) for name in self._request.bounds}
         ends = zip(box.lower.tolist(), box.upper.tolist(), strict=True)
@@ -465,7 +452,7 @@ class _Suggester:
             purpose,
             reason,
             -sum(weight * math.log(weight) for weight in self._weights if weight > 0.0),
-            tuple(self._candidate(rival) for rival in self._rivals),
+            tuple(self._candidate(known) for known in self._systems),
             tuple(self._suggestion(tried, is_precise=purpose == "precision") for tried in chosen),
             dict(zip(self._space.names, ends, strict=True)),
             tuple(name for name in self._space.names if name not in given),
@@ -473,20 +460,18 @@ class _Suggester:
             self._shown.measured.source,
         )
 
-    def _candidate(self, rival: WeightedSystem) -> CandidateSystem:
-        equations = rival.fitted.equations
-        programs = rival.fitted.fit.system.programs[-len(equations.programs) :]
-        shown, length = self._result.equations, next(other.length for other in self._rivals if other.origin == "shown")
-
-        def texts(programs: Iterable[Program]) -> dict[str, str]:
-            sides = zip(shown, programs, strict=True)
-            return {equation.lhs: to_infix(program, equations.names, digits=4) for equation, program in sides}
-
-        fitted, written = texts(programs), {}
-        if rival.origin == "shown":
-            written = texts(from_infix(equation.expression or "", equations.names) for equation in shown)
+    def _candidate(self, system: WeightedSystem) -> CandidateSystem:
+        shown = self._result.equations
+        length = next(other.length for other in self._systems if other.origin == "shown")
+        fitted, written = system.fitted.texts(self._result), {}
+        if system.origin == "shown":
+            names = system.fitted.equations.names
+            written = {
+                equation.lhs: to_infix(from_infix(equation.expression or "", names), names, digits=4)
+                for equation in shown
+            }
         others = {} if written == fitted else written
-        return CandidateSystem(fitted, rival.origin, rival.weight, rival.nats, rival.length - length, others)
+        return CandidateSystem(fitted, system.origin, system.weight, system.nats, system.length - length, others)
 
     def _suggestion(self, tried: _Tried, *, is_precise: bool) -> Suggestion:
         space, design = self._space, tried.design
@@ -507,7 +492,7 @@ class _Suggester:
         )
 
     def _worst(self, design: Design) -> tuple[str, float, float]:
-        """Return the constant whose relative error is largest, and that error before and after an experiment."""
+        """Return the constant of largest relative error, and this error before and after an experiment."""
         root = self._of_shown.root
         before, after = root @ root.T, root @ precision(self._of_shown.at(design), len(root))[1] @ root.T
         sizes = np.maximum(np.abs(self._shown.values), 1e-300)

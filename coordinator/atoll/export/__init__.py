@@ -1,6 +1,6 @@
 """A model in the formats of other programs.
 
-`formats` is the table of them. `description` is a model as it is written down, in no language yet; `language` writes it
-by the words and the `template` of one, with names that `naming` finds. The languages: `python`, `c`, `julia`, `matlab`,
-`modelica`, `xppaut` and `sbml`. `petab` writes a folder, `text` what people and sympy read.
+`formats` is the table of formats, and writes what people and sympy read. `description` is the content of an export,
+before any language; `language` writes it with the notation, the names and the templates of one of `languages`. `sbml`
+writes XML, `petab` a folder.
 """

@@ -1,4 +1,4 @@
-"""What an export writes down of a model, in no language yet. Letters: D states, N times."""
+"""The content of an export, before any language. Letters: D states, N times."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 Times = npt.ArrayLike | None
-"""Times that ascend, the last one alone, or those that were measured."""
+"""Ascending times, the last time alone, or the measured times."""
 HeldInputs = Mapping[str, npt.ArrayLike | InputCurve] | None
 """By name numbers, arrays at the times, or curves."""
 
 _MOST_EVALUATIONS: Final = 20_000
-"""Of the rates, to see how small states become: a part of a second."""
+"""Evaluations of the rates to find how small states become: a fraction of a second."""
 
 
 @dataclass(frozen=True, eq=False)
 class Formula:
-    """An expression: its program over the symbols of the description, and the names of constants that have one."""
+    """An expression: its program over the symbols of the description, and the names of its named constants."""
 
     program: Program
     constants: Mapping[int, str]
@@ -42,7 +42,7 @@ class Formula:
 class ExportedState:
     """A state: its `name` in expressions, its `column` in the data ("" where it has none), its `unit`.
 
-    `rate` is its derivative, `start` its initial value. Errors are to be small beside `size`, above 0; of a process 0.
+    `rate` is its derivative, `start` its initial value. `size`, above 0, scales absolute tolerances; 0 for a process.
     """
 
     name: str
@@ -57,9 +57,9 @@ class ExportedState:
 class ExportedInput:
     """A variable without an equation.
 
-    It is the time itself, is held at a `value`, or goes along a `table`: pieces of cubics, (M, 5), each the time from
-    which it holds and the coefficients of the powers 0 to 3 of the time since then; `until` is where the last one ends.
-    Its `status` is that nothing is known of it, or that what was recorded was dropped, where it is held at 0 for that.
+    It is the time itself, is held at a `value`, or follows a `table`: piecewise cubics (M, 5), each with its first time
+    and the coefficients of the powers 0 to 3 of the time since then; `until` is the end of the last one. Its `status`
+    says why it is held at 0: nothing is known of it, or its recorded table was dropped.
     """
 
     name: str
@@ -76,10 +76,10 @@ class ExportedInput:
 class Description:
     """A model as it is exported.
 
-    `symbols` are the variables of all formulas. The `states` go from `begin` to `end` in `steps` equal steps; for order
-    2 velocities are behind the positions. `covariance` has the entries of g g' of a process dx = f dt + g dW by the
-    places of two states. A regression has no state, and a `value`. `constants` are those with a name, `origin` has
-    lines that say where the model comes from, `zeros` sentences on the inputs that are held at 0 for want of a value.
+    `symbols` are the variables of all formulas. The `states` go from `begin` to `end` in `steps` equal steps, with
+    velocities after the positions for order 2. `covariance` has the entries of g g' of a process dx = f dt + g dW by
+    the indices of two states. A regression has no state, and a `value`. `constants` are the named ones; `origin` has
+    lines on the origin of the model, `zeros` sentences on inputs that are held at 0 for lack of a value.
     """
 
     symbols: tuple[str, ...]
@@ -121,15 +121,14 @@ class Description:
 def describe(
     model: "Model", x0: Given | None = None, t: Times = None, u: HeldInputs = None, without_tables: str = ""
 ) -> Description:
-    """Return what `model` is, with an initial state, times and inputs as `Model.simulate` takes them.
+    """Return the description of `model`, with an initial state, times and inputs as `Model.simulate` takes them.
 
-    Inputs of which nothing is given and nothing was recorded are held at 0, and so are those recorded as they change
-    where a format has no tables, `without_tables` being its name. Times are written as their first, their last and
-    their number.
+    Inputs that are neither given nor recorded are held at 0, and so are recorded inputs that change if the format has
+    no tables (`without_tables` is then its name). Times are exported as first time, last time and number.
 
     Raises:
-        UsageError: nothing tells the initial state or the times, what is given does not fit, or constants differ
-            between groups of trajectories.
+        UsageError: the initial state or the times are not known, arguments do not fit, or constants differ between
+            groups of trajectories.
     """
     model.require_one_group()
     given = u or {}
@@ -145,7 +144,7 @@ def describe(
     if not model.is_regression:
         start = start_of(model, x0)
         sizes = np.zeros(len(start))
-        if not components:  # how large simulations take the states to be, what is not known held at 0 as here
+        if not components:  # sizes as in simulations, with unknown inputs held at 0
             zeros = {variable.name: 0.0 for variable in inputs if variable.status == "unknown"}
             course = inputs_along(model, {**zeros, **given}, times, recorded)
             sizes = followed_sizes(model.field, start, times, course, _MOST_EVALUATIONS)
@@ -169,12 +168,12 @@ def describe(
 
 
 def _is_named(constant: Parameter) -> bool:
-    """Tell whether a constant gets a name: not a whole number that no fit has given an error, as the 2 of 2*x."""
+    """Tell whether a constant gets a name: an integer without a fitted error, such as the 2 of 2*x, does not."""
     return constant.stderr is not None or constant.bounds is not None or not constant.value.is_integer()
 
 
 def _formulas(model: "Model") -> dict[str, Formula]:
-    """Return the right-hand sides by variable; constants are counted as `Model.params` counts them."""
+    """Return the right-hand sides by variable, with the names of constants in `Model.params`."""
     formulas, count = {}, 0
     for equation in model.equations:
         program = from_infix(equation.exact, model.result.names)
@@ -197,17 +196,13 @@ def _states(
             rates[velocity] = rates[position]
             rates[position] = Formula(Program.of([(VARIABLE, names.index(velocity), 0, 0.0)]), {})
     return tuple(
-        ExportedState(name, _column(model, name), _unit(model, name), rates[name], first, size)
+        ExportedState(name, model.result.columns_by_symbol[name], _unit(model, name), rates[name], first, size)
         for name, first, size in zip(model.states, start.tolist(), sizes.tolist(), strict=True)
     )
 
 
-def _column(model: "Model", symbol: str) -> str:
-    return model.result.columns_by_symbol[symbol]
-
-
 def _unit(model: "Model", symbol: str) -> str:
-    return model.result.units.get(_column(model, symbol), "")
+    return model.result.units.get(model.result.columns_by_symbol[symbol], "")
 
 
 def _input(
@@ -219,7 +214,7 @@ def _input(
     *,
     has_tables: bool,
 ) -> ExportedInput:
-    column, unit = _column(model, name), _unit(model, name)
+    column, unit = model.result.columns_by_symbol[name], _unit(model, name)
     value = next((given[key] for key in (name, column) if key in given), None)
     if value is None and column == model.time and not model.is_regression:
         return ExportedInput(name, column, unit, "time")
@@ -245,10 +240,9 @@ def _input(
 
 
 def _zeros(inputs: tuple[ExportedInput, ...], without_tables: str) -> tuple[str, ...]:
-    """Return sentences on the inputs that are held at 0 for want of a value."""
     reasons = {
         "dropped": f"not as recorded, since {without_tables} has no tables",
-        "unknown": "since nothing is given of them",
+        "unknown": "since no value is given",
     }
     columns = {status: [variable.column for variable in inputs if variable.status == status] for status in reasons}
     return tuple(
@@ -257,7 +251,6 @@ def _zeros(inputs: tuple[ExportedInput, ...], without_tables: str) -> tuple[str,
 
 
 def _origin(model: "Model") -> tuple[str, ...]:
-    """Return lines on where the model comes from and what is known of it."""
     result, data = model.result, model.result.data
     lines = [f"Written by Atoll {VERSION}. Result: job {result.job}, seed {result.seed}, digest {result.digest}."]
     if data and data.digest:

@@ -1,8 +1,6 @@
-"""A result as text for people and sympy: LaTeX, Python that makes sympy objects, CSV of the fronts.
+"""The table of export formats, and the texts for people and sympy: LaTeX, sympy source, CSV of the fronts.
 
-Equations that were not found are left out.
-
-The table of formats of one file: languages, and what is written of a result, which need not be a model.
+Texts are written from a result, which need not be complete: equations that were not found are left out.
 """
 
 import csv
@@ -16,7 +14,7 @@ from atoll.export.language import Language
 from atoll.export.languages import JULIA, MATLAB, MODELICA, PYTHON, XPPAUT, C
 from atoll.export.sbml import SBML
 from atoll.model.arguments import Given
-from atoll.model.equations import ConstantWords, constant_words, equation_of, remark_on_groups
+from atoll.model.equations import ConstantWords, constant_words, displayed_equation, remark_on_groups
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.export import left_side_to_latex, to_latex, unit_to_latex
@@ -36,7 +34,7 @@ _OF_NUMBERS: Final = "-0123456789"
 
 
 def as_csv(result: Result) -> str:
-    """Return the equations as CSV with a header: for each the one that is shown, then all members of its front."""
+    """Return the equations as CSV with a header: for each the displayed one, then all members of its front."""
     stream = io.StringIO()
     writer: csv.DictWriter[str] = csv.DictWriter(stream, _COLUMNS, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -51,7 +49,7 @@ def as_csv(result: Result) -> str:
 
 
 def as_sympy(result: Result) -> str:
-    """Return Python source that makes the symbols and a dictionary ``equations`` from left-hand side to expression."""
+    """Return Python source with the symbols and a dictionary ``equations`` from left-hand side to expression."""
     names = result.names
     remark = remark_on_groups(result)
     lines = [f"# {remark}"] if remark else []
@@ -79,7 +77,7 @@ def latex_lines(result: Result) -> list[str]:
         if equation.expression is None:
             continue
         left = left_side_to_latex(equation.lhs, is_name=equation.lhs == equation.variable)
-        unit = equation_of(result, equation).unit
+        unit = displayed_equation(result, equation).unit
         unit = rf" \quad \left[{unit_to_latex(unit)}\right]" if unit else ""
         lines.append(f"{left} &= {to_latex(from_infix(equation.expression, names), names)}{unit}")
         constants = ",\\; ".join(map(_constant_latex, constant_words(equation.constants)))
@@ -95,7 +93,6 @@ def _constant_latex(words: ConstantWords) -> str:
 
 
 def _numbers_latex(text: str) -> str:
-    """Return numbers with ``±`` or ``to`` between them as mathematics."""
     text = _POWER.sub(lambda power: rf" \cdot 10^{{{int(power[1])}}}", text)
     return text.replace("±", r"\pm").replace(" to ", r"\text{ to }")
 
@@ -116,7 +113,7 @@ OF_RESULTS: Final[Mapping[str, Callable[[Result], str]]] = {
     "json": Result.to_json,
 }
 PETAB: Final = "petab"
-"""A folder, with a writer of its own (`atoll.export.petab`)."""
+"""A folder, written by `atoll.export.petab`."""
 NAMES: Final = (*LANGUAGES, *OF_RESULTS, PETAB)
 
 
@@ -126,7 +123,7 @@ def written(model: "Model", name: str, x0: Given | None = None, t: Times = None,
         return OF_RESULTS[name](model.result)
     if name not in LANGUAGES:
         known = ", ".join([*LANGUAGES, *OF_RESULTS])
-        raise UsageError(f"{name!r} is no format of an export; choose one of {known}, or petab with a folder")
+        raise UsageError(f"{name!r} is no export format; choose one of {known}, or petab with a folder")
     return write(describe(model, x0, t, u, LANGUAGES[name].without_tables), LANGUAGES[name])
 
 
@@ -137,14 +134,14 @@ def write(model: Description, language: Language) -> str:
 
 
 def require_holds(model: Description, language: Language) -> None:
-    """Raise UsageError where a process would lose its noise, a regression its function, or an input its table."""
+    """Raise UsageError where a format has no noise for a process, no function for a regression, or no table."""
     if model.covariance and not language.has_noise:
         able = enumerated([name for name, other in LANGUAGES.items() if other.has_noise])
         raise UsageError(f"{language.name} cannot hold the noise of a process; {able} can")
     if not model.states and not language.regression:
         able = ", ".join([name for name, other in LANGUAGES.items() if other.regression])
         raise UsageError(
-            f"{language.name} holds what moves in time, and this model does not; {able}, latex and sympy can"
+            f"{language.name} holds models of dynamics, and this is a regression; {able}, latex and sympy hold it"
         )
     if model.tables and not language.has_tables:
         raise UsageError(

@@ -1,14 +1,12 @@
-"""Templates of files. Pure.
+"""Languages as tables of words and templates, and a description in the words of one. Pure.
 
-`$name` is a value, of a list how many items it has. `<<items|text|separator>>` is the text for each item, the separator
-", " unless given. Lines of their own say what becomes of others: ``$for items:line`` repeats a line for each item, with
-a comma between two as ``$for items,:line`` (or a semicolon); ``$if name:line`` keeps it where a value is neither 0 nor
-empty, ``$unless name:line`` where it is. With nothing behind the colon they hold for all lines down to their ``$end``.
-Within an item its values hide those around it.
+A language takes some names only: names of columns are spelled in ASCII and changed where a language reserves them.
 
-Names that a language takes, from names that people have given to columns. Pure.
-
-Languages as tables of words and templates, and a description in the words of one.
+Templates: `$name` is a value, or the number of items of a list. `<<items|text|separator>>` is the text for each item,
+the separator ", " by default. Whole lines can be conditional: ``$for items:line`` repeats a line for each item, with a
+comma in between as ``$for items,:line`` (or a semicolon); ``$if name:line`` keeps it where a value is neither 0 nor
+empty, ``$unless name:line`` where it is. With nothing after the colon they hold for all lines down to their ``$end``.
+Within an item its values hide outer ones.
 """
 
 import re
@@ -33,7 +31,7 @@ _PART: Final = re.compile(r"<<(\w+)\|(.*?)(?:\|(.*?))?>>|\$(\w+)")
 
 
 def fill(template: str, values: Values) -> list[str]:
-    """Return the lines of a template with values; raises KeyError where one is not there."""
+    """Return the lines of a template with values; raises KeyError where one is missing."""
     return list(_filled(template.splitlines(), values))
 
 
@@ -47,13 +45,16 @@ def _filled(template: Iterable[str], values: Values) -> Iterator[str]:
         word, name, separator, rest = instruction.groups()
         body = [rest] if rest else [*_block(lines)]
         if word == "for":
-            yield from _repeated(body, _scopes(name, values), separator)
+            scopes = _scopes(name, values)
+            for number, scope in enumerate(scopes, start=1):
+                *before, last = _filled(body, scope)
+                yield from before
+                yield last + (separator if number < len(scopes) else "")
         elif bool(values[name]) is (word == "if"):
             yield from _filled(body, values)
 
 
 def _block(lines: Iterator[str]) -> Iterator[str]:
-    """Yield the lines before the ``$end`` of a block that has begun, and take that one too."""
     depth = 1
     for line in lines:
         instruction = _LINE.fullmatch(line)
@@ -63,15 +64,8 @@ def _block(lines: Iterator[str]) -> Iterator[str]:
         yield line
 
 
-def _repeated(body: Sequence[str], scopes: Sequence[Values], separator: str) -> Iterator[str]:
-    for number, scope in enumerate(scopes, start=1):
-        *lines, last = _filled(body, scope)
-        yield from lines
-        yield last + (separator if number < len(scopes) else "")
-
-
 def _scopes(name: str, values: Values) -> list[Values]:
-    """Return the values that each item of a list sees."""
+    """Return the values visible inside each item of a list."""
     items = values[name]
     assert not isinstance(items, str | float | int), f"{name} is no list"
     return [{**values, **item} for item in items]
@@ -93,10 +87,10 @@ _LETTER: Final = re.compile(r"(?:GREEK|CYRILLIC) (SMALL|CAPITAL) LETTER (?:FINAL
 
 @dataclass(frozen=True)
 class Naming:
-    """What a language takes as a name: ASCII letters, digits and _, a letter first, at most `longest` of them.
+    """The names that a language allows: ASCII letters, digits and _, a letter first, at most `longest` characters.
 
-    `reserved` are words that mean something else, and no name begins with one of `prefixes`; where the language
-    `is_caseless`, case tells no names apart.
+    `reserved` words are excluded, and names that begin with one of `prefixes`; where the language `is_caseless`, names
+    that differ in case alone are equal.
     """
 
     reserved: frozenset[str]
@@ -105,9 +99,9 @@ class Naming:
     is_caseless: bool = False
 
     def assign(self, wanted: Mapping[str, str]) -> dict[str, str]:
-        """Return what each key is called: what is wanted where it can be, else something like it; all are different.
+        """Return a name for each key: the wanted one if possible, otherwise a similar one; all are different.
 
-        Of those that want the same, the first gets it.
+        If several keys want the same name, the first gets it.
         """
         names: dict[str, str] = {}
         taken: set[str] = set()
@@ -144,7 +138,7 @@ class Naming:
 
 
 def spelled(name: str) -> str:
-    """Return `name` in ASCII letters, digits and _: without accents, letters of Greek and Cyrillic by their names."""
+    """Return `name` in ASCII letters, digits and _: without accents, Greek and Cyrillic letters by their names."""
     return "".join(map(_spelled, unicodedata.normalize("NFKC", name)))
 
 
@@ -158,7 +152,7 @@ def _spelled(character: str) -> str:
 
 
 def harmless(text: str) -> str:
-    """Return `text` as it may stand in a comment of any language: one line, no backslash, no invisible character."""
+    """Return `text` for a comment in any language: one line, no backslash, no invisible character."""
     kept = (
         character if unicodedata.category(character)[0] not in "CZ" else " "
         for character in text.replace("\\", "/").replace("*/", "* /")
@@ -167,14 +161,14 @@ def harmless(text: str) -> str:
 
 
 _WIDTH: Final = 100
-"""Columns of a heading."""
+"""Width of a heading in characters."""
 _TOLERANCE: Final = 1e-12
 """Relative error of a step."""
 _LEAST_NOMINAL: Final = 1e-30
-"""Of the initial value: tools divide by nominal values, whose squares are to be numbers."""
+"""Share of the initial value: tools divide by nominal values, whose squares must not underflow."""
 _UNDEFINED: Final = (
-    "Arithmetic is that of doubles. Where the mathematics has no value (a division by zero, the logarithm or a broken "
-    "power of a negative number)"
+    "Arithmetic is that of doubles. Where the mathematics has no value (a division by zero, the logarithm or a "
+    "fractional power of a negative number)"
 )
 _NOISE: Final = "Noise: dx = f dt + g dW in the sense of Ito; g is the root of the covariance per time."
 _LARGE_ANGLES: Final = "sin and cos of more than 1e5, which Atoll's search takes for undefined, have values here."
@@ -184,11 +178,11 @@ _LARGE_ANGLES: Final = "sin and cos of more than 1e5, which Atoll's search takes
 class Language:
     """The words of a language and the templates of its files, which docs/how-to/export-format.md describes.
 
-    `name` is what sentences call it, `notation` how it writes expressions, `naming` what it takes as a name, `time`
-    what it calls the time; `comment` begins a line of one, `remark` is the form of what is said behind a statement.
-    `where_undefined` says what happens where an expression has no value. Templates: `motion` of a file of what moves in
-    time, `regression` of a function ("" where there is none), `usage` of lines that say how the file is used. Without
-    `has_noise` a process is refused, without `has_tables` an input along one. Lines have `longest` characters at most.
+    `name` is its name in sentences, `notation` its notation of expressions, `naming` its allowed names, `time` its name
+    of the time; `comment` begins a comment line, `remark` is the form of a remark after a statement. `where_undefined`
+    says what happens where an expression is undefined. Templates: `motion` for a model of dynamics, `regression` for a
+    function ("" without), `usage` for lines on how to use the file. Without `has_noise` a process is refused, without
+    `has_tables` an input that follows a table. Lines have `longest` characters at most.
     """
 
     name: str
@@ -240,11 +234,11 @@ class Wording:
         self._names |= {variable.name: language.time for variable in model.inputs if variable.kind == "time"}
 
     def __getitem__(self, named: ExportedState | ExportedInput | Parameter) -> str:
-        """Return what a variable or a constant is called."""
+        """Return the name of a variable or a constant."""
         return self.constant(named.name) if isinstance(named, Parameter) else self._names[named.name]
 
     def constant(self, name: str) -> str:
-        """Return what a constant is called, by its name in the model."""
+        """Return the name of a constant, by its name in the model."""
         return self._names[f"constant {name}"]
 
     def expression(self, formula: Formula) -> str:
@@ -254,23 +248,23 @@ class Wording:
         return to_code(formula.program, symbols, self.language.notation, constants)
 
     def note(self, constant: Parameter) -> str:
-        """Return what is known of a constant: unit and standard error."""
+        """Return unit and standard error of a constant."""
         unit = harmless(constant.unit) if constant.unit is not None and constant.unit != "1" else ""
         error = "" if constant.stderr is None else f"standard error {constant.stderr:.2g}"
         return self._quoted(", ".join(part for part in (unit, error) if part))
 
     def about(self, variable: ExportedState | ExportedInput) -> str:
-        """Return what a variable is: its column and unit."""
+        """Return column and unit of a variable."""
         unit = f" [{harmless(variable.unit)}]" if variable.unit else ""
         return self._quoted(f"column {harmless(variable.column)}{unit}")
 
     def _quoted(self, text: str) -> str:
-        """Return a text as it may stand in a remark, which is a string in some languages."""
+        """Return a text for a remark, which is a string in some languages."""
         return text.replace('"', "'") if '"' in self.language.remark else text
 
     @property
     def heading(self) -> list[str]:
-        """What stands above: where the model comes from, what is called how, how the file is used."""
+        """The heading of the file: origin of the model, changed names, usage."""
         model, language = self.model, self.language
         named = [(self[each], each.column, f"column '{each.column}'") for each in model.variables]
         named += [(self[each], each.name, f"constant {each.name}") for each in model.constants]
@@ -287,11 +281,9 @@ class Wording:
         ]
         return [part for line in lines for part in _wrapped(line)]
 
-    # ------------------------------------------------------------------------------------------- what templates name
-
     @cached_property
     def values(self) -> Values:
-        """What templates can name."""
+        """The values that templates can name."""
         model = self.model
         constants: list[Values] = []
         for constant in model.constants:
@@ -360,7 +352,7 @@ class Wording:
 
     @cached_property
     def _noise(self) -> tuple[list[tuple[str, str]], list[list[str]]]:
-        """What multiplies dW: assignments (name, expression) in order, and the names in each row of g, "" for 0.
+        """The factor g of dW: assignments (name, expression) in order, and the names in each row of g, "" for 0.
 
         g is the lower triangle with g g' = B (Cholesky).
         """

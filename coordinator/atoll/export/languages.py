@@ -1,14 +1,7 @@
-"""Python: a module that needs numpy alone, with its own integrator; processes by the method of Euler and Maruyama.
+"""The languages of exports: reserved words, notation and templates of each.
 
-C99: a program that integrates by itself and prints CSV; of a regression a function.
-
-Julia: a system of ModelingToolkit, which BifurcationKit, StructuralIdentifiability and Attractors take as well.
-
-MATLAB and Octave: a function that solves by ode45, with the rates beside it.
-
-Modelica: a model for OpenModelica, Dymola and others, which make FMUs of it.
-
-XPPAUT: an .ode file, for phase planes and for AUTO's continuation.
+Python and C carry their own integrator (Dormand and Prince, orders 5 and 4); Julia, MATLAB, Modelica and XPPAUT use the
+solvers of their tools. Templates are written as `atoll.export.language` describes.
 """
 
 import keyword
@@ -50,7 +43,7 @@ import numpy as np
 
 STATES = (<<states|'$name'>>$comma_of_one)
 START = np.array([<<states|$start>>])
-$unless process:SIZES = np.array([<<states|$size>>])  # beside these errors are small
+$unless process:SIZES = np.array([<<states|$size>>])  # sizes of the states, for absolute tolerances
 TIMES = np.linspace($first_time, $last_time, $rows)
 PARAMETERS = {
 $for constants:    '$name': $value,$remark
@@ -234,7 +227,7 @@ $for parameters:    const double $name = parameters[$place];
 #define SIZE $states
 
 static const double start[SIZE] = {<<states|$start>>};
-// beside these errors are small: how large the states are, as far as they come back from it
+// sizes of the states, for absolute tolerances
 static const double sizes[SIZE] = {<<states|$size>>};
 static const double begin_time = $first_time, end_time = $last_time;
 static const long step_count = $steps;

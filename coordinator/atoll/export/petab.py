@@ -1,7 +1,7 @@
 """PEtab 1: a folder of SBML, measurements, noise and bounds, for pyPESTO, AMICI, Data2Dynamics and COPASI.
 
-Each trajectory is a condition with an initial state of its own, which is estimated, as are the constants. Simulations
-of PEtab begin at time 0: times are counted from the beginning of their trajectory.
+Each trajectory is a condition with its own initial state, which is estimated like the constants. Simulations of PEtab
+begin at time 0: times are counted from the beginning of their trajectory.
 """
 
 import csv
@@ -18,7 +18,7 @@ from atoll.export.description import Description, ExportedState, describe
 from atoll.export.formats import require_holds
 from atoll.export.language import Wording
 from atoll.export.sbml import SBML, start_name
-from atoll.model.arguments import Columns, inputs_of, measured_beginning, read_columns, rows_of, values_of_curve
+from atoll.model.arguments import Columns, column, has, measured_conditions, read_columns, rows_of, values_of_curve
 from atoll.model.equations import Parameter
 from atoll_coordinator.result.findings import Errors, Noise
 from atoll_coordinator.result.listed_trajectories import Recorded
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 _REACH: Final = 10.0
-"""Standard errors on either side of a constant that its bounds leave; where none is known, multiples of its size."""
+"""Bounds of a constant: so many standard errors on either side, or multiples of its size where no error is known."""
 _PROBLEM: Final = """\
 format_version: 1
 parameter_file: parameters.tsv
@@ -40,7 +40,7 @@ problems:
     measurement_files: [measurements.tsv]
 """
 
-Row = tuple[str | float, ...]
+_Row = tuple[str | float, ...]
 
 
 def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | None = None) -> None:
@@ -58,14 +58,11 @@ def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | N
             "the result holds no measurements of trajectories", python="give them as data", command="give --data FILE"
         )
     tables = _Tables(model, description, trajectories)
-    files = {
-        "problem.yaml": _PROBLEM,
-        "model.xml": document,
-        "conditions.tsv": _text(tables.conditions()),
-        "observables.tsv": _text(tables.observables()),
-        "measurements.tsv": _text(tables.measurements()),
-        "parameters.tsv": _text(tables.parameters()),
-    }
+    files = {"problem.yaml": _PROBLEM, "model.xml": document}
+    for name in ("conditions", "observables", "measurements", "parameters"):
+        stream = io.StringIO()
+        csv.writer(stream, delimiter="\t", lineterminator="\n").writerows(getattr(tables, name)())
+        files[f"{name}.tsv"] = stream.getvalue()
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
@@ -74,12 +71,9 @@ def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | N
         raise UsageError(f"{folder} cannot be written ({error.strerror}); name another folder") from error
 
 
-# ------------------------------------------------------------------------------------------------------ measurements
-
-
 @dataclass(frozen=True, eq=False)
 class PetabTrajectory:
-    """What was measured along one: `times` (N,), `values` (N,) by state, NaN where missing; `start` (D,) fitted.
+    """Measurements along a trajectory: `times` (N,), `values` (N,) by state, NaN where missing; `start` (D,) fitted.
 
     `inputs` are the values (N,) of inputs, by name.
     """
@@ -92,9 +86,9 @@ class PetabTrajectory:
 
 
 def _recorded(model: "Model") -> list[PetabTrajectory]:
-    """Return the measurements that a result holds, without held-out trajectories, from their fitted initial states.
+    """Return the measurements in a result, without held-out trajectories, with their fitted initial states.
 
-    A trajectory without a fitted one begins at its first row that has every state, and is left out where none has.
+    A trajectory without a fitted initial state begins at its first row with every state, and is left out without one.
     """
     symbols = model.result.symbols
     starts: Mapping[str, Mapping[str, float | None]]
@@ -105,10 +99,10 @@ def _recorded(model: "Model") -> list[PetabTrajectory]:
             continue
         times, start, first = values_of_curve(part.times), starts.get(part.name), 0
         if start is None:
-            beginning = measured_beginning(model, part)
-            if beginning is None:
+            conditions = measured_conditions(model, part)
+            if conditions is None:
                 continue
-            start, first = beginning.start, int(np.searchsorted(times, beginning.times[0]))
+            start, first = conditions.start, int(np.searchsorted(times, conditions.times[0]))
         recorded = part.inputs if isinstance(part, Recorded) else {}
         values, inputs = (
             {symbols[name]: values_of_curve(curve)[first:] for name, curve in curves.items()}
@@ -121,23 +115,19 @@ def _recorded(model: "Model") -> list[PetabTrajectory]:
 
 
 def _given(model: "Model", data: Sequence[Columns]) -> list[PetabTrajectory]:
-    """Return measurements that are given, each with the initial state of its first row."""
+    """Return given measurements, each with the initial state of its first row."""
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")
-    trajectories = []
+    columns, trajectories = model.result.columns_by_symbol, []
     for number, part in enumerate((read_columns(model, part) for part in data), start=1):
         times, values, start = rows_of(model, part)
         first = tuple(start[name] for name in model.states)
-        trajectories.append(PetabTrajectory(str(number), times, values, first, inputs_of(model, part)))
+        inputs = {name: column(part, columns[name]) for name in model.inputs if has(part, columns[name])}
+        trajectories.append(PetabTrajectory(str(number), times, values, first, inputs))
     return trajectories
 
 
-# ------------------------------------------------------------------------------------------------------------ tables
-
-
 class _Tables:
-    """The tables of a problem, row by row, the header first."""
-
     def __init__(self, model: "Model", description: Description, trajectories: Sequence[PetabTrajectory]) -> None:
         self._description = description
         self._words = Wording(description, SBML)
@@ -153,8 +143,8 @@ class _Tables:
             for state, values in self._measured.items()
         }
 
-    def conditions(self) -> Iterator[Row]:
-        """Yield the initial state, the inputs and, where it is one, the beginning time of each trajectory."""
+    def conditions(self) -> Iterator[_Row]:
+        """Yield the initial state, the inputs and, if it is an input, the first time of each trajectory."""
         description = self._description
         inputs = [self._words[held] for held in description.held]
         clock = ["begin_time"] if description.depends_on_time else []
@@ -165,14 +155,14 @@ class _Tables:
             begin = [float(part.times[0]) for _ in clock]
             yield f"trajectory_{number}", part.name, *starts, *values, *begin
 
-    def observables(self) -> Iterator[Row]:
+    def observables(self) -> Iterator[_Row]:
         """Yield the measured states with their errors."""
         yield "observableId", "observableFormula", "observableTransformation", "noiseFormula", "noiseDistribution"
         for name, (_, formula) in self._errors.items():
             yield f"observable_{name}", name, "lin", formula, "normal"
 
-    def measurements(self) -> Iterator[Row]:
-        """Yield the measured values, those that are missing left out."""
+    def measurements(self) -> Iterator[_Row]:
+        """Yield the measured values, without missing ones."""
         yield "observableId", "simulationConditionId", "measurement", "time"
         for number, part in enumerate(self._trajectories, start=1):
             times = (part.times - part.times[0]).tolist()
@@ -182,8 +172,8 @@ class _Tables:
                     if math.isfinite(value):
                         yield f"observable_{self._words[state]}", f"trajectory_{number}", value, time
 
-    def parameters(self) -> Iterator[Row]:
-        """Yield what is estimated: constants, initial states, standard deviations of errors."""
+    def parameters(self) -> Iterator[_Row]:
+        """Yield the estimated numbers: constants, initial states, standard deviations of errors."""
         yield (
             *("parameterId", "parameterName", "parameterScale"),
             *("lowerBound", "upperBound", "nominalValue", "estimate"),
@@ -193,7 +183,7 @@ class _Tables:
             yield self._words[constant], f"constant {constant.name}", "lin", low, high, constant.value, 1
         for number, part in enumerate(self._trajectories, start=1):
             for state, start, value in zip(self._description.states, self._starts, part.start, strict=True):
-                reach = self._width(state)
+                reach = self._range(state)
                 title = f"initial {state.column} of {part.name}"
                 yield f"{start}_{number}", title, "lin", value - reach, value + reach, value, 1
         for state in self._measured:
@@ -201,8 +191,8 @@ class _Tables:
             sd, _ = self._errors[name]
             yield f"sd_{name}", f"errors of {state.name}", "log10", sd / _REACH, sd * _REACH, sd, 1
 
-    def _width(self, state: ExportedState) -> float:
-        """Return how far a state has moved in all; of one that was not measured, how fast those that were have."""
+    def _range(self, state: ExportedState) -> float:
+        """Return the range of a state in all trajectories; for a state that was not measured the range of slopes."""
         values = self._measured.get(state)
         if values is None:
             parts = [(part.times, curve) for part in self._trajectories for curve in part.values.values()]
@@ -211,9 +201,9 @@ class _Tables:
 
 
 def _errors(model: "Model", state: ExportedState, name: str, values: FloatArray) -> tuple[float, str]:
-    """Return the standard deviation of a state's errors, and that of an error as a formula of the model.
+    """Return the standard deviation of the errors of a state, and the noise formula of PEtab.
 
-    A share of the variance may grow with the square of the state, over the root mean square of its measured values.
+    A share of the variance may grow with the square of the state, relative to the mean square of its measured values.
     """
     noise = model.result.noise.get(state.column) or Noise()
     errors = noise.errors or Errors()
@@ -226,7 +216,7 @@ def _errors(model: "Model", state: ExportedState, name: str, values: FloatArray)
 
 
 def _constant_input(part: PetabTrajectory, name: str) -> float:
-    """Return the value of an input along a trajectory; raises UsageError where it is not one."""
+    """Return the value of a constant input along a trajectory; raises UsageError where it is unknown or changes."""
     values = np.unique(part.inputs.get(name, ()))
     if len(values) != 1 or not np.isfinite(values[0]):
         fault = "is not known" if not len(values) else "changes"
@@ -237,13 +227,7 @@ def _constant_input(part: PetabTrajectory, name: str) -> float:
 
 
 def _bounds(constant: Parameter) -> tuple[float, float]:
-    """Return the bounds that were set for a constant, and on open sides those of its standard error."""
+    """Return the user's bounds of a constant, and multiples of its standard error on open sides."""
     reach = _REACH * (constant.stderr or abs(constant.value) or 1.0)
     low, high = constant.bounds or (None, None)
     return constant.value - reach if low is None else low, constant.value + reach if high is None else high
-
-
-def _text(rows: Iterator[Row]) -> str:
-    stream = io.StringIO()
-    csv.writer(stream, delimiter="\t", lineterminator="\n").writerows(rows)
-    return stream.getvalue()

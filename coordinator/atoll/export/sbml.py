@@ -1,7 +1,7 @@
-"""SBML Level 3 Version 2: states and constants as parameters, rate rules, initial values, units; for biology.
+"""SBML Level 3 Version 2: states and constants as parameters, rate rules, initial values, units.
 
-Written as text here: libsbml writes 15 digits of a number, which gives other doubles. Where it is installed (the extra
-``sbml``), it checks what was written.
+The document is written as text, since libsbml writes 15 digits of a number, which are other doubles. Where libsbml is
+installed (the extra ``sbml``), it checks every document.
 """
 
 import math
@@ -22,9 +22,9 @@ _WORDS: Final = (
     "sqrt abs tanh pow power root floor ceil factorial begin_time substance volume area length extent atoll_model"
 )
 _ELEMENTS: Final = {"+": "plus", "-": "minus", "*": "times", "/": "divide", "pow": "power", "log": "ln", "sqrt": "root"}
-"""Operators in MathML, where they are called otherwise than here."""
+"""Operators with other names in MathML."""
 _KINDS: Final = {"m": "metre", "s": "second", "g": "gram", "A": "ampere", "K": "kelvin", "mol": "mole", "cd": "candela"}
-"""Base units of the SI as SBML calls them."""
+"""Names of SI base units in SBML."""
 _TIME: Final = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time"> time </csymbol>'
 
 
@@ -32,8 +32,8 @@ class _Sbml(Language):
     def write(self, model: Description, *, has_start_parameters: bool = False) -> str:
         """Return a document.
 
-        With `has_start_parameters` the initial state is that of constants named after the states, which others can set,
-        and the time of the equations is that of the simulation plus the constant ``begin_time``.
+        With `has_start_parameters` the initial state is given by constants named after the states, which PEtab sets,
+        and the time in the equations is the time of the simulation plus the constant ``begin_time``.
 
         Raises:
             UsageError: libsbml finds an error.
@@ -111,18 +111,18 @@ Factor = tuple[str, float, float]
 
 
 class UnitDefinitions:
-    """The unit definitions that a document needs."""
+    """The unit definitions of a document."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[Factor, ...], str] = {}
 
     def of(self, text: str | None) -> str:
-        """Return the name of the definition of a unit; "" where there is none, or SBML does not know it."""
+        """Return the name of the definition of a unit; "" where SBML cannot express it."""
         factors = factors_of(text or "")
         return self._known.setdefault(factors, f"unit_{len(self._known) + 1}") if factors else ""
 
     def definitions(self) -> list[Values]:
-        """Return the definitions of all units that were asked for, as the template of a document names their parts."""
+        """Return the definitions of all requested units, for the template of a document."""
         return [
             {
                 "name": name,
@@ -135,7 +135,7 @@ class UnitDefinitions:
 
 
 def factors_of(text: str) -> tuple[Factor, ...]:
-    """Return the factors of a unit; none of what the SI does not know, and of too large a factor."""
+    """Return the factors of a unit; none outside of the SI, or where a factor overflows."""
     if not text.strip():
         return ()
     try:
@@ -158,7 +158,7 @@ def factors_of(text: str) -> tuple[Factor, ...]:
 
 
 def start_name(words: Wording, state: ExportedState) -> str:
-    """Return the name of the constant that a state begins with."""
+    """Return the name of the constant for the initial value of a state."""
     return f"start_{words[state]}"
 
 
@@ -215,9 +215,6 @@ def _rules(words: Wording, has_start_parameters: bool) -> Iterator[Values]:
         yield {"kind": "rateRule", "id": words[state], "math": _math(_expression(state.rate, symbols, words))}
 
 
-# --------------------------------------------------------------------------------------------------------------- MathML
-
-
 def _math(content: str) -> str:
     return f'<math xmlns="http://www.w3.org/1998/Math/MathML">{content}</math>'
 
@@ -238,7 +235,6 @@ def _number(value: float) -> str:
 
 
 def _expression(formula: Formula, symbols: Sequence[str], words: Wording) -> str:
-    """Return a formula, node by node."""
     nodes: list[str] = []
     for place, (code, left, right, value) in enumerate(formula.program.nodes()):
         match OPERATORS[code].name:
@@ -260,7 +256,7 @@ def _expression(formula: Formula, symbols: Sequence[str], words: Wording) -> str
 
 
 def _piecewise(variable: ExportedInput) -> str:
-    """Return an input as cubics of the time, piece by piece, constant before and behind."""
+    """Return an input as piecewise cubics of the time, constant before and after."""
     assert variable.table is not None
     rows = variable.table.tolist()
     ends = [*(row[0] for row in rows[1:]), variable.until]
@@ -278,9 +274,6 @@ def _cubic(row: Sequence[float], s: str) -> str:
     for coefficient in reversed(row[1:4]):
         text = _apply("plus", _number(coefficient), _apply("times", s, text))
     return text
-
-
-# ----------------------------------------------------------------------------------------------------------------- text
 
 
 def _lines(texts: Sequence[str]) -> list[Values]:

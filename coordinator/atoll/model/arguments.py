@@ -1,16 +1,7 @@
-"""What Python users give as numbers: single ones, intervals, and rows by the names of columns or in order.
+"""Arguments that users give: numbers, columns of a table, initial states, times and inputs of a simulation.
 
-What is none is named in one sentence, with what was expected. Letters: D states, U inputs, N rows.
-
-Where a simulation begins and at which times it is wanted: as users say, else as was measured.
-
-Letters: D states, N rows or times.
-
-Inputs of a simulation as functions of time: as users give them, else as they were recorded.
-
-Letters: U inputs, N times.
-
-Where a simulation of a model starts, how far it goes, and what drives it, as a data file or bounds of time say.
+What users leave out is taken from the measurements of the result. Values that do not fit are refused in one sentence
+with the found and the expected value. Letters: D states, U inputs, N rows or times.
 """
 
 import math
@@ -33,7 +24,6 @@ from atoll_coordinator.result.result import Result
 from atoll_core.config import DataConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import plain_array
-from atoll_core.data.table import Table
 from atoll_core.errors import Field, UsageError
 from atoll_core.quoting import did_you_mean, shown
 
@@ -41,11 +31,28 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 Columns = Mapping[str, npt.ArrayLike]
-"""Measured columns by name; a frame of pandas or polars does as well."""
+"""Measured columns by name, or a frame of pandas or polars."""
+
+Given = Mapping[str, float] | Sequence[float] | FloatArray
+"""Numbers by name, or in the order of the states."""
+
+_TimeFunction = Callable[[float], npt.ArrayLike]
+_InputsByName = Mapping[str, npt.ArrayLike | _TimeFunction]
+GivenInputs = _InputsByName | npt.ArrayLike | _TimeFunction | None
+"""By name numbers, arrays or functions of time; an array (N, U); or a function of time that returns U numbers."""
+
+ROWS: Final = 501
+"""Times of a simulation for which only the last time is given."""
+
+_SLACK: Final = 1e-9
+"""Share of a step by which rounding may shift the last time."""
+
+
+# ------------------------------------------------------------------------------------------------------------ numbers
 
 
 def numbers(given: object, what: str, expected: str = "numbers") -> FloatArray:
-    """Return an array of real numbers of any shape; raises UsageError, which says `what` it was to be."""
+    """Return an array of real numbers of any shape; raises UsageError, which names the argument as `what`."""
     try:
         plain = plain_array(given)
         if given is not None and plain.dtype.kind in "biufO":
@@ -64,7 +71,7 @@ def number(given: object, what: str) -> float:
 
 
 def interval(given: object, what: str) -> tuple[float, float]:
-    """Return a lower and an upper bound; raises UsageError where it is no finite interval."""
+    """Return a lower and an upper bound; raises UsageError where they are no finite interval."""
     bounds = numbers(given, what, "two numbers")
     if bounds.shape != (2,):
         raise UsageError(f"{what} must be two numbers, such as (0.0, 1.0), but {shown(given)} was given")
@@ -82,14 +89,14 @@ def by_name(given: object, what: str) -> Mapping[str, object]:
     return given
 
 
-# ---------------------------------------------------------------------------------------------- rows and columns
+# --------------------------------------------------------------------------------------------------- rows and columns
 
 
 @dataclass(frozen=True, eq=False)
 class ReadColumns(Mapping[str, npt.ArrayLike]):
-    """Columns of one trajectory as a fit reads them: full turns are taken out of angles, which are in radians.
+    """Columns of one trajectory as the fit reads them: angles are unwrapped and in radians.
 
-    `factors` are what columns are multiplied by, `wrapped` the names of those that are unwrapped then.
+    `factors` are factors of columns, `wrapped` the names of the columns to unwrap.
     """
 
     given: Columns
@@ -115,32 +122,28 @@ class ReadColumns(Mapping[str, npt.ArrayLike]):
 
 
 def read_columns(model: "Model", part: Columns) -> ReadColumns:
-    """Return the measured columns of one trajectory as the fit of the model has read them.
-
-    All that takes a table after the fit takes it through here.
-    """
+    """Return the measured columns of one trajectory as the fit of the model has read them."""
     if isinstance(part, ReadColumns):
         return part
     data, symbols = DataConfig.model_validate(model.result.data_settings), model.result.symbols
     angles = {angle.column: RADIANS_PER_DEGREE if angle.degrees else 1.0 for angle in data.angles}
-    wrapped = {*angles, *(symbols[name] for name in angles if name in symbols)}
-    factors = {**angles, **{symbols[name]: factor for name, factor in angles.items() if name in symbols}}
-    states = model.result.columns.states
-    factors |= {
-        rate: angles[name] for name, rate in zip(states, data.derivatives or (), strict=False) if name in angles
-    }
-    return ReadColumns(part, factors, frozenset(wrapped))
+    named = {symbols[name]: factor for name, factor in angles.items() if name in symbols}
+    rates = zip(model.result.columns.states, data.derivatives or (), strict=False)
+    velocities = {rate: angles[name] for name, rate in rates if name in angles}
+    return ReadColumns(part, {**angles, **named, **velocities}, frozenset([*angles, *named]))
 
 
 def rows_of(model: "Model", part: Columns) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
     """Return the times (N,) of measured rows, the measured states (N,) by name, and the state of the first row.
 
-    Velocities of equations of second order that were not measured are those of the first rows.
+    Velocities of equations of second order that were not measured are slopes of the positions.
 
     Raises:
         UsageError: a column is missing, or a state of the first row is.
     """
-    columns, positions = model.result.columns_by_symbol, _positions(model)
+    columns, half = model.result.columns_by_symbol, len(model.states) // 2
+    is_second = all(equation.lhs.startswith(f"d2{equation.variable}/") for equation in model.result.equations)
+    positions = dict(zip(model.states[half:], model.states[:half], strict=True)) if is_second else {}
     times = column(part, model.time)
     measured = [name for name in model.states if name not in positions or has(part, columns[name])]
     values = {name: column(part, columns[name]) for name in measured}
@@ -149,18 +152,17 @@ def rows_of(model: "Model", part: Columns) -> tuple[FloatArray, dict[str, FloatA
     for name in model.states:
         if name in values:
             start[name] = float(values[name][0]) if len(times) else np.nan
-        else:
-            start[name] = _slope(times, column(part, columns[positions[name]]), positions[name])
+            continue
+        position = column(part, columns[positions[name]])
+        stacked([times, position])
+        if len(times) < 3:
+            what = f"a velocity is estimated from 3 rows of {positions[name]!r} or more"
+            raise UsageError(f"{what}, but the data have {len(times)}")
+        start[name] = float(np.gradient(position, times, edge_order=2)[0])
     unknown = next((name for name, value in start.items() if not np.isfinite(value)), None)
     if unknown is not None:
         raise UsageError(f"the first row has no finite {unknown!r}; begin with a row that has every state")
     return times, values, start
-
-
-def inputs_of(model: "Model", part: Columns) -> dict[str, FloatArray]:
-    """Return those inputs (N,) of measured rows that have a column, by name."""
-    columns = model.result.columns_by_symbol
-    return {name: column(part, columns[name]) for name in model.inputs if has(part, columns[name])}
 
 
 def points_of(model: "Model", given: object, names: Sequence[str]) -> FloatArray:
@@ -176,7 +178,7 @@ def points_of(model: "Model", given: object, names: Sequence[str]) -> FloatArray
 
 
 def has_columns(given: object) -> TypeGuard[Columns]:
-    """Tell whether something has columns by name: a mapping, or a frame of pandas or polars."""
+    """Tell whether an object has columns by name: a mapping, or a frame of pandas or polars."""
     return isinstance(given, Mapping) or hasattr(given, "columns")
 
 
@@ -186,7 +188,7 @@ def has(given: Mapping[str, object], name: str) -> bool:
 
 
 def column(given: Columns, *names: str) -> FloatArray:
-    """Return the column of the first of these names that there is; raises UsageError."""
+    """Return the first of these columns that exists; raises UsageError."""
     name = next((name for name in names if has(given, name)), None)
     if name is None:
         raise UsageError(f"the data have no column {names[0]!r}; give one, by that name")
@@ -204,58 +206,46 @@ def stacked(columns: Sequence[FloatArray]) -> FloatArray:
 
 
 def _is_index(given: object, name: str) -> bool:
-    """Tell whether a name is that of the index of a pandas frame."""
+    """Tell whether a name is the name of the index of a pandas frame."""
     index = getattr(given, "index", None)
     return index is not None and not callable(index) and getattr(index, "name", None) == name
 
 
-def _positions(model: "Model") -> dict[str, str]:
-    """Return the position of each velocity of equations of second order, by name; empty for other models."""
-    half = len(model.states) // 2
-    is_second = all(equation.lhs.startswith(f"d2{equation.variable}/") for equation in model.result.equations)
-    return dict(zip(model.states[half:], model.states[:half], strict=True)) if is_second else {}
+def values_of_curve(curve: Sequence[Number]) -> FloatArray:
+    """Return a curve as an array, NaN where it is not known."""
+    return np.array(curve, dtype=np.float64)
 
 
-def _slope(times: FloatArray, position: FloatArray, name: str) -> float:
-    """Return the slope of a position (N,) at the first row, NaN where it is not known there; raises UsageError."""
-    stacked([times, position])
-    if len(times) < 3:
-        raise UsageError(f"a velocity is estimated from 3 rows of {name!r} or more, but the data have {len(times)}")
-    return float(np.gradient(position, times, edge_order=2)[0])
-
-
-ROWS: Final = 501
-"""Times of a simulation whose end alone is given."""
-
-Given = Mapping[str, float] | Sequence[float] | FloatArray
-"""Numbers by name, or in the order of the states or inputs."""
+# -------------------------------------------------------------------------------------------- initial states and times
 
 
 @dataclass(frozen=True, eq=False)
 class InitialConditions:
-    """The beginning of a trajectory: its `name`, its initial state by column, its `times` (N,); empty where unknown."""
+    """The `name` of a trajectory, its initial state by column, its `times` (N,); empty where unknown."""
 
     name: str | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     times: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
-def beginning_of(model: "Model") -> InitialConditions:
-    """Return that of the first simulated trajectory, of the ensemble of a process, else of the first measured one."""
+def initial_conditions(model: "Model") -> InitialConditions:
+    """Return those of the first simulated trajectory, otherwise of a process or of the first measured trajectory."""
     result = model.result
     for part in result.simulated:
         if part.start:
-            return InitialConditions(part.name, _known(part.start), values_of_curve(part.times))
+            known = {name: value for name, value in part.start.items() if value is not None}
+            return InitialConditions(part.name, known, values_of_curve(part.times))
     if result.process is not None and result.process.ensemble is not None:
         ensemble = result.process.ensemble
-        start = {name: curve[0] for name, curve in ensemble.mean.items() if curve}
-        return InitialConditions(ensemble.trajectory, _known(start), values_of_curve(ensemble.times))
-    measured = (measured_beginning(model, part) for part in result.recorded)
+        first = {name: curve[0] for name, curve in ensemble.mean.items() if curve}
+        known = {name: value for name, value in first.items() if value is not None}
+        return InitialConditions(ensemble.trajectory, known, values_of_curve(ensemble.times))
+    measured = (measured_conditions(model, part) for part in result.recorded)
     return next(filter(None, measured), InitialConditions())
 
 
-def measured_beginning(model: "Model", part: Recorded | Simulated) -> InitialConditions | None:
-    """Return that of the whole rows of a measured trajectory; None where no row has all states."""
+def measured_conditions(model: "Model", part: Recorded | Simulated) -> InitialConditions | None:
+    """Return the initial conditions of the complete rows of a trajectory; None where no row has all states."""
     columns = {name: values_of_curve(curve) for name, curve in part.measured.items()}
     times = values_of_curve(part.times)
     known = np.flatnonzero(np.isfinite([times, *columns.values()]).all(axis=0))
@@ -267,33 +257,9 @@ def measured_beginning(model: "Model", part: Recorded | Simulated) -> InitialCon
     return InitialConditions(part.name, start, rows[model.time])
 
 
-def recorded_inputs(model: "Model") -> dict[str, InputCurve]:
-    """Return the inputs recorded along the first trajectory, by symbol."""
-    name = beginning_of(model).name
-    part = next((part for part in model.result.recorded if part.name == name), None)
-    return {} if part is None else input_curves(model.result, part)
-
-
-def input_curves(result: Result, part: Recorded) -> dict[str, InputCurve]:
-    """Return the inputs recorded along a trajectory, by symbol, between rows as the fit has taken them."""
-    times, symbols, curves = values_of_curve(part.times), result.symbols, {}
-    for column, values in part.inputs.items():
-        known = np.isfinite(measured := values_of_curve(values))
-        kind, slopes = result.columns.input_kinds.get(column), (part.input_slopes or {}).get(column)
-        if not known.any():
-            continue
-        fitted = None if slopes is None else values_of_curve(slopes)[known]
-        is_fitted = fitted is not None and (kind == "held" or np.isfinite(fitted).all())
-        curve = InputCurve.through(times[known], measured[known], kind)
-        curves[symbols.get(column, column)] = (
-            replace(curve, slopes=fitted) if is_fitted and fitted is not None else curve
-        )
-    return curves
-
-
 def start_of(model: "Model", x0: Given | None) -> FloatArray:
-    """Return the initial state (D,) that is given, else the one that was measured; raises UsageError."""
-    given = beginning_of(model).start if x0 is None else x0
+    """Return a given initial state (D,), by default the measured one; raises UsageError."""
+    given = initial_conditions(model).start if x0 is None else x0
     if x0 is None and not given:
         example = model.states[0]
         raise UsageError(
@@ -306,26 +272,20 @@ def start_of(model: "Model", x0: Given | None) -> FloatArray:
         if values.shape != (len(model.states),):
             raise UsageError(f"an initial state has one number for each of {', '.join(model.states)}")
         return values
-    symbols = model.result.symbols
+    symbols, known = model.result.symbols, f"the states are {', '.join(model.states)}"
     named = {symbols.get(name, name): value for name, value in given.items()}
-    _require_states(model, named)
+    for name in named:
+        if name not in model.states:
+            raise UsageError(f"the initial state names {name!r}; {known}{did_you_mean(name, model.states)}")
+    for name in model.states:
+        if name not in named:
+            raise UsageError(f"the initial state lacks {name!r}; {known}")
     return np.array([number(named[name], f"the initial value of {name!r}") for name in model.states])
 
 
-def _require_states(model: "Model", named: Mapping[str, object]) -> None:
-    unknown = next((name for name in named if name not in model.states), None)
-    missing = next((name for name in model.states if name not in named), None)
-    known = f"the states are {', '.join(model.states)}"
-    if unknown is not None:
-        hint = did_you_mean(unknown, model.states)
-        raise UsageError(f"the initial state names {unknown!r}; {known}{hint}")
-    if missing is not None:
-        raise UsageError(f"the initial state lacks {missing!r}; {known}")
-
-
 def times_of(model: "Model", t: npt.ArrayLike | float | None) -> FloatArray:
-    """Return the times (N,) that are given, else those that were measured; raises UsageError."""
-    first = beginning_of(model).times
+    """Return given times (N,), by default the measured ones; raises UsageError."""
+    first = initial_conditions(model).times
     if t is None:
         if not len(first):
             raise UsageError(
@@ -343,19 +303,7 @@ def times_of(model: "Model", t: npt.ArrayLike | float | None) -> FloatArray:
     return np.linspace(begin, float(times), ROWS)
 
 
-def values_of_curve(curve: Sequence[Number]) -> FloatArray:
-    """Return a curve as an array, NaN where it is not known."""
-    return np.array(curve, dtype=np.float64)
-
-
-def _known(start: Mapping[str, float | None]) -> dict[str, float]:
-    return {name: value for name, value in start.items() if value is not None}
-
-
-_Course = Callable[[float], npt.ArrayLike]
-_ByName = Mapping[str, npt.ArrayLike | _Course]
-GivenInputs = _ByName | npt.ArrayLike | _Course | None
-"""By name numbers, arrays or functions of time; an array (N, U); or a function of time that returns U numbers."""
+# ------------------------------------------------------------------------------------------------------------- inputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,6 +323,29 @@ class Driving:
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0)
 
 
+def recorded_inputs(model: "Model") -> dict[str, InputCurve]:
+    """Return the inputs recorded along the first trajectory, by symbol."""
+    name = initial_conditions(model).name
+    part = next((part for part in model.result.recorded if part.name == name), None)
+    return {} if part is None else input_curves(model.result, part)
+
+
+def input_curves(result: Result, part: Recorded) -> dict[str, InputCurve]:
+    """Return the inputs recorded along a trajectory, by symbol, with the interpolation of the fit."""
+    times, curves = values_of_curve(part.times), {}
+    for name, values in part.inputs.items():
+        known = np.isfinite(measured := values_of_curve(values))
+        if not known.any():
+            continue
+        kind, slopes = result.columns.input_kinds.get(name), (part.input_slopes or {}).get(name)
+        curve = InputCurve.through(times[known], measured[known], kind)
+        fitted = None if slopes is None else values_of_curve(slopes)[known]
+        if fitted is not None and (kind == "held" or np.isfinite(fitted).all()):
+            curve = replace(curve, slopes=fitted)
+        curves[result.symbols.get(name, name)] = curve
+    return curves
+
+
 def require_inputs(model: "Model", names: Iterable[str]) -> None:
     """Raise UsageError where one of `names`, symbols or columns, is no input."""
     symbols = model.result.symbols
@@ -387,7 +358,7 @@ def require_inputs(model: "Model", names: Iterable[str]) -> None:
 def inputs_along(
     model: "Model", u: GivenInputs, times: FloatArray, recorded: Mapping[str, InputCurve]
 ) -> Inputs | None:
-    """Return all inputs as one function of time, those that `u` lacks as `recorded`; None of a model without inputs.
+    """Return all inputs as one function of time, by default the `recorded` ones; None for a model without inputs.
 
     Raises:
         UsageError: a name is no input, an input is not known, or a number of values does not fit.
@@ -398,25 +369,21 @@ def inputs_along(
         return None
     if callable(u):
         return lambda t: np.atleast_1d(numbers(u(t), "what u returns"))
-    given: _ByName = {}
+    given: _InputsByName = {}
     if has_columns(u):
         given = u
     elif u is not None:
-        given = dict(zip(model.inputs, _rows(model, u, times).T, strict=True))
+        values = numbers(u, "inputs")
+        values = values.reshape(len(times), -1) if values.ndim and len(values) == len(times) else values
+        if values.shape != (len(times), len(model.inputs)):
+            shape = f"({len(times)}, {len(model.inputs)})"
+            raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: rows by {model.inputs}")
+        given = dict(zip(model.inputs, values.T, strict=True))
     return Driving([_input(model, name, given, times, recorded.get(name)) for name in model.inputs])
 
 
-def _rows(model: "Model", u: object, times: FloatArray) -> FloatArray:
-    values = numbers(u, "inputs")
-    values = values.reshape(len(times), -1) if values.ndim and len(values) == len(times) else values
-    if values.shape != (len(times), len(model.inputs)):
-        shape = f"({len(times)}, {len(model.inputs)})"
-        raise UsageError(f"inputs have the shape {values.shape}, expected {shape}: rows by {model.inputs}")
-    return values
-
-
 def _input(
-    model: "Model", name: str, given: _ByName, times: FloatArray, recorded: InputCurve | None
+    model: "Model", name: str, given: _InputsByName, times: FloatArray, recorded: InputCurve | None
 ) -> Callable[[float], float]:
     column = model.result.columns_by_symbol[name]
     key = next((key for key in (name, column) if has(given, key)), None)
@@ -443,13 +410,12 @@ def _input(
     return InputCurve.through(times, values, model.input_kind(name))
 
 
-_SLACK: Final = 1e-9
-"""Share of a step by which rounding may shift the last time."""
+# ------------------------------------------------------------------------------------------------- for the command line
 
 
 @dataclass(frozen=True)
 class FileStart:
-    """An initial state by symbol, and of a file also times (N,) and inputs by symbol; None: as measured."""
+    """An initial state by symbol, and if it is read from a file also times (N,) and inputs; None: as measured."""
 
     state: Mapping[str, float] | None = None
     times: FloatArray | None = None
@@ -466,29 +432,37 @@ def start_of_file(model: "Model", path: Path) -> FileStart:
     from atoll_coordinator.data.reading.files import read_table
 
     config, symbols = model.result.data_settings, model.result.symbols
-    table = read_table(
-        [path], DataConfig.model_validate({"time": config.get("time")}), model.result.units
-    )  # dates in the model's unit
-    rows = _rows_of_first(table, str(config.get("trajectory") or TRAJECTORY_NAME))
-    columns = {name: table.column(name)[:rows] for name in table.names}
-    columns = {name: np.asarray(values) for name, values in read_columns(model, columns).items()}
+    # dates are read in the unit of the model
+    table = read_table([path], DataConfig.model_validate({"time": config.get("time")}), model.result.units)
+    rows, trajectory = (*table.starts, table.rows)[1], str(config.get("trajectory") or TRAJECTORY_NAME)
+    if trajectory in table.names:
+        names = table.column(trajectory)[:rows]
+        rows = int(np.append(np.flatnonzero(names != names[0]), rows)[0])
+    given = {name: table.column(name)[:rows] for name in table.names}
+    columns = {name: np.asarray(values) for name, values in read_columns(model, given).items()}
     times = columns.get(model.time)
-    driving = [name for name in columns if symbols.get(name) in model.inputs and name != model.time]
-    inputs = {} if times is None else {symbols[name]: _curve(model, name, times, columns[name]) for name in driving}
-    return FileStart(_state_of(model, columns, path), times, inputs)
-
-
-def _curve(model: "Model", name: str, times: FloatArray, values: FloatArray) -> InputCurve:
-    """Return an input of a file between its rows, as the fit has taken it; rows without a value are passed over."""
-    known = np.isfinite(values)
-    if not known.any():
-        raise UsageError(f"the input {name!r} has no number in the file of the initial state; give one")
-    return InputCurve.through(times[known], values[known], model.input_kind(name))
+    inputs = {}
+    for name in columns if times is not None else ():
+        if symbols.get(name) in model.inputs and name != model.time:
+            known = np.isfinite(columns[name])
+            if not known.any():
+                raise UsageError(f"the input {name!r} has no number in the file of the initial state; give one")
+            assert times is not None
+            inputs[symbols[name]] = InputCurve.through(times[known], columns[name][known], model.input_kind(name))
+    state = {symbols.get(name, name): float(values[0]) for name, values in columns.items() if len(values)}
+    lacking = [name for name in model.states if name not in state]
+    if lacking and model.time in columns:  # velocities are estimated
+        by_symbol = model.result.columns_by_symbol
+        part = {by_symbol.get(symbols.get(name, name), name): values for name, values in columns.items()}
+        state, lacking = rows_of(model, part)[2], []
+    if lacking:
+        raise UsageError(f"{path} has no column for {', '.join(lacking)}; an initial state names every state")
+    return FileStart({name: state[name] for name in model.states}, times, inputs)
 
 
 def times_until(model: "Model", start: FileStart, end: float | None, step: float | None) -> FloatArray:
     """Return the times (N,) of a simulation: up to `end` by `step`, where they are given; raises UsageError."""
-    known = start.times if start.times is not None else beginning_of(model).times
+    known = start.times if start.times is not None else initial_conditions(model).times
     if end is None and step is None and len(known):
         return known
     if end is None and not len(known):
@@ -505,26 +479,3 @@ def times_until(model: "Model", start: FileStart, end: float | None, step: float
         limits = f"above 0 and give at most {MOST_NUMBERS} times"
         raise UsageError("%s must be %s, but %s was given", Field("step"), limits, f"{step:g}")
     return np.asarray(first + step * np.arange(math.floor((last - first) / step + _SLACK) + 1), dtype=np.float64)
-
-
-def _rows_of_first(table: Table, trajectory: str) -> int:
-    """Return the number of rows of the first trajectory."""
-    end = (*table.starts, table.rows)[1]
-    if trajectory not in table.names:
-        return end
-    numbers = table.column(trajectory)[:end]
-    return int(np.append(np.flatnonzero(numbers != numbers[0]), end)[0])
-
-
-def _state_of(model: "Model", columns: Mapping[str, FloatArray], path: Path) -> dict[str, float]:
-    """Return the state of the first row; velocities that are not there are estimated."""
-    symbols = model.result.symbols
-    row = {symbols.get(name, name): float(values[0]) for name, values in columns.items() if len(values)}
-    lacking = [state for state in model.states if state not in row]
-    if lacking and model.time in columns:
-        names = model.result.columns_by_symbol
-        part = {names.get(symbols.get(name, name), name): values for name, values in columns.items()}
-        return rows_of(model, part)[2]
-    if lacking:
-        raise UsageError(f"{path} has no column for {', '.join(lacking)}; an initial state names every state")
-    return {state: row[state] for state in model.states}

@@ -1,10 +1,8 @@
-"""The constants of a model by name, with their errors.
+"""Equations and constants of a result as people read them, its groups of trajectories, its measured ranges.
 
-The equations of a model as people read them.
-
-What is said of a constant: its value, its standard error, what keeps both from being taken as they are.
-
-Groups of trajectories that differ in constants: which there are, and the result of one of them.
+The text of an equation holds numbers; the result lists fitted constants. Both are matched by value here: c1, c2, …
+count the numbers of all texts, in order. A number without a fitted constant, such as the 2 of 2*x for x + x, has no
+error.
 """
 
 import math
@@ -23,10 +21,64 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 
 LEVEL: Final = 0.95
-"""The level of the intervals that a result has."""
+"""The level of the intervals in a result."""
 
-Number = tuple[float, Constant | None]
-"""A number of a text, and what is known of it if it is one of its constants: not of the 2 of 2*x for x + x."""
+DIGITS: Final = 6
+"""Significant digits of the displayed constants."""
+
+_COMPOUND: Final = re.compile(r"[\s*/^.·⋅×⁻¹²³]|\d")
+"""Part of a unit with several factors or a power."""
+
+_EXACT_SHARE: Final = 1e-6
+"""Standard errors below this share of their constants are rounding errors and not displayed."""
+
+_PRINTED: Final = 5e-4
+"""Relative rounding error of a range as `outside_sentence` prints it: a copied end is not outside."""
+
+
+# ---------------------------------------------------------------------------------------------------------- equations
+
+
+class DisplayedEquation(Equation):
+    """An equation of a result for display: `expression` has rounded constants, `exact` is the text to the last bit.
+
+    `unit` is the unit of the left-hand side, "" where columns have none.
+    """
+
+    expression: str = ""
+    exact: str = ""
+    unit: str = ""
+    nats: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.lhs} = {self.expression}" + (f"  [{self.unit}]" if self.unit else "")
+
+
+def displayed_equation(result: Result, equation: Equation) -> DisplayedEquation:
+    """Return an equation of a result for display."""
+    exact = equation.expression or ""
+    above, below = result.units.get(equation.variable, ""), result.units.get(result.time, "")
+    unit = above
+    if result.kind != "regression" and "/" in equation.lhs:
+        both = (f"({name})" if _COMPOUND.search(name) else name for name in (above, below))
+        unit = "/".join(both) + ("^2" if equation.lhs.startswith("d2") else "") if above and below else ""
+    shown = {"expression": rounded(exact, result.names), "exact": exact, "unit": unit, "nats": equation.nats or 0.0}
+    return DisplayedEquation.model_construct(**(dict(equation) | shown))
+
+
+def program_of(equation: Equation, names: Sequence[str]) -> Program:
+    """Return a right-hand side over the variables of these names, the computed program if it is known."""
+    if equation.program:
+        return Program.from_bytes(bytes.fromhex(equation.program), len(names))
+    return from_infix(equation.expression or "", names)
+
+
+def rounded(expression: str, names: Sequence[str]) -> str:
+    """Return an expression over these names with its constants rounded to `DIGITS`."""
+    return to_infix(from_infix(expression, names), names, digits=DIGITS)
+
+
+# ---------------------------------------------------------------------------------------------------------- constants
 
 
 @dataclass(frozen=True)
@@ -34,8 +86,8 @@ class Parameter:
     """A constant of a model.
 
     `name` is c1, c2, … over all equations, `variable` the state of its equation; `stderr` is its standard error,
-    `interval` its 95 % one, None where they are not known; `identifiable`: the data determine it. `unit` is its unit,
-    "1" of a pure number, None where units do not tell; `bounds` are those that were set for it, None on an open side.
+    `interval` the 95 % interval, None where they are not known; `identifiable`: the data determine it. `unit` is "1"
+    for a pure number, None where units do not tell; `bounds` are set by the user, None on an open side.
     """
 
     name: str
@@ -50,7 +102,7 @@ class Parameter:
     def interval_at(self, level: float, freedom: float | None) -> tuple[float, float] | None:
         """Return the interval at `level`, by Student's t with so many degrees of freedom (None: infinitely many).
 
-        None where there is none, or where it is known at 95 % alone, as that of a constant on its bound is.
+        None where no interval is known, or only the 95 % interval, as for a constant at its bound.
         """
         if level == LEVEL:
             return self.interval
@@ -61,7 +113,7 @@ class Parameter:
 
 
 def quantile(level: float, freedom: float | None) -> float:
-    """Return how many standard errors lie on either side of an interval at `level`; see `Parameter.interval_at`."""
+    """Return the standard errors on either side of an interval at `level`; see `Parameter.interval_at`."""
     from scipy import special
 
     below = 0.5 + level / 2.0
@@ -69,9 +121,9 @@ def quantile(level: float, freedom: float | None) -> float:
 
 
 def parameters_of(result: Result) -> dict[str, Parameter]:
-    """Return the constants of all equations by name, in the order of a `VectorField` of them.
+    """Return the constants of all equations by name, in the order of the parameters of a `VectorField`.
 
-    Where groups of trajectories differ in a constant, it has a value for each: ``c1[strain 2]``.
+    A constant that differs between groups of trajectories has a value for each: ``c1[strain 2]``.
     """
     label = result.data_settings.get("group") or "trajectory"
     parameters: list[Parameter] = []
@@ -90,7 +142,7 @@ def parameters_of(result: Result) -> dict[str, Parameter]:
 
 
 def constant_names(result: Result) -> dict[str, list[str]]:
-    """Return by equation what its `constants` are called in `parameters_of`; one that its text lacks by its value."""
+    """Return by equation the names of its `constants` in `parameters_of`; by value where the text lacks one."""
     names: dict[str, list[str]] = {}
     count = 0
     for equation in result.equations:
@@ -103,144 +155,94 @@ def constant_names(result: Result) -> dict[str, list[str]]:
     return names
 
 
-def _numbers(equation: Equation | GroupEquation, names: Sequence[str]) -> list[Number]:
-    """Return the numbers of an equation's text, each with what is known of it if it is one of its constants."""
+def _numbers(equation: Equation | GroupEquation, names: Sequence[str]) -> list[tuple[float, Constant | None]]:
+    """Return the numbers in the text of an equation, each with its fitted constant, if there is one."""
     if equation.expression is None:
         return []
-    left = list(equation.constants)
     program = from_infix(equation.expression, names)
-    numbers: list[Number] = []
-    for value in program.constants[constant_places(program)].tolist():
-        constant = next((each for each in left if each.value is not None and abs(each.value) == abs(value)), None)
-        left = [each for each in left if each is not constant]
-        numbers.append((value, constant))
-    return numbers
+    values = program.constants[constant_places(program)].tolist()
+    known = [math.nan if constant.value is None else constant.value for constant in equation.constants]
+    by_place = dict(zip(matched(known, values), equation.constants, strict=True))
+    return [(value, by_place.get(place)) for place, value in enumerate(values)]
+
+
+def matched(constants: Sequence[float], numbers: Sequence[float]) -> list[int | None]:
+    """Return for each constant the place of a number of the same size in a text; each number is used once."""
+    left = list(range(len(constants)))
+    places: list[int | None] = [None] * len(constants)
+    for place, number in enumerate(numbers):
+        found = next((index for index in left if abs(constants[index]) == abs(number)), None)
+        if found is not None:
+            places[found] = place
+            left.remove(found)
+    return places
 
 
 def _parameter(name: str, variable: str, value: float, constant: Constant | None) -> Parameter:
-    """Return a constant with its errors; the sign of `value` is that of the text, where a minus may stand before it."""
+    """Return a constant with its errors; `value` has the sign in the text, where a minus may stand before it."""
     if constant is None:
         return Parameter(name, variable, value)
     is_turned = value * (constant.value or 0.0) < 0.0
-    low, high = _swap(constant.interval, is_turned) or (None, None)
+
+    def turned(pair: Pair | None) -> Pair | None:
+        if pair is None or not is_turned:
+            return pair
+        low, high = pair
+        return None if high is None else 0.0 - high, None if low is None else 0.0 - low
+
+    low, high = turned(constant.interval) or (None, None)
     interval = None if low is None or high is None else (low, high)
-    bounds = _swap(constant.bounds, is_turned)
+    bounds = turned(constant.bounds)
     return Parameter(name, variable, value, constant.std_error, interval, constant.identifiable, constant.unit, bounds)
 
 
-def _swap(pair: Pair | None, is_turned: bool) -> Pair | None:
-    """Return lower and upper end of a range, of that of the opposite number if it `is_turned`."""
-    if pair is None or not is_turned:
-        return pair
-    low, high = pair
-    return None if high is None else 0.0 - high, None if low is None else 0.0 - low
-
-
-def r2_text(value: float | None) -> str:
-    """Return R2 in four decimals, never rounded up to 1; ``-`` for None."""
-    if value is None:
-        return "-"
-    return "1" if value == 1.0 else f"{math.floor(value * 1e4) / 1e4:.4f}" if value > -10.0 else f"{value:.2g}"
-
-
-def unit_text(unit: str | None) -> str:
-    """Return a unit as it stands behind a number; "" of a pure number and where units do not tell."""
-    return f" {unit}" if unit not in (None, "1") else ""
-
-
-def interval_text(bounds: Sequence[float | None] | None) -> str:
-    """Return ``1.99956 to 2.00019``, with digits that tell the ends apart; ``-`` where an end is not known."""
-    low, high = bounds or (None, None)
-    if low is None or high is None:
-        return "-"
-    spread = high - low
-    digits = 6 if spread <= 0.0 else 3 + max(0, math.floor(math.log10(max(abs(low), abs(high)) / spread)))
-    return f"{low:.{digits}g} to {high:.{digits}g}"
-
-
-DIGITS: Final = 6
-"""Significant digits of the constants that people are shown."""
-
-_COMPOUND: Final = re.compile(r"[\s*/^.·⋅×⁻¹²³]|\d")
-"""What a unit of several factors or with a power has."""
-
-
-def program_of(equation: Equation, names: Sequence[str]) -> Program:
-    """Return a right-hand side over the variables of these names, as it was computed where that is known."""
-    if equation.program:
-        return Program.from_bytes(bytes.fromhex(equation.program), len(names))
-    return from_infix(equation.expression or "", names)
-
-
-def rounded(expression: str, names: Sequence[str]) -> str:
-    """Return an expression over these names with its constants rounded to `DIGITS`."""
-    return to_infix(from_infix(expression, names), names, digits=DIGITS)
-
-
-@dataclass(frozen=True)
-class DisplayedEquation:
-    """One equation: `lhs` = `expression`, for people with rounded constants; `exact` is the text to the last bit.
-
-    `unit` is that of the left-hand side, "" where columns have none. `verdict` and `reason` say how far to trust it.
-    """
-
-    variable: str
-    lhs: str
-    expression: str
-    exact: str
-    unit: str = ""
-    verdict: str | None = None
-    reason: str | None = None
-    complexity: int | None = None
-    nats: float = 0.0
-
-    def __str__(self) -> str:
-        return f"{self.lhs} = {self.expression}" + (f"  [{self.unit}]" if self.unit else "")
-
-
-def equation_of(result: Result, equation: Equation) -> DisplayedEquation:
-    """Return an equation of a result as people read it."""
-    exact = equation.expression or ""
-    time = None if result.kind == "regression" else result.time
-    return DisplayedEquation(
-        equation.variable,
-        equation.lhs,
-        rounded(exact, result.names),
-        exact,
-        _unit(equation.variable, equation.lhs, result.units, time),
-        equation.verdict,
-        equation.reason,
-        equation.complexity,
-        equation.nats or 0.0,
-    )
-
-
-def _unit(variable: str, lhs: str, units: Mapping[str, str], time: str | None) -> str:
-    """Return the unit of a left-hand side, of a regression without `time`; "" where a column has none."""
-    above = units.get(variable, "")
-    if time is None or "/" not in lhs:
-        return above
-    below = units.get(time, "")
-    if not above or not below:
-        return ""
-    above, below = (f"({unit})" if _COMPOUND.search(unit) else unit for unit in (above, below))
-    return f"{above}/{below}^2" if lhs.startswith("d2") else f"{above}/{below}"
-
-
-_EXACT_SHARE: Final = 1e-6
-"""Standard errors below this share of their constants are those of rounding, and not worth a line."""
+# ------------------------------------------------------------------------------------------------- numbers as texts
 
 
 @dataclass(frozen=True)
 class ConstantWords:
-    """A constant as people are shown it: a number, such as ``2.981 ± 0.018``, `notes` on it, and its `unit`.
+    """A constant as it is displayed: a number, such as ``2.981 ± 0.018``, `notes` on it, and its `unit`.
 
-    `unit` is "1" of a pure number, None where units do not tell.
+    `unit` is "1" for a pure number, None where units do not tell.
     """
 
     number: str
     notes: tuple[str, ...]
     unit: str | None
+
+
+def constant_words(constants: Sequence[Constant]) -> list[ConstantWords]:
+    """Return the displayed constants of an equation; none where no error is known, or all are rounding errors."""
+    known = with_errors(constants)
+    is_rounding = (
+        (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
+        and constant.identifiable
+        and not constant.at_bound
+        for constant in known
+    )
+    return [] if all(is_rounding) else [*map(words_of, known)]
+
+
+def with_errors(constants: Sequence[Constant]) -> list[Constant]:
+    """Return the constants with known errors; an infinite error is null in the result, and not determined."""
+    return [each for each in constants if each.std_error is not None or not each.identifiable or each.at_bound]
+
+
+def words_of(constant: Constant) -> ConstantWords:
+    """Return a constant for display: if the displayed value was rounded, the fitted value is a note."""
+    shown, fitted = number_text(constant.value, 6), fitted_text(constant)
+    notes = [] if constant.identifiable else ["not determined"]
+    if constant.at_bound:
+        notes = ["at its bound", interval_text(constant.interval)]
+    elif constant.std_error is not None:
+        begins_alike = fitted.startswith(f"{shown} ")
+        shown, notes = (fitted, notes) if begins_alike else (shown, [fitted, *notes])
+    return ConstantWords(shown, tuple(notes), constant.unit)
+
+
+def fitted_text(constant: Constant) -> str:
+    """Return the fitted value with its standard error."""
+    return plus_minus(constant.estimate, constant.std_error or 0.0)
 
 
 def plus_minus(value: float, error: float) -> str:
@@ -259,71 +261,67 @@ def number_text(value: float | None, digits: int = 3) -> str:
     return "?" if value is None else f"{value:.{digits}g}"
 
 
-def with_errors(constants: Sequence[Constant]) -> list[Constant]:
-    """Return those whose errors are known; where one is infinite, it is null, and nothing is determined."""
-    return [each for each in constants if each.std_error is not None or not each.identifiable or each.at_bound]
+def r2_text(value: float | None) -> str:
+    """Return R2 in four decimals, never rounded up to 1; ``-`` for None."""
+    if value is None:
+        return "-"
+    return "1" if value == 1.0 else f"{math.floor(value * 1e4) / 1e4:.4f}" if value > -10.0 else f"{value:.2g}"
 
 
-def constant_words(constants: Sequence[Constant]) -> list[ConstantWords]:
-    """Return what is said of the constants of an equation; nothing where no error is known, or all are rounding."""
-    known = with_errors(constants)
-    return [] if all(map(_is_exact, known)) else [*map(words_of, known)]
+def unit_text(unit: str | None) -> str:
+    """Return a unit as it stands after a number; "" for a pure number and where units do not tell."""
+    return f" {unit}" if unit not in (None, "1") else ""
 
 
-def _is_exact(constant: Constant) -> bool:
-    is_small = (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
-    return is_small and constant.identifiable and not constant.at_bound
+def interval_text(bounds: Sequence[float | None] | None) -> str:
+    """Return ``1.99956 to 2.00019``, with enough digits to distinguish the ends; ``-`` where one is not known."""
+    low, high = bounds or (None, None)
+    if low is None or high is None:
+        return "-"
+    spread = high - low
+    digits = 6 if spread <= 0.0 else 3 + max(0, math.floor(math.log10(max(abs(low), abs(high)) / spread)))
+    return f"{low:.{digits}g} to {high:.{digits}g}"
 
 
-def words_of(constant: Constant) -> ConstantWords:
-    """Return what is said of a constant: where it is shown rounded, what was fitted is a note."""
-    shown, fitted = number_text(constant.value, 6), fitted_text(constant)
-    notes = [] if constant.identifiable else ["not determined"]
-    if constant.at_bound:
-        notes = ["at its bound", interval_text(constant.interval)]
-    elif constant.std_error is not None:
-        begins_alike = fitted.startswith(f"{shown} ")
-        shown, notes = (fitted, notes) if begins_alike else (shown, [fitted, *notes])
-    return ConstantWords(shown, tuple(notes), constant.unit)
-
-
-def fitted_text(constant: Constant) -> str:
-    """Return the fitted value with its standard error."""
-    return plus_minus(constant.estimate, constant.std_error or 0.0)
+# ------------------------------------------------------------------------------------------------------------- groups
 
 
 def differing_groups(result: Result) -> tuple[str, ...]:
     """Return the groups of trajectories of a result; none where no constant differs between them."""
-    is_different = any(map(_differs, result.equations))
-    return tuple(group.group for group in result.groups) if is_different else ()
-
-
-def _differs(equation: Equation) -> bool:
-    """Tell whether an equation has a constant that is not the same in all groups."""
-    if equation.constants and all(constant.shared for constant in equation.constants):
-        return False  # the mean of equal numbers may have another last bit
-    return any(group.expression != equation.expression for group in equation.groups)
+    for equation in result.equations:
+        # shared constants are compared by this flag, since the mean of equal numbers may have another last bit
+        are_shared = equation.constants and all(constant.shared for constant in equation.constants)
+        if not are_shared and any(group.expression != equation.expression for group in equation.groups):
+            return tuple(group.group for group in result.groups)
+    return ()
 
 
 def remark_on_groups(result: Result) -> str:
-    """Return a line that says of which group the constants in equations are, or of which groups they are means.
+    """Return a line that says to which group the constants belong, or over which groups they are means; "" without.
 
-    Members of fronts and candidates have constants of all groups together. "" where there are no groups.
+    Constants of fronts and candidates belong to all groups together.
     """
     together = ", ".join(equation.lhs for equation in result.equations if equation.is_of_all_groups)
     if result.group is not None:
-        others = f"; those of {together} are of all groups together" if together else ""
-        return f"Constants are those of group {' '.join(result.group.split())}{others}."
+        others = f"; the constants of {together} belong to all groups together" if together else ""
+        return f"Constants belong to group {' '.join(result.group.split())}{others}."
     if together:
-        return f"Constants of {together} are of all groups together, which may differ in them."
+        return f"Constants of {together} belong to all groups together, which may differ in them."
     names = " ".join(", ".join(differing_groups(result)).split())
     return f"Constants that differ between groups are means over them; the groups are {names}." if names else ""
 
 
 def of_group(result: Result, group: Group) -> Result:
-    """Return a result with the constants and the trajectories of one `group` of its groups alone, named as `group`."""
+    """Return a result with the constants and the trajectories of one of its groups, named as `group`."""
+    equations = []
+    for equation in result.equations:
+        own = next((known for known in equation.groups if known.group == group.group), None)
+        update: dict[str, object] = {"groups": ()}
+        if own is not None:
+            update |= {"expression": own.expression, "program": own.program, "constants": own.constants}
+        equations.append(equation.model_copy(update=update))
     taken: dict[str, object] = {"covariance": group.covariance, "groups": (), "group": group.group}
-    taken["equations"] = tuple(_of_group(equation, group.group) for equation in result.equations)
+    taken["equations"] = tuple(equations)
     if result.simulation is not None:
         simulated = tuple(part for part in result.simulated if part.name in group.trajectories)
         taken["simulation"] = result.simulation.model_copy(update={"trajectories": simulated})
@@ -339,16 +337,7 @@ def of_group(result: Result, group: Group) -> Result:
     return alone.model_copy(update={"noise": noise})
 
 
-def _of_group(equation: Equation, name: str) -> Equation:
-    group = next((group for group in equation.groups if group.group == name), None)
-    taken: dict[str, object] = {"groups": ()}
-    if group is not None:
-        taken |= {"expression": group.expression, "program": group.program, "constants": group.constants}
-    return equation.model_copy(update=taken)
-
-
 def _with_share(noise: Noise, share: float) -> Noise:
-    """Return noise with as many independent rows as a share of the trajectories has, of those of all."""
     errors = noise.errors
     if errors is None or not errors.independent_rows:
         return noise
@@ -360,14 +349,13 @@ def _searched_rows(result: Result) -> int:
     return sum(part.rows or 0 for part in result.recorded if not part.held_out)
 
 
-_PRINTED: Final = 5e-4
-"""Largest relative error of an end as `outside_sentence` prints it, with four digits: who copies it is not outside."""
+# ----------------------------------------------------------------------------------------------------- measured ranges
 
 
 def measured_ranges(result: Result) -> dict[str, tuple[float, float]]:
-    """Return the lowest and highest value that was measured of states and inputs, by symbol.
+    """Return the lowest and highest measured value of states and inputs, by symbol, in all rows.
 
-    Of the rows that were searched, and of those that were not. Angles have none: they come round again.
+    Angles have none, since they are periodic.
     """
     data = DataConfig.model_validate(result.data_settings)
     angles = {result.symbols.get(angle.column, angle.column) for angle in data.angles}
@@ -381,20 +369,13 @@ def measured_ranges(result: Result) -> dict[str, tuple[float, float]]:
     return {name: ends for name, ends in ranges.items() if name not in angles}
 
 
-def names_outside(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
-    """Return the names of values that lie outside of their range; those without a range are in none."""
+def outside_sentence(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
+    """Return a sentence on the values that lie outside of their range; "" where none does, or has no range."""
     outside = []
     for name, value in values.items():
         low, high = ranges.get(name, (value, value))
         if not low - _PRINTED * abs(low) <= value <= high + _PRINTED * abs(high):
-            outside.append(name)
-    return tuple(outside)
-
-
-def outside_sentence(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
-    """Return that an initial state lies outside of the measured ranges, and what follows; "" where it does not."""
-    names = names_outside(values, ranges)
-    if not names:
+            outside.append(f"{name} = {value:.4g} (measured: {low:.4g} to {high:.4g})")
+    if not outside:
         return ""
-    each = [f"{name} = {values[name]:.4g} (measured: {ranges[name][0]:.4g} to {ranges[name][1]:.4g})" for name in names]
-    return f"the initial state is outside of the measured range: {', '.join(each)}; the model is extrapolated there"
+    return f"the initial state is outside of the measured range: {', '.join(outside)}; the model is extrapolated there"

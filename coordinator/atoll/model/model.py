@@ -1,10 +1,7 @@
-"""The other equations that were compared, each with the rest of the result.
+"""A model that was found: equations, constants, simulations, scores, candidates, provenance.
 
-How well a model describes data that it may not have seen: R2.
-
-A model that was found, with what is known of it: equations, constants, simulations, provenance.
-
-Letters: D states, U inputs, N rows or times.
+`Model` is the public class. Its methods that analyse, plan, display and export are in ``shortcuts``. Letters: D states,
+U inputs, N rows or times.
 """
 
 import warnings
@@ -41,7 +38,7 @@ from atoll.model.equations import (
     DisplayedEquation,
     Parameter,
     differing_groups,
-    equation_of,
+    displayed_equation,
     measured_ranges,
     of_group,
     outside_sentence,
@@ -49,8 +46,7 @@ from atoll.model.equations import (
     quantile,
     remark_on_groups,
 )
-from atoll.model.files import write_text
-from atoll.model.shortcuts import Shortcuts
+from atoll.model.shortcuts import Shortcuts, write_text
 from atoll.model.simulation import (
     EarlyEndWarning,
     ExtrapolationWarning,
@@ -76,99 +72,17 @@ from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import shown
 
 
-def candidate_results(result: Result) -> tuple[Result, ...]:
-    """Return the result with each other candidate in the place of an equation, the best first.
-
-    Without what belongs to the model: errors, verdicts, terms in common.
-    """
-    others = [
-        (candidate.nats, place, candidate)
-        for place, equation in enumerate(result.equations)
-        for candidate in equation.candidates
-        if not candidate.selected and candidate.nats is not None
-    ]
-    return tuple(_with(result, place, other) for _, place, other in sorted(others, key=lambda ranked: ranked[0]))
-
-
-def _with(result: Result, place: int, other: Candidate) -> Result:
-    # constants of candidates, and of equations without their groups, are of all groups together
-    equations = [
-        equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})
-        for equation in result.equations
-    ]
-    shown = result.equations[place]
-    equations[place] = Equation(  # nothing but this is known of it
-        variable=shown.variable,
-        lhs=shown.lhs,
-        **{name: getattr(other, name) for name in ("expression", "complexity", "origin", "nats")},
-        **{name: getattr(shown, name) for name in _OF_THE_SEARCH},
-        is_of_all_groups=result.group is not None or bool(shown.groups),
-    )
-    unknown = {"covariance": None, "groups": (), "correlations": (), "shared_terms": (), "chaos": None}
-    return result.model_copy(update={"equations": tuple(equations), **unknown})
-
-
-_OF_THE_SEARCH = (
-    "error", "normalized_error", "r2", "converged", "simple_together", "epoch", "generation", "point_evaluations",
-    "point_evaluations_by_part", "seconds", "why", "derivative_floor", "target_error", "convergence", "front",
-)  # fmt: skip
-"""What stays beside another candidate, as it is of the search and not of the equation."""
-
-
-def score(model: "Model", data: Columns | Sequence[Columns]) -> float:
-    """Return R2 on data; see `atoll.Model.score`."""
-    given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
-    parts = [read_columns(model, part) for part in given if has_columns(part)]
-    if not given or len(parts) < len(given):
-        raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
-    return _of_regression(model, parts) if model.is_regression else _of_dynamics(model, parts)
-
-
-def _of_regression(model: "Model", parts: Sequence[Columns]) -> float:
-    target = model.result.equations[0].variable
-    both = [stacked([column(part, target), model.predict(part)]) for part in parts]
-    return _r2(*np.concatenate(both, axis=1))
-
-
-def _of_dynamics(model: "Model", parts: Sequence[Columns]) -> float:
-    columns = model.result.columns_by_symbol
-    states = [name for name in model.states if all(has(part, columns[name]) for part in parts)]
-    if not states:
-        names = ", ".join(columns[name] for name in model.states)
-        raise UsageError(f"the data have none of the columns {names} in every part; give a measured state")
-    simulated, measured = [], []
-    for part in parts:
-        times, _, start = rows_of(model, part)
-        inputs = {name: column(part, columns[name]) for name in model.inputs}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SimulationWarning)
-            simulation = model.simulate(start, times, inputs or None, has_bands=False)
-        if simulation.status != "finished":
-            return -np.inf
-        simulated.append(stacked([simulation[name] for name in states]))
-        measured.append(stacked([column(part, columns[name]) for name in states]))
-    pairs = zip(np.concatenate(measured, axis=1), np.concatenate(simulated, axis=1), strict=True)
-    return float(np.mean([_r2(rows, values) for rows, values in pairs]))
-
-
-def _r2(measured: FloatArray, values: FloatArray) -> float:
-    known = np.isfinite(measured)
-    left = float(((measured - values)[known] ** 2).sum())
-    spread = float(((measured[known] - measured[known].mean()) ** 2).sum())
-    return 1.0 - left / spread if spread > 0.0 else (1.0 if left == 0.0 else -np.inf)
-
-
 class Model(Shortcuts):
-    """A model as users hold it: the result of a job that has found every equation, and what follows from it."""
+    """A model as users hold it: the result of a job that has found every equation, with methods to use it."""
 
     def __init__(self, result: Result | Mapping[str, object]) -> None:
-        """Take a result, or the content of result.json; raises UsageError when it is none, or lacks an equation."""
+        """Take a result, or the content of result.json; raises UsageError if it is invalid or lacks an equation."""
         self._result = Result.of(result)
         if not self._result.equations or any(equation.expression is None for equation in self._result.equations):
             raise UsageError("the result has not found every equation, so there is no model; look at its verdicts")
 
     def __reduce__(self) -> tuple[type["Model"], tuple[Result]]:
-        """Go to another process as the result alone: compiled functions, made when first needed, stay behind."""
+        """Pickle the result alone: compiled functions are compiled again in the other process."""
         return type(self), (self._result,)
 
     @classmethod
@@ -178,10 +92,7 @@ class Model(Shortcuts):
 
     @classmethod
     def load(cls, path: str | Path) -> "Model":
-        """Return the model of a saved result, by its file or the folder of its ``result.json``.
-
-        Raises UsageError when the file cannot be read or holds none.
-        """
+        """Return the model of a saved result, by its file or the folder of its ``result.json``; raises UsageError."""
         result = Result.load(path)
         try:
             return cls(result)
@@ -192,11 +103,9 @@ class Model(Shortcuts):
         """Write the result as JSON, which `load` and ``coordinator result`` read; raises UsageError."""
         write_text(path, self._result.to_json() + "\n")
 
-    # ------------------------------------------------------------------------------------------- what it is
-
     @property
     def result(self) -> Result:
-        """What the coordinator has written of it."""
+        """The result that the coordinator has written."""
         return self._result
 
     @property
@@ -211,7 +120,7 @@ class Model(Shortcuts):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The names of the states in expressions, velocities behind positions for order 2; none of a regression."""
+        """The names of the states in expressions, velocities after positions for order 2; none for a regression."""
         return () if self.is_regression else self.field.states
 
     @property
@@ -220,22 +129,22 @@ class Model(Shortcuts):
         return self._result.names if self.is_regression else self.field.inputs
 
     def input_kind(self, name: str) -> InputKind | None:
-        """Return how an input goes from row to row in the data, None where that is not known or it is no input."""
+        """Return the interpolation of an input between rows of the data, None where it is not known or no input."""
         return self._result.columns.input_kinds.get(self._result.columns_by_symbol.get(name, name))
 
     @cached_property
     def field(self) -> VectorField:
-        """The right-hand sides as functions of numbers; raises UsageError where there is no time."""
+        """The right-hand sides as functions of numbers; raises UsageError for a regression."""
         return VectorField.from_result(self._result)
 
     @cached_property
     def equations(self) -> tuple[DisplayedEquation, ...]:
-        """All equations; of a stochastic process those of the diffusion as well."""
-        return tuple(equation_of(self._result, equation) for equation in self._result.equations)
+        """All equations, for a stochastic process including the diffusion."""
+        return tuple(displayed_equation(self._result, equation) for equation in self._result.equations)
 
     @cached_property
     def params(self) -> dict[str, Parameter]:
-        """The constants by name: c1, c2, … as they stand in the equations, one after the other."""
+        """The constants by name: c1, c2, … in the order of the equations."""
         return parameters_of(self._result)
 
     def conf_int(
@@ -243,7 +152,7 @@ class Model(Shortcuts):
     ) -> dict[str, tuple[float, float] | None]:
         """Return the confidence interval of each constant at `level`, None where it is not known.
 
-        By its standard error, or by its `profile`: then an end that the data leave open is infinite.
+        From its standard error, or from its `profile`; then an end that the data leave open is infinite.
         """
         if not 0.0 < number(level, "a level") < 1.0:
             raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
@@ -256,7 +165,7 @@ class Model(Shortcuts):
 
     @property
     def provenance(self) -> dict[str, object]:
-        """Where the model comes from: digests of data and result, job, seed, settings, command, versions."""
+        """The origin of the model: digests of data and result, job, seed, settings, command, versions."""
         result, data = self._result, self._result.data
         named = ("job", "seed", "preset", "config", "command", "versions", "digest")
         origin = {"data": data and data.digest, "files": data and list(data.files), "rows": data and data.rows}
@@ -266,13 +175,20 @@ class Model(Shortcuts):
     def candidates(self) -> tuple["Model", ...]:
         """The other equations that were compared, each as a model with the rest of this one, the best first.
 
-        Their constants have no errors; `equations[i].nats` is how much longer the description of the data is.
+        Their constants have no errors; `equations[i].nats` is the Δ description length.
         """
-        return tuple(map(Model, candidate_results(self._result)))
+        others = [
+            (candidate.nats, place, candidate)
+            for place, equation in enumerate(self._result.equations)
+            for candidate in equation.candidates
+            if not candidate.selected and candidate.nats is not None
+        ]
+        ranked = sorted(others, key=lambda other: other[0])
+        return tuple(Model(_with_candidate(self._result, place, other)) for _, place, other in ranked)
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The groups of trajectories that differ in constants; none where there is one set of them."""
+        """The groups of trajectories that differ in constants; none where there is one set of constants."""
         return differing_groups(self._result)
 
     def of_group(self, group: object) -> "Model":
@@ -296,11 +212,11 @@ class Model(Shortcuts):
 
     @property
     def remark(self) -> str:
-        """What is to be said beside the equations: that constants are means over groups; "" where they are not."""
+        """A remark on the displayed equations: constants are means over groups; "" without groups."""
         return remark_on_groups(self._result)
 
     def __eq__(self, other: object) -> bool:
-        """Models are equal whose results are, such as one that was saved and the one that is loaded."""
+        """Models with equal results are equal, such as a saved and a loaded one."""
         return self._result == other._result if isinstance(other, Model) else NotImplemented
 
     def __hash__(self) -> int:
@@ -308,8 +224,6 @@ class Model(Shortcuts):
 
     def __repr__(self) -> str:
         return "\n".join([*map(str, self.equations), *filter(None, [self.remark])])
-
-    # ------------------------------------------------------------------------------------------- what it does
 
     @overload
     def simulate(
@@ -348,26 +262,26 @@ class Model(Shortcuts):
         paths: int | None = None,
         seed: int = 0,
     ) -> Simulation | Ensemble:
-        """Integrate from an initial state. How it ends is its `status`: a blow-up is a result, not an error.
+        """Integrate from an initial state. Its `status` says how it ends: a blow-up is a result, not an error.
 
-        One that ends early has the times that were reached alone; an `EarlyEndWarning` says so, and an
-        `ExtrapolationWarning` that `x0` is outside of the measured range.
+        One that ends early has only the times that were reached, and an `EarlyEndWarning` says so. An
+        `ExtrapolationWarning` says that `x0` is outside of the measured range.
 
         Args:
-            x0: the initial state, by name or in order, angles in radians; None: that of the first measured trajectory,
-                with its inputs where `u` names none.
-            t: times that ascend, the first being that of `x0`; one number: until then, from the first time measured;
-                None: the times of the first trajectory.
+            x0: the initial state, by name or in order, angles in radians; None: of the first measured trajectory, with
+                its inputs where `u` names none.
+            t: ascending times, the first one at `x0`; one number: the last time, from the first measured one; None: the
+                times of the first trajectory.
             u: inputs: by name numbers, arrays at the times `t` or functions of time; or an array (N, U), or a function
-                of time that returns U numbers. An input that is the time itself needs none.
-            has_bands: whether the errors of the constants are carried on into 95 % bands, where they are known.
-            group: of trajectories whose constants are taken, where these may differ; one of `groups`.
-            paths: of a stochastic process, how many are drawn: an `Ensemble`. None: the drift alone is followed.
+                of time that returns U numbers. An input that is the time itself is not given.
+            has_bands: whether errors of the constants are propagated to 95 % bands, where they are known.
+            group: the group of trajectories whose constants are used, where these differ; one of `groups`.
+            paths: for a stochastic process, the number of paths to draw: an `Ensemble`. None: the drift alone.
             seed: of the paths; the same seed gives the same paths.
 
         Raises:
-            UsageError: the arguments do not fit, the model has no time, or its constants are those of groups and none
-                is named; paths are asked for of a model without noise of its own.
+            UsageError: the arguments do not fit, the model has no time, constants differ between groups and none is
+                named, or paths are requested of a model without noise.
         """
         model = self if group is None else self.of_group(group)
         model.require_one_group()
@@ -395,18 +309,18 @@ class Model(Shortcuts):
         paths: int = PATHS,
         seed: int = 0,
     ) -> StationaryDensity | None:
-        """Return the density that paths of a stochastic process settle into; None where they do not settle.
+        """Return the stationary density of the paths of a stochastic process; None where they do not settle.
 
-        Paths that stay where they begin for longer than they are simulated settle there, as in one of two wells.
+        Paths that stay in one of two wells for the whole simulation give the density in that well.
 
         Args:
-            x0: where all paths begin; None: as measured.
-            inputs: values at which inputs are held, by name; zeros unless given.
-            paths: how many are drawn, at least 2.
+            x0: the initial state of all paths; None: as measured.
+            inputs: held values of inputs, by name; 0 by default.
+            paths: the number of paths, at least 2.
             seed: of the paths.
 
         Raises:
-            UsageError: the arguments do not fit, or the model has no noise of its own.
+            UsageError: the arguments do not fit, or the model has no noise.
         """
         process_of(self)
         named = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
@@ -418,7 +332,7 @@ class Model(Shortcuts):
 
     @cached_property
     def components(self) -> dict[str, Pair]:
-        """The equations of the diffusion g g' of a process dx = f dt + g dW: the places of both states, by name."""
+        """The equations of the diffusion g g' of a process dx = f dt + g dW: the indices of both states, by name."""
         columns = [*enumerate(self.result.columns_by_symbol[name] for name in self.states)]
         pairs = {f"[{name}]": (place, place) for place, name in columns}
         pairs |= {f"[{first},{second}]": (i, j) for i, first in columns for j, second in columns if i < j}
@@ -426,16 +340,15 @@ class Model(Shortcuts):
         return {name: pairs[name] for name in named if name in pairs}
 
     def predict(self, x: Columns | npt.ArrayLike, u: Columns | npt.ArrayLike | None = None) -> FloatArray:
-        """Return the derivatives at rows of states, of a regression its target.
+        """Return the derivatives at rows of states, or the target of a regression.
 
         Args:
-            x: (N, D) states, or columns by name (also a frame of pandas or polars); of a regression (N, U) inputs.
-                Columns are read as those of the fit, angles in degrees; arrays are in the units of the model, angles
-                in radians.
+            x: (N, D) states, or columns by name (also a frame of pandas or polars); (N, U) inputs of a regression.
+                Columns are read as in the fit, with angles in degrees if they were; arrays have angles in radians.
             u: (N, U) inputs; None where there are none, or where `x` has them by name.
 
         Returns:
-            (N, D) derivatives, (N,) values of a regression; NaN where there is none.
+            (N, D) derivatives, (N,) values of a regression; NaN where undefined.
         """
         self.require_one_group()
         x = read_columns(self, x) if has_columns(x) else x
@@ -458,13 +371,36 @@ class Model(Shortcuts):
     def score(self, data: Columns | Sequence[Columns]) -> float:
         """Return R2 on data: columns by name (also a frame), or a list of these, one for each trajectory.
 
-        A model of dynamics is simulated from the first row of each trajectory, and R2 is the mean over its measured
-        states; minus infinity where a simulation does not reach the end. A regression is judged by its target.
+        A model of dynamics is simulated from the first row of each trajectory; R2 is the mean over the measured states,
+        and minus infinity where a simulation does not reach the end. A regression is judged by its target.
         """
         self.require_one_group()
-        return score(self, data)
-
-    # ------------------------------------------------------------------------------------------- inside
+        given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
+        parts = [read_columns(self, part) for part in given if has_columns(part)]
+        if not given or len(parts) < len(given):
+            raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
+        if self.is_regression:
+            target = self._result.equations[0].variable
+            both = [stacked([column(part, target), self.predict(part)]) for part in parts]
+            return _r2(*np.concatenate(both, axis=1))
+        columns = self._result.columns_by_symbol
+        states = [name for name in self.states if all(has(part, columns[name]) for part in parts)]
+        if not states:
+            names = ", ".join(columns[name] for name in self.states)
+            raise UsageError(f"the data have none of the columns {names} in every part; give a measured state")
+        simulated, measured = [], []
+        for part in parts:
+            times, _, start = rows_of(self, part)
+            inputs = {name: column(part, columns[name]) for name in self.inputs}
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", SimulationWarning)
+                simulation = self.simulate(start, times, inputs or None, has_bands=False)
+            if simulation.status != "finished":
+                return -np.inf
+            simulated.append(stacked([simulation[name] for name in states]))
+            measured.append(stacked([column(part, columns[name]) for name in states]))
+        pairs = zip(np.concatenate(measured, axis=1), np.concatenate(simulated, axis=1), strict=True)
+        return float(np.mean([_r2(rows, values) for rows, values in pairs]))
 
     @cached_property
     def _errors(self) -> JointErrors | None:
@@ -477,10 +413,43 @@ class Model(Shortcuts):
 
 
 def _extrapolated(model: Model, start: FloatArray, inputs: Inputs | None, time: float) -> str:
-    """Return which states of `start` (D,), and which inputs then, are outside of what was measured; "" where none."""
+    """Return a sentence on states of `start` (D,), and inputs then, outside of the measured range; "" without."""
     values = dict(zip(model.states, start.tolist(), strict=True))
     if inputs is not None:
         clock = model.result.symbols.get(model.time)
         driven = zip(model.inputs, np.asarray(inputs(time), dtype=np.float64).tolist(), strict=True)
         values |= {name: value for name, value in driven if name != clock}
     return outside_sentence(values, measured_ranges(model.result))
+
+
+_OF_THE_SEARCH = (
+    "error", "normalized_error", "r2", "converged", "simple_together", "epoch", "generation", "point_evaluations",
+    "point_evaluations_by_part", "seconds", "why", "derivative_floor", "target_error", "convergence", "front",
+)  # fmt: skip
+"""Fields that belong to the search and not to the displayed equation: a candidate keeps them."""
+
+
+def _with_candidate(result: Result, place: int, other: Candidate) -> Result:
+    """Return the result with a candidate in place of an equation, without errors, verdicts and shared terms."""
+    # constants of candidates, and of equations without their groups, belong to all groups together
+    equations = [
+        equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})
+        for equation in result.equations
+    ]
+    shown_equation = result.equations[place]
+    equations[place] = Equation(
+        variable=shown_equation.variable,
+        lhs=shown_equation.lhs,
+        **{name: getattr(other, name) for name in ("expression", "complexity", "origin", "nats")},
+        **{name: getattr(shown_equation, name) for name in _OF_THE_SEARCH},
+        is_of_all_groups=result.group is not None or bool(shown_equation.groups),
+    )
+    unknown = {"covariance": None, "groups": (), "correlations": (), "shared_terms": (), "chaos": None}
+    return result.model_copy(update={"equations": tuple(equations), **unknown})
+
+
+def _r2(measured: FloatArray, values: FloatArray) -> float:
+    known = np.isfinite(measured)
+    residual = float(((measured - values)[known] ** 2).sum())
+    spread = float(((measured[known] - measured[known].mean()) ** 2).sum())
+    return 1.0 - residual / spread if spread > 0.0 else (1.0 if residual == 0.0 else -np.inf)

@@ -1,12 +1,12 @@
-"""What other rooms do with a model, as methods of it: each imports the room when it is called, and nothing more."""
+"""Methods of a model that analyse, plan, display and export it; each imports its package when it is called."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from atoll.model.equations import LEVEL
-from atoll.model.files import write_text
 from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.errors import UsageError
 from atoll_core.quoting import path_of
 
 if TYPE_CHECKING:
@@ -25,21 +25,27 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 
-class Shortcuts:
-    """Methods of a model that analyse, plan, show and export it.
+def write_text(path: str | Path, text: str) -> None:
+    """Write a file; raises UsageError."""
+    try:
+        path_of(path).write_text(text, "utf-8")
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written ({error.strerror}); name another file") from error
 
-    Exports take `x0`, `t` and `u`, the initial state, the times and the inputs that a file holds, as `Model.simulate`
-    does, with the inputs that were recorded where `x0` is None; inputs of which nothing is known are held at 0, and
-    functions of time are refused. Each raises UsageError where the format cannot hold the model, or where nothing tells
-    the initial state or the times. docs/export.md says who opens what.
+
+class Shortcuts:
+    """Methods of a model that analyse, plan, display and export it.
+
+    Exports take `x0`, `t` and `u`, the initial state, the times and the inputs of the file, as `Model.simulate` does,
+    with the recorded inputs where `x0` is None. Unknown inputs are held at 0; functions of time are refused. Each
+    raises UsageError where the format cannot hold the model, or where the initial state or the times are not known.
+    docs/export.md lists the programs that open each format.
     """
 
     @property
     def itself(self) -> "Model":
         """The model whose methods these are."""
         return cast("Model", self)
-
-    # ------------------------------------------------------------------------------------------- what follows from it
 
     def analyse(
         self,
@@ -48,16 +54,16 @@ class Shortcuts:
         inputs: Mapping[str, float] | None = None,
         vary: tuple[str, tuple[float, float]] | None = None,
     ) -> "Analysis":
-        """Return fixed points, limit cycles, basins and the rest of the dynamics, beside those of the data.
+        """Return fixed points, limit cycles, basins and the rest of the dynamics, compared with the data.
 
         Args:
-            box: bounds of states, by name; None: about the measured range.
-            inputs: values at which inputs are held, by name; zeros unless given.
-            vary: what to vary, and the range over which fixed points and limit cycles are followed: a constant (c1),
+            box: bounds of states, by name; None: around the measured range.
+            inputs: held values of inputs, by name; 0 by default.
+            vary: a parameter and the range over which fixed points and limit cycles are followed: a constant (c1),
                 several in their ratio (c1,c2), the coefficient of a term (y:x*y, of x*y in dy/dt), or an input.
 
         Raises:
-            UsageError: a name is unknown, a range is none, or a state has neither bounds nor measurements.
+            UsageError: a name is unknown, a range is invalid, or a state has neither bounds nor measurements.
         """
         from atoll.analysis.analysis import analyse_model
 
@@ -68,14 +74,14 @@ class Shortcuts:
         return {constant.name: constant for constant in self.identifiability(level, data).constants}
 
     def identifiability(self, level: float = LEVEL, data: object = None) -> "Identifiability":
-        """Return what the data determine of each constant, and which of them only together.
+        """Return how well the data determine each constant, and which constants only together.
 
         Args:
             level: of the intervals.
-            data: as of `atoll.discover`, in the place of the measurements that the result has.
+            data: as for `atoll.discover`, in place of the measurements in the result.
 
         Raises:
-            UsageError: states were not measured in time, or the result does not have the measurements.
+            UsageError: states were not measured in time, or the result has no measurements.
             DataError: the data cannot be used as they are.
         """
         from atoll.api.experiments import identifiability
@@ -94,22 +100,22 @@ class Shortcuts:
         seed: int = 0,
         data: object = None,
     ) -> "Suggestions":
-        """Return the experiments to make next: those that tell most about which candidate is right, for their cost.
+        """Return the next experiments: those with the most information about the right candidate, for their cost.
 
-        Where candidates do not differ, or there is only one, those that determine its constants best.
+        Where candidates do not differ, or there is only one, the experiments that determine its constants best.
 
         Args:
             bounds: of initial states and constant inputs, by name; None: the range of the data.
-            duration: of an experiment; None: that of the median trajectory that was measured.
-            samples: measurements of each state; None: those of the median trajectory.
-            cost: ``"trajectory"`` (each the same), ``"duration"`` or ``"samples"``; then shorter ones are tried, too.
-            count: how many are suggested.
-            rivals: another system to tell apart, or several, as right-hand sides by state; its constants are fitted.
+            duration: of an experiment; None: as the median measured trajectory.
+            samples: measurements of each state; None: as the median measured trajectory.
+            cost: ``"trajectory"`` (all the same), ``"duration"`` or ``"samples"``: then shorter ones are tried as well.
+            count: the number of suggestions.
+            rivals: further systems to distinguish, as right-hand sides by state; their constants are fitted.
             seed: of the experiments that are tried.
-            data: as of `identifiability`.
+            data: as for `identifiability`.
 
         Raises:
-            UsageError: a name or number does not fit, or the result does not have the measurements.
+            UsageError: a name or number does not fit, or the result has no measurements.
             DataError: the data cannot be used as they are.
         """
         from atoll.api.experiments import suggestions
@@ -127,23 +133,21 @@ class Shortcuts:
         return suggestions(self.itself, data, request)
 
     def compare(self, other: "Model", data: object = None) -> "Comparison":
-        """Return this model, A, beside another one, B, such as one of its `candidates`.
+        """Compare this model, A, with another one, B, such as one of its `candidates`, on the same data.
 
-        Which of the two describes the same data better, and how sure that is; which equations have the same form.
+        The result says which one fits better and with what odds, and which equations have the same form.
 
         Args:
-            other: of the same states or target.
-            data: as of `identifiability`, in the place of the data of both.
+            other: a model of the same states or target.
+            data: as for `identifiability`, in place of the data of both.
 
         Raises:
-            UsageError: the models are of other quantities, or a result does not have its measurements.
+            UsageError: the models have different states, or a result has no measurements.
             AtollError: one of them cannot be simulated along the data.
         """
         from atoll.api.experiments import comparison
 
         return comparison(self.itself, other, data)
-
-    # ------------------------------------------------------------------------------------------- what it looks like
 
     def summary(self) -> str:
         """Return equations, verdicts, constants and provenance as text."""
@@ -178,7 +182,7 @@ class Shortcuts:
     def report(self, path: str | Path = "report.html") -> Path:
         """Write the result as one HTML page that needs neither network nor script; return its path.
 
-        A file that is there is replaced. The model is analysed, which takes a second or two for two states.
+        An existing file is replaced. The analysis of the model takes a second or two for two states.
 
         Raises:
             UsageError: the file cannot be written.
@@ -228,7 +232,7 @@ class Shortcuts:
         return plot_fit(self.itself, axes)
 
     def plot_residuals(self, axes: object = None) -> "npt.NDArray[np.object_]":
-        """Plot what simulations leave of the measurements; see `atoll.display.plots.plot_residuals`."""
+        """Plot the residuals of simulations; see `atoll.display.plots.plot_residuals`."""
         from atoll.display.plots import plot_residuals
 
         return plot_residuals(self.itself, axes)
@@ -244,8 +248,6 @@ class Shortcuts:
         from atoll.display.plots import plot_front
 
         return plot_front(self.itself, axes)
-
-    # ------------------------------------------------------------------------------------------- other programs
 
     def export(self, format: str, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
         """Return the model in a format of one file, by its name."""
@@ -286,7 +288,7 @@ class Shortcuts:
         return self.export("latex")
 
     def to_csv(self) -> str:
-        """Return the fronts as CSV: for each equation the one that is shown, then its front."""
+        """Return the fronts as CSV: for each equation the displayed one, then its front."""
         return self.export("csv")
 
     def to_json(self) -> str:
@@ -297,8 +299,8 @@ class Shortcuts:
         """Write a PEtab problem: SBML, measurements, noise and bounds.
 
         Args:
-            folder: where; it is made.
-            data: measured columns by name (or a frame) for each trajectory; None: what the result holds.
+            folder: it is created if needed.
+            data: measured columns by name (or a frame) for each trajectory; None: the measurements in the result.
 
         Raises:
             UsageError: the model has no time, is a process or has no measurements; the folder cannot be written.

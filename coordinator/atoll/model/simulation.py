@@ -1,10 +1,9 @@
-"""Simulations of a vector field from any initial state, with bands. Bounded: how it ends is a result, not an error.
+"""Simulations of a vector field from any initial state, with 95 % bands, and paths of stochastic processes.
 
-Letters: D states, U inputs, K constants, N times.
-
-Paths of the stochastic process that a model is, and the density that they settle into.
-
-Letters: S states, U inputs, N times.
+A simulation is bounded in evaluations of the rates, and how it ends is its status and not an error. Absolute tolerances
+follow the size of each state, so that a state that falls far and comes back is resolved in its trough; where a first
+integration shows that sizes were taken too large, a second one takes smaller ones. Letters: D states, U inputs, K
+constants, N times.
 """
 
 import contextlib
@@ -37,35 +36,35 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
-"""How a simulation ended: at the last time; where a state grows beyond all bounds in finite time; where all evaluations
-were used up; where a rate has no finite value."""
+"""How a simulation ended: at the last time; with a state that grows without bounds in finite time; with all evaluations
+used up; where a rate is undefined."""
 
 Inputs = Callable[[float], FloatArray]
-"""The inputs (U,) at a time. Held ones have `jumps`, the times at which they change: no step goes across."""
+"""The inputs (U,) at a time. Held inputs have `jumps`, the times at which they change: no step crosses these."""
 
 TOLERANCE: Final = 1e-11
 """Relative error of a step; far below the errors of constants."""
 MOST_EVALUATIONS: Final = 200_000
-"""Evaluations of the rates: some seconds. A longer simulation is begun again from where this one ended."""
+"""Evaluations of the rates: some seconds. A longer simulation can start from the end of this one."""
 MOST_NUMBERS: Final = 10_000_000
 """Largest number of values, times by states: 80 MB."""
 _COARSE: Final = 1e-3
-"""Of the size of a state: below it errors are allowed that are `TOLERANCE` of so much, and no longer of the state."""
+"""Share of the size of a state below which errors are relative to that share and no longer to the state."""
 _DEEPEST: Final = 1e-250
-"""Of the size of a state: how far a state is followed down that cannot cross 0."""
+"""Share of the size of a state down to which a state that cannot cross 0 is resolved."""
 _LOOKS: Final = 50
-"""Rows of a simulation at which is seen how strongly errors of constants drive it, and which states can cross 0."""
+"""Rows at which it is tested how strongly errors of constants drive a simulation, and which states can cross 0."""
 _LARGEST: Final = 1e150
-"""The square of a larger number is no finite one."""
-_ROUGH: Final = "; a state falls below what was resolved: where it comes back, later values may be wrong"
+"""The square of a larger number overflows."""
+_ROUGH: Final = "; a state falls below the resolved size: if it comes back, later values may be wrong"
 
 
 class SimulationWarning(UserWarning):
-    """What is to be known of a simulation before it is relied on."""
+    """A limit of a simulation that users have to know."""
 
 
 class EarlyEndWarning(SimulationWarning):
-    """A simulation has ended before the last time that was asked for; its times and states are those reached."""
+    """A simulation has ended before the last requested time; its times and states are the ones reached."""
 
 
 class ExtrapolationWarning(SimulationWarning):
@@ -74,12 +73,12 @@ class ExtrapolationWarning(SimulationWarning):
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What a model does from an initial state.
+    """A simulation of a model from an initial state.
 
-    `t` (N,) are the times that were reached, fewer than were asked for where it ended early, and `x` (N, D) the
-    `states` there; `stderr` (N, D) are the standard errors that those of the constants give them (first order), and
-    `lower`, `upper` their 95 % band; None where the errors of the constants are not known. `status` says how it ended,
-    `message` in a sentence. `remark` says where the start is outside of what was measured, "" where it is not.
+    `t` (N,) are the times that were reached, fewer than requested if it ended early, and `x` (N, D) the `states` there.
+    `stderr` (N, D) are standard errors, propagated from the constants to first order, `lower` and `upper` the 95 %
+    band; None where the errors of the constants are not known. `status` says how it ended, `message` is the same in a
+    sentence; `remark` names initial values outside of the measured range, "" without.
     """
 
     states: tuple[str, ...]
@@ -115,8 +114,8 @@ class Simulation:
             raise KeyError(state)
         if self.lower is None or self.upper is None:
             raise UsageError(
-                f"there is no band of {shown(state)}: the errors of the constants are not known, or were not carried "
-                "on; params has the constants with their errors"
+                f"there is no band of {shown(state)}: the errors of the constants are not known or not propagated; "
+                "params has the constants with their errors"
             )
         place = self.states.index(state)
         return np.asarray(self.lower[:, place]), np.asarray(self.upper[:, place])
@@ -126,7 +125,7 @@ class Simulation:
         return frame_of(self.columns(), library)
 
     def columns(self) -> dict[str, FloatArray]:
-        """Return the time, the states and, where they are known, the bounds of their bands, by column name."""
+        """Return the time, the states and, where they are known, their bands, by column name."""
         columns = {self.time: self.t, **dict(zip(self.states, self.x.T, strict=True))}
         if self.lower is not None and self.upper is not None:
             for name, lower, upper in zip(self.states, self.lower.T, self.upper.T, strict=True):
@@ -161,8 +160,8 @@ def simulate(
 ) -> Simulation:
     """Integrate from `x0` (D,) at the first of the times `t` (N,), which ascend.
 
-    By LSODA, which takes implicit steps where the system is stiff. `bands` are the errors of the constants and how many
-    standard errors lie on either side; `most` bounds the evaluations. Raises UsageError where arguments do not fit.
+    LSODA takes implicit steps where the system is stiff. `bands` are the errors of the constants and the number of
+    standard errors on either side; `most` bounds the evaluations. Raises UsageError where arguments do not fit.
     """
     check_times(field, x0, t)
     task = _RateTask(field, inputs, most)
@@ -181,9 +180,8 @@ def simulate(
 def followed_sizes(
     field: VectorField, x0: FloatArray, t: FloatArray, inputs: Inputs | None = None, most: int = MOST_EVALUATIONS
 ) -> FloatArray:
-    """Return how large each state (D,) counts as, all above 0, by arguments of `simulate`.
+    """Return the size (D,) of each state, above 0, for the absolute tolerances of a solver; arguments as `simulate`.
 
-    Errors that are small beside these keep each state right in its unit, and in its troughs where it cannot cross 0.
     Raises UsageError where arguments do not fit.
     """
     check_times(field, x0, t)
@@ -192,7 +190,7 @@ def followed_sizes(
 
 
 def check_times(field: VectorField, x0: FloatArray, t: FloatArray, paths: int = 1) -> None:
-    """Raise UsageError where an initial state or times are none, or so many paths are too many numbers."""
+    """Raise UsageError for an invalid initial state, invalid times, or too many numbers on so many paths."""
     if x0.shape != (len(field.states),) or not np.isfinite(x0).all():
         raise UsageError(f"an initial state has a finite number for each of {', '.join(field.states)}; correct it")
     if t.ndim != 1 or len(t) < 1 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
@@ -208,14 +206,14 @@ class _SpentError(Exception):
 
 @dataclass
 class _RateTask:
-    """The rates as a solver wants them: with a `count` of evaluations, of which there are at most so many."""
+    """The rates for a solver, with a `count` of evaluations, of which `most` are allowed."""
 
     field: VectorField
     inputs: Inputs | None
     most: int
     count: int = 0
     before: float = math.inf
-    """Inputs are those just before this time, from it on."""
+    """From this time on inputs are held at their values just before it."""
 
     @property
     def is_spent(self) -> bool:
@@ -227,7 +225,7 @@ class _RateTask:
         return None if self.inputs is None else np.asarray(self.inputs(min(t, self.before)), dtype=np.float64)
 
     def spans(self, begin: float, end: float) -> Iterator[tuple[float, float]]:
-        """Yield first and last time between the jumps of inputs, which are those within each while it is yielded."""
+        """Yield the intervals between jumps of inputs; while one is yielded, inputs have their values inside it."""
         jumps = np.asarray(getattr(self.inputs, "jumps", ()), dtype=np.float64)
         times = [begin, *jumps[(jumps > begin) & (jumps < end)].tolist(), end]
         for first, last in pairwise(times):
@@ -243,17 +241,17 @@ class _RateTask:
         return self.field.values(x, self.inputs_at(t))
 
     def jacobian(self, t: float, x: FloatArray) -> FloatArray:
-        """Return d(dx/dt)/dx, 0 where it has no finite value: the solver's steps end there by the rates."""
+        """Return d(dx/dt)/dx, 0 where it is not finite: there the rates end the integration."""
         return np.nan_to_num(self.field.jacobian(x, self.inputs_at(t)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Integration:
-    """States `rows` at the times that were passed, the last time `reached`, and the `last` state (D,) there.
+    """The states `rows` at the times that were passed, the last time `reached`, and the `last` state (D,) there.
 
-    `sizes` (D,) are those beside which errors were small, `lowest` (D,) the least absolute values on the way;
-    `is_spent` says whether all evaluations were used up, `is_rough` that a state fell below what the errors resolve and
-    no finer course was found.
+    `sizes` (D,) are the sizes for the absolute errors, `lowest` (D,) the smallest absolute values on the way;
+    `is_spent`: all evaluations were used up; `is_rough`: a state fell below the resolved size and no finer integration
+    succeeded.
     """
 
     rows: FloatArray
@@ -267,7 +265,7 @@ class _Integration:
 
 
 def _integrated(task: _RateTask, x0: FloatArray, t: FloatArray) -> _Integration:
-    """Return the course from `x0` (D,), once more with smaller sizes where states turn out to be smaller."""
+    """Return the integration from `x0` (D,), repeated with smaller sizes where states turn out to be smaller."""
     begin, sizes = float(t[0]), _sizes(task, x0, t)
     if len(t) == 1 or not np.isfinite(task.field.values(x0, task.inputs_at(begin))).all():
         return _Integration(np.array([x0]), begin, x0, sizes, np.abs(x0), is_whole=len(t) == 1)
@@ -281,7 +279,7 @@ def _integrated(task: _RateTask, x0: FloatArray, t: FloatArray) -> _Integration:
 
 
 def _smaller_sizes(task: _RateTask, course: _Integration, t: FloatArray) -> FloatArray:
-    """Return sizes (D,) for another attempt: smaller where a state is far below what its size was taken to be."""
+    """Return sizes (D,) for another attempt: smaller where a state is far below the assumed size."""
     reached, sizes = np.abs(course.rows).max(axis=0), course.sizes.copy()
     if course.is_whole:
         is_small = (reached > 0.0) & (reached < _COARSE * sizes)
@@ -293,9 +291,9 @@ def _smaller_sizes(task: _RateTask, course: _Integration, t: FloatArray) -> Floa
 
 
 def _can_cross(task: _RateTask, course: _Integration, t: FloatArray, place: int) -> bool:
-    """Tell whether a state may change its sign: where it is 0, its rate leads away from the sign that it began with.
+    """Tell whether a state may change its sign: at 0 its rate points away from its initial sign.
 
-    The signs on the way do not tell: in a trough that is deeper than the errors allowed, they are those of errors.
+    The signs on the way do not tell: in a trough deeper than the allowed errors they are signs of errors.
     """
     sign = float(np.sign(course.rows[0, place]))
     for row in np.unique(np.linspace(0, len(course.rows) - 1, _LOOKS).astype(int)).tolist():
@@ -309,7 +307,7 @@ def _can_cross(task: _RateTask, course: _Integration, t: FloatArray, place: int)
 
 
 def _attempt(task: _RateTask, x0: FloatArray, t: FloatArray, sizes: FloatArray) -> _Integration:
-    """Return a course, each state with errors that are small beside its own size (D,)."""
+    """Return an integration with absolute errors relative to the `sizes` (D,)."""
     from scipy.integrate import LSODA
 
     rows, reached, last, lowest = [x0.copy()], float(t[0]), x0, np.abs(x0)
@@ -335,11 +333,10 @@ def _attempt(task: _RateTask, x0: FloatArray, t: FloatArray, sizes: FloatArray) 
 
 
 def _sizes(task: _RateTask, x0: FloatArray, t: FloatArray) -> FloatArray:
-    """Return how large each state is, (D,), all above 0: its initial value, which is what a course can grow from.
+    """Return the size (D,) of each state, above 0: its initial value.
 
-    Where that is 0, the largest one measured; of a model without data what the first steps of Euler's method make of
-    it, as many as there are states, since each passes on what it has to others; else, of what stays 0 until an input
-    comes, 1, until the simulation tells.
+    Where that is 0, its largest measured value; without data its value after D steps of Euler's method, since states
+    pass growth on to one another; 1 for a state that stays 0 until an input changes.
     """
     sizes = np.abs(x0)
     if task.field.sizes:
@@ -353,10 +350,10 @@ def _sizes(task: _RateTask, x0: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _ending(task: _RateTask, course: _Integration, sizes: FloatArray, span: float) -> Status:
-    """Return why a simulation ended early, from the last state that was reached; `sizes` (D,) are those at first."""
+    """Return why a simulation ended early, from the last state reached; `sizes` (D,) are the initial ones."""
     last = course.last
     rates = task.field.values(last, task.inputs_at(course.reached))
-    with np.errstate(all="ignore"):  # the time in which a state that grows gets twice as large
+    with np.errstate(all="ignore"):  # the time in which a growing state doubles
         is_growing = (last * rates > 0.0) & (np.abs(last) > sizes)
         doubling = float(np.where(is_growing, np.abs(last / rates), np.inf).min())
     if np.abs(last).max() > _LARGEST or doubling < math.sqrt(TOLERANCE) * span:
@@ -368,16 +365,16 @@ def _sentence(status: Status, reached: float, most: int) -> str:
     where = f"time {reached:.6g}"
     return {
         "finished": f"it reached {where}",
-        "blow-up": f"a state grows beyond all bounds near {where}",
-        "stiff": f"{most} evaluations lead to {where} only: the model is stiff or very fast there; simulate less time",
-        "undefined": f"a rate has no finite value near {where}",
+        "blow-up": f"a state grows without bounds near {where}",
+        "stiff": f"{most} evaluations reach {where} only: the model is stiff or very fast there; simulate less time",
+        "undefined": f"a rate is undefined near {where}",
     }[status]
 
 
 def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration, t: FloatArray) -> FloatArray | None:
     """Return the standard errors (N, D) of the simulated states (N, D), by the sensitivities S' = J S + df/dc.
 
-    None where they cannot be followed.
+    None where these cannot be integrated.
     """
     states = course.rows
     x0, (rows, size) = states[0], states.shape
@@ -390,7 +387,7 @@ def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration,
     sizes = _positive(np.abs(states).max(axis=0))
     some = np.unique(np.linspace(0, rows - 1, _LOOKS).astype(int))
     driven = np.array([errors.rates(states[row], task.inputs_at(float(t[row]))) @ root for row in some])
-    # sensitivities are linear in a direction: each is followed at the size at which states move by about their own
+    # sensitivities are linear: each direction is scaled so that states change by about their own size
     shares = _positive(np.nan_to_num((np.abs(driven) / sizes[:, None]).max(axis=(0, 1)) * float(t[-1] - t[0])))
 
     def rates(at: float, y: FloatArray) -> FloatArray:
@@ -421,7 +418,7 @@ def _solved(
     t: FloatArray,
     least: FloatArray,
 ) -> FloatArray | None:
-    """Return the numbers (M, N) that go from `start` (M,) by these rates; None where the solver fails."""
+    """Return the solution (M, N) from `start` (M,) with these rates; None where the solver fails."""
     from scipy.integrate import solve_ivp
 
     found = np.empty((len(start), len(t)))
@@ -437,7 +434,7 @@ def _solved(
 
 
 def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
-    """Tell of which states (N, D) a trough lies between higher values: what happens in it decides what comes later."""
+    """Tell which states (N, D) have a trough between higher values: its depth decides the later values."""
     course = np.abs(states)
     lowest = course.argmin(axis=0)
     later = np.array([course[row:, place].max() for place, row in enumerate(lowest.tolist())])
@@ -447,7 +444,7 @@ def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def _positive(sizes: FloatArray) -> FloatArray:
-    """Return sizes, 1 in the place of 0: what is always 0 has none, and errors of it are none."""
+    """Return sizes with 1 in place of 0: a state that is always 0 has no errors."""
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
@@ -458,16 +455,16 @@ MOST_STEPS: Final = 200_000
 def ensemble_of(
     model: "Model", x0: FloatArray, times: FloatArray, inputs: Inputs | None, drawn: tuple[int, int]
 ) -> Ensemble:
-    """Return paths from `x0` (S,) at the first of the `times` (N,), which ascend.
+    """Return paths from `x0` (D,) at the first of the ascending `times` (N,).
 
-    Between two times steps are no longer than those of the measurements; `inputs` are held in each at their value in
-    its middle. `drawn` are the number of paths and their seed. Raises UsageError.
+    Steps are no longer than the sampling interval of the measurements; `inputs` are held in each step at their value in
+    its middle. `drawn` has the number of paths and their seed. Raises UsageError.
     """
     simulator, longest = _simulator(model, *drawn), process_of(model).step
     check_times(model.field, x0, times, drawn[0])
     count = float(step_counts(times, longest).sum())
     if count > MOST_STEPS:
-        what = f"{count:.15g} steps of {longest:g}, that of the measurements, are more than {MOST_STEPS}"
+        what = f"{count:.15g} steps of {longest:g}, the sampling interval, are more than {MOST_STEPS}"
         raise UsageError(f"{what}; simulate less time")
     begins, lengths, is_kept = divided(times, longest)
     middles = (begins + 0.5 * lengths).tolist()
@@ -479,29 +476,28 @@ def ensemble_of(
 def density_of_process(
     model: "Model", x0: FloatArray, inputs: Sequence[float], drawn: tuple[int, int]
 ) -> StationaryDensity | None:
-    """Return the density that paths from `x0` (S,) settle into, `inputs` (U,) held; None where they do not settle."""
-    simulator = _simulator(model, *drawn, least=2)  # one path tells no error of its means
+    """Return the density of settled paths from `x0` (D,) with held `inputs` (U,); None where they do not settle."""
+    simulator = _simulator(model, *drawn, least=2)  # one path gives no error of its means
     check_times(model.field, x0, np.zeros(1))
     most = MOST_NUMBERS // ((STEPS + 1) * len(x0))
     if drawn[0] > most:
-        raise UsageError(f"{drawn[0]} paths are more than {most}, those of which a density is taken; draw fewer")
+        raise UsageError(f"{drawn[0]} paths are more than {most}, the most for a density; draw fewer")
     starts = np.repeat(x0[:, None], drawn[0], axis=1)
     paths = settled_paths(simulator, starts, np.array(inputs), process_of(model).step)
     return None if paths is None else density_of(model.states, paths)
 
 
 def process_of(model: "Model") -> Process:
-    """Return the process; raises UsageError where the model has no noise, or its result does not say its steps."""
+    """Return the process; raises UsageError where the model has no noise, or its result has no 'process'."""
     process = model.result.process
     if not model.components:
-        raise UsageError("the model has no noise of its own, so it has no paths; --stochastic seeks such models")
+        raise UsageError("the model has no noise, so it has no paths; --stochastic finds models with noise")
     if process is None:
-        raise UsageError("this result has equations of noise but nothing as 'process'; give it as it was written")
+        raise UsageError("the result has equations of noise but no 'process'; give the complete result")
     return process
 
 
 def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simulator:
-    """Return what draws paths; raises UsageError where there is nothing to draw."""
     for name, value, lower in (("paths", paths, least), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < lower:
             raise UsageError(f"{name} must be a whole number of at least {lower}, but {value!r} was given")

@@ -1,11 +1,8 @@
-"""The right-hand sides of a model as functions of numbers, with their derivatives by states and by constants.
+"""The right-hand sides of a model as functions of numbers, with their derivatives, and the joint errors of constants.
 
-Letters: D states, U inputs, P parameters, N points. Values agree with those of the search up to rounding, since
-functions are those of the C library, and sine and cosine have values of large numbers, too.
-
-The joint errors of the constants of a model.
-
-Letters: D states, P constants of a vector field, K constants whose joint covariance is known.
+Values agree with the search up to rounding: functions here are those of the C library, and sine and cosine also have
+values for large arguments. Letters: D states, U inputs, P parameters of a field, K constants with known joint
+covariance, N points.
 """
 
 import itertools
@@ -35,7 +32,7 @@ from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.unit_coefficients import as_written, make_coefficients_explicit
 
 MOST_STATES: Final = 200
-"""More states than this make a Jacobian of more than 40 000 formulas."""
+"""More states make a Jacobian of more than 40 000 formulas."""
 
 _VELOCITY: Final = "_dot"
 
@@ -50,10 +47,10 @@ _OF_ARRAYS: Final = NUMPY._replace(sin=np.sin, cos=np.cos, power=operator.pow)
 class VectorField:
     """dx/dt = f(x, u, p) of D states.
 
-    `states` are the names of x in order, `inputs` those of u, which have no equation; `expressions` are the D
-    right-hand sides as infix text. Of equations of second order, the velocities are states after all positions.
-    `sizes` are the largest absolute values measured of the states, 0 where none is known; empty: of no state.
-    `programs` are the right-hand sides over states and inputs; empty: those of the texts.
+    `states` are the names of x in order, `inputs` the names of u, which have no equation; `expressions` are the D
+    right-hand sides as infix text. For equations of second order, the velocities are states after all positions.
+    `sizes` are the largest measured absolute values of the states, 0 where unknown, empty if all are unknown.
+    `programs` are the right-hand sides over states and inputs; empty: parsed from the texts.
     """
 
     states: tuple[str, ...]
@@ -87,21 +84,21 @@ class VectorField:
 
     @classmethod
     def from_result(cls, result: Result) -> "VectorField":
-        """Return the field of the model that a result shows.
+        """Return the field of the model of a result, for a stochastic process the drift.
 
-        Of a stochastic process it is the drift. Variables without an equation of their own are inputs.
-
-        Raises:
-            UsageError: there is an equation without an expression, or the equations are not differential.
+        Variables without an equation are inputs. Raises UsageError if an equation was not found or is not differential.
         """
         symbols = result.symbols
         equations = [equation for equation in result.equations if equation.variable in symbols]
-        is_second = _is_of_second_order(result.equations)
+        for equation in result.equations:
+            side = equation.lhs
+            if side == equation.variable or "/" not in side:
+                raise UsageError(f"the equation of {side} is not differential; a model of dynamics needs d{side}/dt")
         missing = next((equation.lhs for equation in equations if not equation.expression), None)
         if missing is not None:
             raise UsageError(f"the result has no equation for {missing}; a model needs one for each state")
         sides = {symbols[equation.variable]: equation.expression or "" for equation in equations}
-        if is_second:
+        if all(map(is_acceleration, result.equations)):
             velocities = [_velocity_of(equation.variable, symbols) for equation in equations]
             sides = dict(zip(sides, velocities, strict=True)) | dict(zip(velocities, sides.values(), strict=True))
         inputs = [name for name in symbols.values() if name not in sides]
@@ -113,7 +110,7 @@ class VectorField:
         return np.array([parameter.value for parameter in self.parameters], dtype=np.float64)
 
     def values(self, x: npt.ArrayLike, u: npt.ArrayLike | None = None, p: npt.ArrayLike | None = None) -> FloatArray:
-        """Return dx/dt at one point (D,) or at N points (N, D), of the same shape; NaN where it has no finite value.
+        """Return dx/dt at one point (D,) or at N points (N, D), of the same shape; NaN where it is not finite.
 
         Args:
             x: states.
@@ -139,7 +136,7 @@ class VectorField:
         return self._evaluated(self._by_inputs, x, u, p)
 
     def term_of(self, index: int, p: FloatArray) -> str:
-        """Return what a parameter (from 0) is the coefficient of, as infix text without its sign: x*y for c1*x*y.
+        """Return the term of which a parameter (from 0) is the coefficient, as infix text without sign: x*y for c1*x*y.
 
         Other parameters in it have the values `p` (P,).
         """
@@ -147,7 +144,7 @@ class VectorField:
 
         names, values = (*self.states, *self.inputs), p.tolist()
         slope = derivative(self._sides[names.index(self.parameters[index].variable)], len(names) + index)
-        marks = [f"[{number}]" for number in range(len(values))]  # which no state is called
+        marks = [f"[{number}]" for number in range(len(values))]  # no state can have such a name
         known = {
             sympy.Symbol(mark): sympy.Integer(value) if value.is_integer() else sympy.Float(value)
             for mark, value in zip(marks, values, strict=True)
@@ -157,7 +154,7 @@ class VectorField:
 
     @cached_property
     def _sides(self) -> list[Program]:
-        """The right-hand sides with their parameters as variables behind states and inputs."""
+        """The right-hand sides with their parameters as variables after states and inputs."""
         sides: list[Program] = []
         end = len(self.states) + len(self.inputs)
         for program in self.programs:
@@ -166,57 +163,44 @@ class VectorField:
         return sides
 
     @cached_property
-    def _rates(self) -> "_CompiledPrograms":
+    def _rates(self) -> "CompiledPrograms":
         return self._function(self._sides, (len(self.states),))
 
     @cached_property
-    def _by_states(self) -> "_CompiledPrograms":
+    def _by_states(self) -> "CompiledPrograms":
         return self._slopes(0, len(self.states))
 
     @cached_property
-    def _by_inputs(self) -> "_CompiledPrograms":
+    def _by_inputs(self) -> "CompiledPrograms":
         return self._slopes(len(self.states), len(self.inputs))
 
     @cached_property
-    def _by_parameters(self) -> "_CompiledPrograms":
+    def _by_parameters(self) -> "CompiledPrograms":
         return self._slopes(len(self.states) + len(self.inputs), len(self.parameters))
 
-    def _slopes(self, begin: int, count: int) -> "_CompiledPrograms":
-        """Return the derivatives of all right-hand sides by so many variables from `begin` on."""
+    def _slopes(self, begin: int, count: int) -> "CompiledPrograms":
         slopes = [derivative(side, variable) for side in self._sides for variable in range(begin, begin + count)]
         return self._function(slopes, (len(self.states), count))
 
-    def _function(self, programs: Sequence[Program], shape: tuple[int, ...]) -> "_CompiledPrograms":
-        return _CompiledPrograms(programs, shape, len(self.states) + len(self.inputs) + len(self.parameters))
+    def _function(self, programs: Sequence[Program], shape: tuple[int, ...]) -> "CompiledPrograms":
+        return CompiledPrograms(programs, shape, len(self.states) + len(self.inputs) + len(self.parameters))
 
     def _evaluated(
-        self, function: "_CompiledPrograms", x: npt.ArrayLike, u: npt.ArrayLike | None, p: npt.ArrayLike | None
+        self, function: "CompiledPrograms", x: npt.ArrayLike, u: npt.ArrayLike | None, p: npt.ArrayLike | None
     ) -> FloatArray:
         points = np.asarray(x, dtype=np.float64)
         inputs = np.asarray(() if u is None else u, dtype=np.float64)
         values = self.values_of_parameters if p is None else np.asarray(p, dtype=np.float64)
-        self._check_shapes(points, inputs, values)
+        for what, array, size in (("state", points, len(self.states)), ("input", inputs, len(self.inputs))):
+            if array.ndim not in (1, 2) or array.shape[-1] != size:
+                raise UsageError(f"{what}s have the shape {array.shape}, expected ({size},) or (N, {size})")
+        if values.shape != (len(self.parameters),):
+            raise UsageError(f"parameters have the shape {values.shape}, expected ({len(self.parameters)},)")
         if points.ndim == 1 and inputs.ndim == 1:
             return function.at_point([*points.tolist(), *inputs.tolist(), *values.tolist()]).reshape(function.shape)
         rows = max(len(array) for array in (points, inputs) if array.ndim == 2)
         columns = [*points.T, *inputs.T]
         return function.at_points(columns, values.tolist(), rows).reshape(rows, *function.shape)
-
-    def _check_shapes(self, points: FloatArray, inputs: FloatArray, values: FloatArray) -> None:
-        for what, array, count in (("state", points, len(self.states)), ("input", inputs, len(self.inputs))):
-            if array.ndim not in (1, 2) or array.shape[-1] != count:
-                raise UsageError(f"{what}s have the shape {array.shape}, expected ({count},) or (N, {count})")
-        if values.shape != (len(self.parameters),):
-            raise UsageError(f"parameters have the shape {values.shape}, expected ({len(self.parameters)},)")
-
-
-def _is_of_second_order(equations: Sequence[Equation]) -> bool:
-    """Tell whether all equations are of second order; raises UsageError where one is not differential."""
-    for equation in equations:
-        side = equation.lhs
-        if side == equation.variable or "/" not in side:
-            raise UsageError(f"the equation of {side} is not differential; a model of dynamics needs d{side}/dt")
-    return all(map(is_acceleration, equations))
 
 
 def is_acceleration(equation: Equation) -> bool:
@@ -226,19 +210,19 @@ def is_acceleration(equation: Equation) -> bool:
 
 
 def _velocity_of(variable: str, symbols: Mapping[str, str]) -> str:
-    """Return the symbol of the velocity of `variable`, named after it, with more _ where that is taken."""
+    """Return the symbol of the velocity of `variable`: its name with _dot, and more _ where that is taken."""
     name = variable + _VELOCITY
     while name in symbols and name + "_" in symbols:
         name += "_"
     if name not in symbols:
-        raise UsageError(f"the result has no velocity of '{variable}'; it is not of this version")
+        raise UsageError(f"the result has no velocity of '{variable}'; it was written by another version")
     return symbols[name]
 
 
-class _CompiledPrograms:
-    """Programs as two functions, compiled when first used: of plain numbers, fast at one point, and of arrays.
+class CompiledPrograms:
+    """Programs as two functions, compiled when first used: one of numbers, fast at one point, and one of arrays.
 
-    `shape` is that in which callers want the values of all programs at a point.
+    `shape` is the shape of the values of all programs at a point.
     """
 
     def __init__(self, programs: Sequence[Program], shape: tuple[int, ...], variables: int) -> None:
@@ -254,7 +238,7 @@ class _CompiledPrograms:
         return function_of(self._programs, self._variables, _OF_ARRAYS)
 
     def at_point(self, numbers: Sequence[float]) -> FloatArray:
-        """Return the values of all programs; NaN where they have none."""
+        """Return the values of all programs; NaN where they are undefined."""
         try:
             values = np.array(self._of_numbers(*numbers), dtype=np.float64)
         except (ArithmeticError, ValueError):  # a division by zero, log of 0, a root of a negative number
@@ -265,7 +249,7 @@ class _CompiledPrograms:
         return values
 
     def at_points(self, columns: Sequence[FloatArray], numbers: Sequence[float], rows: int) -> FloatArray:
-        """Return the values of all programs at `rows` points, shape (rows, programs); NaN where they have none."""
+        """Return the values of all programs at `rows` points, shape (rows, programs); NaN where they are undefined."""
         values = np.zeros((rows, len(self._programs)))
         with np.errstate(all="ignore"):
             for index, column in enumerate(self._of_arrays(*columns, *map(np.float64, numbers))):
@@ -279,8 +263,8 @@ class _CompiledPrograms:
 class JointErrors:
     """The joint covariance (K, K) of the constants, and the field whose parameters they are.
 
-    `field` has the right-hand sides with factors of one as constants; `columns` (K,) say which of its P parameters the
-    constants are.
+    In `field` unwritten factors of 1 are parameters as well; `columns` (K,) are the indices of the constants among its
+    P parameters.
     """
 
     field: VectorField
@@ -289,7 +273,7 @@ class JointErrors:
 
     @classmethod
     def of(cls, result: Result, field: VectorField) -> "JointErrors | None":
-        """Return the errors of a result's model, `field` being its right-hand sides; None where they are not known.
+        """Return the errors of the model of a result, with right-hand sides `field`; None where they are not known.
 
         Constants of a diffusion are left out.
         """
@@ -305,12 +289,14 @@ class JointErrors:
             program = _explicit(result, equation, known)
             if program is None:
                 return None
-            sides[variable] = _place(field, equation, result.symbols[variable])
-            programs[sides[variable]] = _over(program, [names.index(name) for name in result.names])
+            position = field.states.index(result.symbols[variable])
+            sides[variable] = position + (len(field.states) // 2 if is_acceleration(equation) else 0)
+            places = [names.index(name) for name in result.names]
+            left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
+            programs[sides[variable]] = replace(program, left=np.array(left, dtype=np.int16))
         ends = np.cumsum([0, *(len(constant_places(program)) for program in programs)])
-        following = [
-            itertools.count(begin) for begin in ends.tolist()
-        ]  # parameters stand one after the other in each side
+        # the parameters of each side follow one another, in the order of the covariance
+        following = [itertools.count(begin) for begin in ends.tolist()]
         columns = tuple(next(following[sides[variable]]) for variable in variables)
         matrix = np.array(known.matrix, dtype=np.float64).reshape(len(known.constants), -1)
         return cls(replace(field, programs=tuple(programs)), columns, matrix[np.ix_(rows, rows)])
@@ -321,22 +307,10 @@ class JointErrors:
 
 
 def _explicit(result: Result, equation: Equation, known: Covariance) -> Program | None:
-    """Return a right-hand side whose constants, in node order, are those of the covariance; None without."""
+    """Return a right-hand side whose constants, in node order, are the constants of the covariance; None without."""
     if equation.program is None:
         return None
     origins = [place.constant for place in known.constants if place.variable == equation.variable]
     program = program_of(equation, result.names)
     explicit = (make_coefficients_explicit(program), as_written(program))
     return next((coefficients.program for coefficients in explicit if [*coefficients.origins] == origins), None)
-
-
-def _over(program: Program, places: Sequence[int]) -> Program:
-    """Return a program over other variables, those at these places; its constants stay in their order."""
-    left = [places[index] if code == VARIABLE else index for code, index, _, _ in program.nodes()]
-    return replace(program, left=np.array(left, dtype=np.int16))
-
-
-def _place(field: VectorField, equation: Equation, symbol: str) -> int:
-    """Return which right-hand side is the equation of a state: for order 2, behind those of the positions."""
-    position = field.states.index(symbol)
-    return position + len(field.states) // 2 if is_acceleration(equation) else position

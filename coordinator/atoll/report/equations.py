@@ -1,13 +1,4 @@
-"""What was asked and what was found, in one screen.
-
-The constants with their errors, and which of them the data hardly tell apart.
-
-Why this equation: the front of each search, and the candidates that were compared.
-
-How the islands converged, and what the search cost.
-
-How to repeat the run: command, seed, digests, versions.
-"""
+"""Sections on the equations: what was found, constants, candidates, fronts, searches, and how to repeat the run."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -48,10 +39,10 @@ if TYPE_CHECKING:
     from atoll.experiments.suggestion import Suggestions
 
 MEANINGS: Final = {
-    "exact": "the data single this equation out, to all of their digits",
+    "exact": "the data determine this equation uniquely, to all of their digits",
     "good": "within the measured range, predictions of this equation can be trusted",
-    "doubtful": "another equation may be the right one, or that was not tested; the reason says why",
-    "no model": "nothing was found that describes the data",
+    "doubtful": "another equation may be right, or this was not tested; the reason says why",
+    "no model": "no equation was found that describes the data",
 }
 
 
@@ -61,7 +52,7 @@ def overview(findings: Findings) -> Element:
     equations = [_equation(equation, findings) for equation in result.equations]
     warned = _list("Warnings", result.proper_warnings)
     noted = _list("Notes", result.notes)
-    of_noise = "Of a state x, d[x]/dt is the variance that noise adds in a unit of time." if result.process else ""
+    of_noise = "d[x]/dt is the variance that noise adds to the state x per unit of time." if result.process else ""
     remarks = map(paragraph, filter(None, [remark_on_groups(result), of_noise]))
     verdicts = dict.fromkeys(equation.verdict or "" for equation in result.equations)
     meanings = [f"{verdict.capitalize()}: {MEANINGS[verdict]}." for verdict in verdicts if verdict in MEANINGS]
@@ -71,7 +62,6 @@ def overview(findings: Findings) -> Element:
 
 
 def _list(title: str, texts: Sequence[str]) -> list[Element]:
-    """Return a list with its heading; nothing of no texts."""
     return [element("h3", title), element("ul", *(element("li", text) for text in texts))] if texts else []
 
 
@@ -94,7 +84,6 @@ def _equation(equation: Equation, findings: Findings) -> Element:
 
 
 def _checks(checks: Sequence[Check]) -> list[Element]:
-    """Return how many checks have passed, a list of those that have not, and the others behind it."""
     text = checks_text(checks).partition(";")[0]
     listed = [check for check in checks if check.outcome in ("failed", "not made")]
     others = [check for check in checks if check.outcome not in ("failed", "not made")]
@@ -106,7 +95,6 @@ def _checks(checks: Sequence[Check]) -> list[Element]:
 
 
 def _items(checks: Sequence[Check]) -> list[Element]:
-    """Return an item for each reason: checks that say the same stand together."""
     names: dict[tuple[str, str], list[str]] = {}
     for check in checks:
         names.setdefault((check.outcome, check.reason), []).append(check.name)
@@ -151,13 +139,12 @@ def constants(findings: Findings) -> list[Element]:
     notes += [paragraph(_correlation(pair, names)) for pair in findings.result.correlations]
     profiles = [] if findings.identifiability is None else _profiles(findings.identifiability)
     if count_constants(findings.result) > MOST_PROFILES:
-        profiles.append(paragraph("coordinator analyse --identifiability says what the data determine of so many."))
+        profiles.append(paragraph("Profiles of so many constants: run coordinator analyse --identifiability."))
     listed = table("Constants", [*heads, "determined"], rows, is_stacked=True)
     return [section("constants", "Constants", listed, *_groups(findings, names), *notes, *profiles)]
 
 
 def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Element]:
-    """Return a table of the constants that differ between groups of trajectories, none where there are none."""
     if not differing_groups(findings.result):
         return []
     heads = ["equation", "constant", "group", "value", "standard error", "95 % interval"]
@@ -180,10 +167,9 @@ def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Elem
 
 
 def _profiles(identifiability: "Identifiability") -> list[Element]:
-    """Return what the data determine of each constant, by profile likelihood, with the profiles drawn."""
     text = paragraph(
-        "A constant is held at each value of a range while all others are fitted again. Where the deviance stays below "
-        "the line, the data allow the value."
+        "Each constant is held at values of a range while all others are fitted again. The data allow the values whose "
+        "deviance is below the line."
     )
     listed = [element("li", f"{constant.name} = {constant.sentence}") for constant in identifiability.constants]
     listed += [element("li", direction.words) for direction in identifiability.sloppy]
@@ -226,7 +212,7 @@ def _simple(simple: SimpleNumber | None) -> str:
 
 
 def _together(equation: Equation, names: Sequence[str]) -> list[str]:
-    """Return a sentence on simple numbers of several constants together; nothing where others are likelier."""
+    """Return a sentence on simple numbers for several constants together; none where others are more probable."""
     together = equation.simple_together
     if not together or together.odds is None:
         return []
@@ -241,7 +227,7 @@ def _together(equation: Equation, names: Sequence[str]) -> list[str]:
 def _correlation(correlation: Correlation, names: Mapping[str, Sequence[str]]) -> str:
     places = (correlation.first, correlation.second)
     first, second = (names[place.variable][place.constant or 0] for place in places)
-    return f"{first} and {second} are hardly told apart: correlation {number(correlation.value, 3)}."
+    return f"{first} and {second} are hardly distinguished: correlation {number(correlation.value, 3)}."
 
 
 def choice(findings: Findings) -> list[Element]:
@@ -252,25 +238,24 @@ def choice(findings: Findings) -> list[Element]:
     sections = []
     if compared:
         text = paragraph(
-            "Δ description length: how much longer the data are to describe with another equation than with the one "
-            "shown, in nats. Below about 3 the data hardly decide."
+            "Δ description length: the description length of the data with another equation less that with the "
+            "displayed one, in nats. Below about 3 the data hardly decide."
         )
         if findings.result.groups or findings.result.group is not None:
-            compared.append(paragraph("Constants of candidates are of all groups of trajectories together."))
+            compared.append(paragraph("Constants of candidates belong to all groups of trajectories together."))
         following = () if findings.suggestions is None else _next_experiment(findings.suggestions)
         sections.append(section("candidates", "Candidates", text, *compared, *following))
     if fronts:
         text = paragraph(
-            "The best expression of each complexity that the search found, by its error over the target's deviation. A "
-            "ring marks the one that the equation is made of, if it comes from the front; the line is how uncertain "
-            "the target itself is."
+            "The best expression of each complexity in the search, by its error over the standard deviation of the "
+            "target. A ring marks the displayed equation if it comes from the front; the line is the uncertainty of "
+            "the target."
         )
         sections.append(section("front", "Accuracy and complexity", text, pictures(fronts)))
     return sections
 
 
 def _next_experiment(suggestions: "Suggestions") -> list[Element]:
-    """Return the experiments that would tell most, and which systems they tell apart."""
     told_apart = suggestions.purpose == "discrimination"
     systems: list[list[Child]] = [
         [number(weight, 2), origin, element("code", equations_text(equations))]
@@ -290,7 +275,7 @@ def _next_experiment(suggestions: "Suggestions") -> list[Element]:
         ]
         for experiment in suggestions.experiments
     ]
-    heads = ["initial state", "samples", "what it tells" if told_apart else "about the constants", "warning"]
+    heads = ["initial state", "samples", "expected result" if told_apart else "about the constants", "warning"]
     if not any(experiment.remark for experiment in suggestions.experiments):
         heads, rows = heads[:-1], [row[:-1] for row in rows]
     return [
@@ -337,23 +322,24 @@ def _candidates(equation: Equation, findings: Findings) -> list[Element]:
 
 
 def _decision(equation: Equation) -> list[Element]:
-    """Return what would decide between the candidates, where that is known."""
     prediction = equation.prediction
     if prediction is None or not prediction.measure_from:
         return []
     start = ", ".join(f"{name} = {number(value)}" for name, value in prediction.measure_from.items())
-    disputed = "The candidates predict different courses from other initial states. " if prediction.is_disputed else ""
-    return [paragraph(f"{disputed}A measurement from the initial state {start} would tell most between them.")]
+    disputed = (
+        "The candidates predict different trajectories from other initial states. " if prediction.is_disputed else ""
+    )
+    return [paragraph(f"{disputed}A measurement from the initial state {start} would distinguish them best.")]
 
 
 ENDS: Final = {
-    "target": "the target error was met",
-    "law": "regression has found laws that leave noise alone",
-    "stagnation": "no better equation was found for long",
+    "target": "the target error was reached",
+    "law": "regression found laws with residuals like the noise",
+    "stagnation": "no better equation was found for a long time",
     "max-epochs": "the last epoch was reached",
     "max-time": "the time was up",
     "cancelled": "it was cancelled",
-    "known": "it was given",
+    "known": "the equation was given",
 }
 
 
@@ -368,7 +354,9 @@ def search(findings: Findings) -> list[Element]:
     ]  # fmt: skip
     heads = ["equation", "the search ended because", "epochs", "point evaluations", "seconds", "shown comes from"]
     drawn = [_convergence(equation) for equation in equations if equation.convergence]
-    text = paragraph("The best error of each island over generations, relative to the target's deviation.")
+    text = paragraph(
+        "The best error of each island over generations, relative to the standard deviation of the target."
+    )
     explained = [text] if drawn else []
     return [section("search", "Search", table("Searches", heads, rows), *explained, pictures(drawn))]
 
@@ -404,16 +392,13 @@ def origin(findings: Findings) -> Element:
         entries.append(("Settings", element("code", json.dumps(result.config, ensure_ascii=False))))
     versions = ", ".join(f"{name} {version}" for name, version in result.versions.items())
     entries.append(("Versions", versions))
-    return section("origin", "How to repeat this", paragraph(_promise(findings)), facts(entries))
-
-
-def _promise(findings: Findings) -> str:
-    """Return what gives the same digest again: not the clock."""
-    cut = [equation for equation in findings.result.equations if equation.why in ("max-time", "cancelled")]
-    if not cut:
-        return "The same data, settings and seed give the same digest on any number of workers and machines."
-    epochs = ",".join(f"{equation.variable}={equation.epoch}" for equation in cut)
-    return (
-        "The clock ended a search, so that another run need not end there. The same data, settings and seed with "
-        f"--max-epochs {epochs} in the place of --max-time give the same digest on any number of workers and machines."
-    )
+    promise = "The same data, settings and seed give the same digest on any number of workers and machines."
+    by_clock = [equation for equation in result.equations if equation.why in ("max-time", "cancelled")]
+    if by_clock:
+        epochs = ",".join(f"{equation.variable}={equation.epoch}" for equation in by_clock)
+        promise = (
+            "A search was stopped by the clock, so another run may stop elsewhere. The same data, settings and seed "
+            f"with --max-epochs {epochs} in place of --max-time give the same digest on any number of workers and "
+            "machines."
+        )
+    return section("origin", "How to repeat this", paragraph(promise), facts(entries))

@@ -1,4 +1,4 @@
-"""What a page is about: a result, and where there is one its model and how it moves."""
+"""The content of a page: a result, and if it is complete its model, dynamics and identifiability."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 Found = TypeVar("Found")
 MOST_PROFILES: Final = 12
-"""Constants whose profiles are drawn; of more they are not made, since each takes a fit for every point."""
+"""Largest number of constants whose profiles are drawn: each takes a fit for every point."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """A result, and what is found of its model (None where an equation was not found).
+    """A result, and its model (None where an equation was not found).
 
-    These are the dynamics, what the data determine of the constants, and the experiments to make next; each is None
-    where there is nothing to find it from. `unanalysed` says why there are no dynamics, "" where there are.
+    The dynamics, the identifiability of the constants and the suggested experiments are None where they cannot be
+    computed; `unanalysed` says why there are no dynamics, "" if there are.
     """
 
     result: Result
@@ -40,7 +40,7 @@ class Findings:
 
     @classmethod
     def of(cls, result: Result) -> "Findings":
-        """Return the findings of a result, which takes a few seconds for two states."""
+        """Return the findings of a result; this takes a few seconds for two states."""
         try:
             model = Model(result)
         except UsageError as error:
@@ -56,29 +56,25 @@ class Findings:
 
     @cached_property
     def curves(self) -> Sequence[tuple[Simulated, ModelCurves]]:
-        """The simulated trajectories that are drawn with their curves, at most `SHOWN`, each in a colour of its own."""
+        """The simulated trajectories that are drawn, at most `SHOWN`, with their curves."""
         return [(part, curves_of(self.model, part)) for part in chosen(self.result.simulated)]
 
     def label(self, column: str) -> str:
         """Return a column name with its unit."""
         return label(self.result, column)
 
-    def axis(self, column: str) -> Axis:
-        """Return the axis of a column, labelled with its unit."""
-        return Axis(self.label(column))
-
     def over_time(self, title: str, column: str) -> Chart:
         """Return an empty chart of a column over time, both labelled with their units."""
-        return Chart(title, self.axis(self.result.time), self.axis(column))
+        return Chart(title, Axis(self.label(self.result.time)), Axis(self.label(column)))
 
 
 def count_constants(result: Result) -> int:
-    """Return how many constants were fitted, factors of 1 that nobody writes included."""
+    """Return the number of fitted constants, including unwritten factors of 1."""
     return sum(len(equation.constants) + len(equation.implied) for equation in result.equations)
 
 
 def _found(find: Callable[[], Found]) -> Found | None:
-    """Return what is found; None of a result without the measurements that it takes."""
+    """Return the value of a computation; None where the result lacks the measurements for it."""
     try:
         return find()
     except (UsageError, DataError):

@@ -1,6 +1,6 @@
-"""Elements of HTML, SVG and MathML. Texts and attributes are escaped when a page is written, whatever they hold.
+"""Elements of HTML, SVG and MathML, and charts of curves, points and bands as SVG. Pure.
 
-Pictures of curves, points and bands as SVG. Pure.
+Texts and attributes are escaped when a page is written, whatever they contain.
 """
 
 import math
@@ -21,19 +21,19 @@ _MATHML: Final = "{http://www.w3.org/1998/Math/MathML}"
 
 def element(tag: str, *children: Child, **attributes: str | float) -> Element:
     """Return an element; ``class_`` stands for the attribute ``class``, and ``stroke_width`` for ``stroke-width``."""
-    made = Element(tag, {name.rstrip("_").replace("_", "-"): str(value) for name, value in attributes.items()})
+    built = Element(tag, {name.rstrip("_").replace("_", "-"): str(value) for name, value in attributes.items()})
     for child in children:
         if not isinstance(child, str):
-            made.append(child)
-        elif len(made):
-            made[-1].tail = (made[-1].tail or "") + child
+            built.append(child)
+        elif len(built):
+            built[-1].tail = (built[-1].tail or "") + child
         else:
-            made.text = (made.text or "") + child
-    return made
+            built.text = (built.text or "") + child
+    return built
 
 
 def section(identifier: str, title: str, *children: Child) -> Element:
-    """Return a section with its heading, which others may link to."""
+    """Return a section with its heading; the identifier can be linked."""
     return element("section", element("h2", title), *children, id=identifier)
 
 
@@ -43,23 +43,23 @@ def paragraph(*children: Child) -> Element:
 
 
 def facts(pairs: Iterable[tuple[str, Child]]) -> Element:
-    """Return a list of terms and what is said of each."""
+    """Return a list of terms with their descriptions."""
     listed = [(element("dt", term), element("dd", description)) for term, description in pairs]
     return element("dl", *chain.from_iterable(listed))
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Child]], *, is_stacked: bool = False) -> Element:
-    """Return a table that scrolls by itself where it is wider than the page; texts that are numbers stand right.
+    """Return a table that scrolls if it is wider than the page, with numbers aligned to the right.
 
-    A column without any entry is left out. One that `is_stacked` has its cells below each other on narrow pages.
+    Empty columns are left out. A table that `is_stacked` has its cells below one another on narrow pages.
     """
     rows = [*rows]
     kept = [place for place in range(len(heads)) if not rows or any(row[place] != "" for row in rows)]
     head = element("tr", *(element("th", heads[place], scope="col") for place in kept))
     body = element("tbody", *(element("tr", *(_cell(row[place], heads[place]) for place in kept)) for row in rows))
     kind = {"class_": "stacked"} if is_stacked else {}
-    made = element("table", element("caption", caption), element("thead", head), body, **kind)
-    return scrolling(caption, made)
+    built = element("table", element("caption", caption), element("thead", head), body, **kind)
+    return scrolling(caption, built)
 
 
 def _cell(content: Child, head: str) -> Element:
@@ -73,24 +73,24 @@ def scrolling(label: str, content: Element) -> Element:
 
 
 def figure(picture: Element, caption: str, numbers: Element | None, *legend: Element) -> Element:
-    """Return a picture with its caption, its legend, and its numbers behind it."""
+    """Return a picture with its legend and caption, and its numbers in a box that can be opened."""
     behind = () if numbers is None else (element("details", element("summary", "Numbers"), numbers),)
     return element("figure", picture, *legend, element("figcaption", caption), *behind)
 
 
 def pictures(figures: Iterable[Element]) -> Element:
-    """Return figures beside each other."""
+    """Return figures next to each other."""
     return element("div", *figures, class_="pictures")
 
 
 def legend(names: Iterable[tuple[str, str]]) -> Element:
-    """Return a legend: the class of a mark, and what it stands for."""
+    """Return a legend: the class and the meaning of each mark."""
     marks = (element("li", element("span", class_=f"swatch {kind}"), name) for kind, name in names)
     return element("ul", *marks, class_="legend")
 
 
 def parse_mathml(text: str) -> Element:
-    """Return MathML as elements without the prefix of a namespace, as HTML has them."""
+    """Return MathML as elements without namespace, as in HTML."""
     root = ElementTree.fromstring(text)
     for part in root.iter():
         part.tag = part.tag.removeprefix(_MATHML)
@@ -115,15 +115,15 @@ def to_text(root: Element) -> str:
 WIDTH: Final = 440
 HEIGHT: Final = 280
 COLORS: Final = SHOWN
-"""Classes ``c0``, ``c1``, … of the style sheet: one for each trajectory that is drawn."""
+"""Classes ``c0``, ``c1``, … of the style sheet, one for each drawn trajectory."""
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 12, 12, 44
 _TICKS: Final = 5
 _PLAIN: Final = (1e-4, 1e6)
-"""Labels of ticks with smaller steps, or of larger numbers, have exponents."""
+"""Ticks with smaller steps, or with larger numbers, have labels with exponents."""
 _FEW_DECADES: Final = 2.0
 _BEYOND: Final = 0.04
-"""Share of a range that an axis reaches beyond it."""
+"""Margin of an axis as a share of its range."""
 
 Number = float | None
 Numbers = Sequence[Number]
@@ -131,7 +131,7 @@ Numbers = Sequence[Number]
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis: its label, whether it is logarithmic, and bounds (None: as wide as what is drawn)."""
+    """One axis: its label, whether it is logarithmic, and bounds (None: the range of the data)."""
 
     label: str
     is_logarithmic: bool = False
@@ -148,7 +148,7 @@ class _Layer:
 
 @dataclass
 class Chart:
-    """A picture with two axes; what is added later is drawn above. `title` says to who cannot see it what it shows."""
+    """A picture with two axes; later layers are drawn above earlier ones. `title` is its text for screen readers."""
 
     title: str
     x: Axis
@@ -170,7 +170,7 @@ class Chart:
         self._add("area", style, *zip(*forth, *back, strict=True)) if rows else None
 
     def add_cells(self, x: Numbers, y: Numbers, style: str) -> None:
-        """Add rectangles, each from a corner to the opposite one: two numbers of `x` and `y` for each, all known."""
+        """Add rectangles, each given by two opposite corners: two numbers of `x` and of `y`, all known."""
         self._add("cells", style, x, y)
 
     def _add(self, kind: str, style: str, x: Numbers, y: Numbers) -> None:
@@ -201,26 +201,24 @@ class Chart:
 
     def _axes(self, across: "_Scale", up: "_Scale") -> list[Element]:
         bottom, middle = HEIGHT - _BOTTOM, 0.5 * (_TOP + HEIGHT - _BOTTOM)
-        made = [element("path", class_="axis", d=f"M{_LEFT},{_TOP}V{bottom}H{WIDTH - _RIGHT}", fill="none")]
+        built = [element("path", class_="axis", d=f"M{_LEFT},{_TOP}V{bottom}H{WIDTH - _RIGHT}", fill="none")]
         for place, label in ticks(across.bounds, self.x.is_logarithmic):
             at = round(across(place), 1)
-            made.append(element("path", class_="grid", d=f"M{at},{_TOP}V{bottom}"))
-            made.append(element("text", label, x=at, y=bottom + 16, text_anchor="middle"))
+            built.append(element("path", class_="grid", d=f"M{at},{_TOP}V{bottom}"))
+            built.append(element("text", label, x=at, y=bottom + 16, text_anchor="middle"))
         for place, label in ticks(up.bounds, self.y.is_logarithmic):
             at = round(up(place), 1)
-            made.append(element("path", class_="grid", d=f"M{_LEFT},{at}H{WIDTH - _RIGHT}"))
-            made.append(element("text", label, x=_LEFT - 6, y=at + 4, text_anchor="end"))
+            built.append(element("path", class_="grid", d=f"M{_LEFT},{at}H{WIDTH - _RIGHT}"))
+            built.append(element("text", label, x=_LEFT - 6, y=at + 4, text_anchor="end"))
         rotation = f"rotate(-90 14 {middle})"
-        made.append(element("text", self.y.label, x=14, y=middle, text_anchor="middle", transform=rotation))
+        built.append(element("text", self.y.label, x=14, y=middle, text_anchor="middle", transform=rotation))
         centre = 0.5 * (_LEFT + WIDTH - _RIGHT)
-        made.append(element("text", self.x.label, x=centre, y=HEIGHT - 8, text_anchor="middle"))
-        return made
+        built.append(element("text", self.x.label, x=centre, y=HEIGHT - 8, text_anchor="middle"))
+        return built
 
 
 @dataclass(frozen=True)
 class _Scale:
-    """From numbers within bounds to pixels."""
-
     bounds: tuple[float, float]
     first: float
     last: float
@@ -231,7 +229,7 @@ class _Scale:
 
 
 def _on(axis: Axis, value: Number) -> float:
-    """Return a number on an axis; NaN of what has no place there."""
+    """Return the position of a number on an axis; NaN where it has none."""
     if value is None or not math.isfinite(value):
         return math.nan
     if not axis.is_logarithmic:
@@ -252,26 +250,24 @@ def _layer_element(layer: _Layer, across: _Scale, up: _Scale) -> Element:
         corners = zip(known[::2], known[1::2], strict=True)
         path = "".join(f"M{left},{bottom}H{right}V{top}H{left}Z" for (left, bottom), (right, top) in corners)
         return element("path", class_=f"area {layer.style}", d=path)
-    ending = "Z" if layer.kind == "area" else ""
-    return element("path", class_=f"{layer.kind} {layer.style}", d=_path(places) + ending)
-
-
-def _path(places: Iterable[tuple[float, float] | None]) -> str:
     parts, is_down = [], False
     for place in places:
         if place is not None:
             parts.append(f"{'L' if is_down else 'M'}{place[0]},{place[1]}")
         is_down = place is not None
-    return "".join(parts)
+    ending = "Z" if layer.kind == "area" else ""
+    return element("path", class_=f"{layer.kind} {layer.style}", d="".join(parts) + ending)
 
 
 def ticks(bounds: tuple[float, float], is_logarithmic: bool) -> list[tuple[float, str]]:
-    """Return places and labels of ticks within `bounds`; where these are logarithms, of powers of ten and parts."""
+    """Return places and labels of ticks within `bounds`; if these are logarithms, at 1, 2 and 5 times powers of ten."""
     return _logarithmic_ticks(*bounds) if is_logarithmic else _even_ticks(*bounds)
 
 
 def _even_ticks(low: float, high: float) -> list[tuple[float, str]]:
-    step = _step((high - low) / _TICKS)
+    least = (high - low) / _TICKS
+    power = 10.0 ** math.floor(math.log10(least))
+    step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= 0.999999 * least)
     places = [index * step for index in range(math.ceil(low / step), math.floor(high / step) + 1)]
     largest = max(abs(low), abs(high))
     if _PLAIN[0] <= step and largest < _PLAIN[1]:
@@ -286,13 +282,7 @@ def _logarithmic_ticks(low: float, high: float) -> list[tuple[float, str]]:
     every = max(1, math.ceil((high - low) / _TICKS))
     parts = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
     places = [(decade + math.log10(part), decade, part) for decade in decades if decade % every == 0 for part in parts]
-    made = [(place, f"{part * 10.0**decade:g}") for place, decade, part in places if low <= place <= high]
-    if len(made) > 1:
-        return made
+    built = [(place, f"{part * 10.0**decade:g}") for place, decade, part in places if low <= place <= high]
+    if len(built) > 1:
+        return built
     return [(math.log10(value), label) for value, label in _even_ticks(10.0**low, 10.0**high) if value > 0.0]
-
-
-def _step(least: float) -> float:
-    """Return the least of 1, 2 and 5 times a power of ten that is not below `least`."""
-    power = 10.0 ** math.floor(math.log10(least))
-    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= 0.999999 * least)

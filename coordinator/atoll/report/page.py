@@ -12,11 +12,11 @@ from atoll_coordinator.result.result import Result
 from atoll_core import VERSION
 
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""Nothing is loaded and no script runs, whatever a name in the data may hold."""
+"""Nothing is loaded and no script runs, whatever a name in the data contains."""
 
 
 def as_html(result: Result) -> str:
-    """Return the page of a result; its model is analysed, which takes a few seconds."""
+    """Return the page of a result; the analysis of its model takes a few seconds."""
     return as_text(build_page(result))
 
 
@@ -53,16 +53,12 @@ def pictures(page: Element) -> dict[str, str]:
     pictures_by_name: dict[str, str] = {}
     for part in page.iter("section"):
         name, drawn = part.get("id"), [picture for picture in part.iter("svg") if picture.get("role") == "img"]
-        pictures_by_name |= {f"{name}-{number}.svg": _alone(picture) for number, picture in enumerate(drawn, 1)}
+        for number, picture in enumerate(drawn, start=1):
+            style = element("style", _style("pictures"))
+            ground = element("rect", width="100%", height="100%", fill="#ffffff")
+            alone = element("svg", style, ground, *picture, **picture.attrib, xmlns="http://www.w3.org/2000/svg")
+            pictures_by_name[f"{name}-{number}.svg"] = to_text(alone) + "\n"
     return pictures_by_name
-
-
-def _alone(picture: Element) -> str:
-    """Return a picture with its own style, on white."""
-    style = element("style", _style("pictures"))
-    ground = element("rect", width="100%", height="100%", fill="#ffffff")
-    made = element("svg", style, ground, *picture, **picture.attrib, xmlns="http://www.w3.org/2000/svg")
-    return to_text(made) + "\n"
 
 
 def _head(title: str) -> Element:

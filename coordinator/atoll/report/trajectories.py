@@ -1,9 +1,4 @@
-"""Measured beside smoothed, simulated and fitted values, and the residuals.
-
-A stochastic process: simulated ensembles and the densities that they settle into.
-
-How the model moves: the phase plane, fixed points, cycles, basins, and all of it beside the data.
-"""
+"""Sections on trajectories: measurements with simulations and residuals, stochastic processes, dynamics."""
 
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
@@ -39,10 +34,10 @@ if TYPE_CHECKING:
     from atoll.analysis.analysis import Analysis
 
 ROWS: Final = 60
-"""Rows of the numbers behind a picture."""
+"""Rows of the numbers of a picture."""
 _RESIDUALS: Final = (
-    "Measured minus simulated values. Those of a right model have no pattern and are as large as the errors of the "
-    "measurements; lines mark twice the estimated error on either side."
+    "Measured minus simulated values. Residuals of a right model have no pattern and are as large as the measurement "
+    "errors; lines mark twice the estimated error on either side."
 )
 
 
@@ -53,9 +48,9 @@ def trajectories(findings: Findings) -> list[Element]:
     if parts:
         states = list(parts[0].values or {})
         fits = pictures(_fit(state, findings) for state in states)
-        left = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
+        residual_figures = pictures(_residuals(state, parts, findings) for state in states if parts[0].measured)
         sections.append(section("fit", "Measured and simulated", _which(findings), fits, _explanation(findings)))
-        sections.append(section("residuals", "Residuals", paragraph(_RESIDUALS), left))
+        sections.append(section("residuals", "Residuals", paragraph(_RESIDUALS), residual_figures))
     elif findings.result.simulated:
         sections.append(section("fit", "Measured and simulated", paragraph("The model could not be simulated.")))
     if findings.result.noise:
@@ -64,7 +59,7 @@ def trajectories(findings: Findings) -> list[Element]:
 
 
 def fitted_values(findings: Findings) -> list[Element]:
-    """Return the section, none of a model of dynamics: over the variable, of several fitted over measured values."""
+    """Return the section of a regression: over its variable, or, for several, fitted over measured values."""
     known = findings.result.regression
     if known is None:
         return []
@@ -72,7 +67,7 @@ def fitted_values(findings: Findings) -> list[Element]:
     fitted, measured = known.fitted, known.measured
     if len(variables) == 1:
         ((name, values),) = variables.items()
-        fit = Chart(f"{target} over {name}", findings.axis(name), findings.axis(target))
+        fit = Chart(f"{target} over {name}", Axis(findings.label(name)), Axis(findings.label(target)))
         fit.add_points(values, measured, "c0")
         order = [row for _, row in sorted((value, row) for row, value in enumerate(values) if value is not None)]
         fit.add_line([values[row] for row in order], [fitted[row] for row in order], "c1")
@@ -82,14 +77,14 @@ def fitted_values(findings: Findings) -> list[Element]:
         known_values = [value for value in measured if value is not None]
         ends = [min(known_values), max(known_values)] if known_values else []
         fit.add_line(ends, ends, "rule")
-    left = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured minus fitted"))
-    left.add_points(fitted, residuals(measured, fitted), "c0")
+    over_fitted = Chart(f"residuals of {target} over its fitted values", Axis("fitted"), Axis("measured minus fitted"))
+    over_fitted.add_points(fitted, residuals(measured, fitted), "c0")
     rows = list(zip(*variables.values(), measured, fitted, strict=True))
     some = [[number(value, 6) for value in row] for row in rows[:: max(1, len(rows) // ROWS)]]
     numbers = table(f"{target}, measured and fitted", [*variables, "measured", "fitted"], some)
     drawn = [
         figure(fit.svg(), f"{target}: dots measured, line fitted", numbers),
-        figure(left.svg(), "residuals", None),
+        figure(over_fitted.svg(), "residuals", None),
     ]
     return [section("fit", "Measured and fitted", pictures(drawn))]
 
@@ -98,7 +93,7 @@ def _which(findings: Findings) -> Element:
     parts, curves = zip(*findings.curves, strict=True)
     text = f"Dots are measured. Lines are simulated by the model{_origin([each.pieces for each in curves])}"
     text += "." if not any(part.lower for part in parts) else (
-        "; bands hold 95 % of the uncertainty that constants and initial states have."
+        "; 95 % bands have the uncertainty of constants and initial states."
     )  # fmt: skip
     if len(findings.result.simulated) > len(parts):
         drawn = f"{len(parts)} trajectories of {len(findings.result.simulated)} are drawn"
@@ -107,7 +102,7 @@ def _which(findings: Findings) -> Element:
 
 
 def _origin(pieces: Sequence[int | None]) -> str:
-    """Return from what the trajectories are simulated; "" where that is not known of all."""
+    """Return the initial states of the simulations; "" where these are not known for all."""
     known = [count for count in pieces if count is not None]
     if len(known) < len(pieces):
         return ""
@@ -134,15 +129,14 @@ def _fit(state: str, findings: Findings) -> Element:
 
 
 def _curves(part: Simulated, state: str) -> list[Curve]:
-    """Return times, measured and simulated values and bounds; of curves that are not there nothing but None."""
+    """Return times, measured and simulated values and bounds; missing curves are None everywhere."""
     curves = [(known or {}).get(state) for known in (part.measured, part.values, part.lower, part.upper)]
     return [part.times, *(curve or (None,) * len(part.times) for curve in curves)]
 
 
 def _some_rows(curves: Sequence[tuple[str, Sequence[Curve]]]) -> Iterable[list[str]]:
-    """Return some rows of the curves of each trajectory, behind its name."""
-    for name, its in curves:
-        rows = list(zip(*its, strict=True))
+    for name, columns in curves:
+        rows = list(zip(*columns, strict=True))
         for row in rows[:: max(1, len(curves) * len(rows) // ROWS)]:
             yield [name, *(number(value, 6) for value in row)]
 
@@ -162,17 +156,17 @@ def _explanation(findings: Findings) -> Element:
 
 def _residuals(state: str, parts: Sequence[Simulated], findings: Findings) -> Element:
     drawn = findings.over_time(f"residuals of {state} over time", state)
-    left = [residuals(part.measured[state], (part.values or {})[state]) for part in parts]
+    differences = [residuals(part.measured[state], (part.values or {})[state]) for part in parts]
     times = [time for part in parts for time in part.times if time is not None]
     noise = findings.result.noise.get(state)
     sd = None if noise is None else noise.error
     for level in (-2.0, 0.0, 2.0) if sd else (0.0,):
         drawn.add_line((min(times), max(times)), (level * (sd or 0.0),) * 2, "rule")
-    for index, (part, values) in enumerate(zip(parts, left, strict=True)):
+    for index, (part, values) in enumerate(zip(parts, differences, strict=True)):
         drawn.add_points(part.times, values, f"c{index}")
     rows = [
         [part.name, number(time, 6), number(value)]
-        for part, values in zip(parts, left, strict=True)
+        for part, values in zip(parts, differences, strict=True)
         for time, value in list(zip(part.times, values, strict=True))[:: max(1, len(times) // ROWS)]
     ]
     numbers = table(f"residuals of {state}", ["trajectory", findings.result.time, "residual"], rows)
@@ -180,7 +174,7 @@ def _residuals(state: str, parts: Sequence[Simulated], findings: Findings) -> El
 
 
 def _errors(findings: Findings) -> Element:
-    heads = ["state", "error (sd)", "of the deviation", "smoothing", "rounded to", "rows left out", "outliers", "kind"]
+    heads = ["state", "error (sd)", "relative", "smoothing", "rounded to", "rows left out", "outliers", "kind"]
     rows = [
         [
             findings.label(state),
@@ -196,7 +190,9 @@ def _errors(findings: Findings) -> Element:
     ]
     smoothed = findings.result.smoothed
     drawn = [_smoothing(state, smoothed, findings) for state in (smoothed[0].measured if smoothed else ())]
-    explained = [paragraph("Dots are measured, lines smoothed; the search sees these.")] if drawn else []
+    explained = (
+        [paragraph("Dots are measured, lines are smoothed; the search uses the smoothed values.")] if drawn else []
+    )
     found = table("Errors found", heads, rows)
     return section("errors", "Errors of the measurements", found, *explained, pictures(drawn))
 
@@ -212,9 +208,9 @@ def _kind(errors: Errors) -> str:
     if errors.proportional:
         descriptions.append(f"{100 * errors.proportional:.0f} % of the variance grows with the value squared")
     if errors.correlated:
-        descriptions.append(f"{100 * errors.correlated:.0f} % goes together between rows")
+        descriptions.append(f"{100 * errors.correlated:.0f} % of the variance is correlated between rows")
     if errors.add_up:
-        descriptions.append("adds up along trajectories, as errors of a solver do")
+        descriptions.append("accumulates along trajectories, as errors of a solver do")
     return "; ".join(descriptions)
 
 
@@ -230,7 +226,7 @@ def _smoothing(state: str, parts: Sequence[Smoothed], findings: Findings) -> Ele
 
 
 def process(findings: Findings) -> list[Element]:
-    """Return the section, none of a model without noise of its own."""
+    """Return the section of a stochastic process."""
     fitted = findings.result.process
     if fitted is None:
         return []
@@ -242,8 +238,7 @@ def process(findings: Findings) -> list[Element]:
     drawn = [] if ensemble is None else [_ensemble(ensemble, state, findings) for state in ensemble.mean]
     drawn += [_density(density, state, findings) for state, density in densities.items()]
     explained = paragraph(
-        "Of the simulated paths the mean, and the bounds that 5 % lie beyond on either side; stationary densities "
-        "beside the measured ones."
+        "Mean of the simulated paths, with the 5 % and 95 % quantiles; stationary densities, simulated and measured."
     )
     return [section("process", "Noise as part of the law", facts(entries), explained, pictures(drawn))]
 
@@ -260,7 +255,7 @@ def _ensemble(ensemble: PathEnsemble, state: str, findings: Findings) -> Element
 
 
 def _density(density: Density, state: str, findings: Findings) -> Element:
-    drawn = Chart(f"stationary density of {state}", findings.axis(state), Axis("density"))
+    drawn = Chart(f"stationary density of {state}", Axis(findings.label(state)), Axis("density"))
     middles = [0.5 * ((low or 0.0) + (high or 0.0)) for low, high in pairwise(density.edges)]
     drawn.add_points(middles, density.measured, "c1")
     drawn.add_line(middles, density.density, "c0")
@@ -272,7 +267,7 @@ def _density(density: Density, state: str, findings: Findings) -> Element:
 
 
 def dynamics(findings: Findings) -> list[Element]:
-    """Return the section, none of a regression."""
+    """Return the section of a model of dynamics."""
     if findings.model is not None and findings.model.is_regression:
         return []
     analysis = findings.analysis
@@ -284,12 +279,11 @@ def dynamics(findings: Findings) -> list[Element]:
     parts = [_part(part) for part in describe(analysis)]
     if analysis.nullclines:
         parts.insert(1 if analysis.caveat else 0, pictures([_phase_plane(findings, analysis)]))
-    bounded = paragraph("A bounded search proves nothing of what it did not meet.")
+    bounded = paragraph("The search is bounded: it may have missed fixed points and cycles.")
     return [section("dynamics", "Dynamics", *parts, bounded)]
 
 
 def _part(part: str | TextTable) -> Element:
-    """Return a sentence as a paragraph, and a listing as a table; of nothing its title alone."""
     text = part.title if isinstance(part, TextTable) else part
     text = text[:1].upper() + text[1:]
     if isinstance(part, TextTable) and part.rows:
@@ -327,14 +321,14 @@ def _phase_plane(findings: Findings, analysis: "Analysis") -> Element:
     marks += [(f"line c{index}", f"trajectory {part.name}") for index, (part, _) in enumerate(findings.curves)]
     return figure(
         drawn.svg(),
-        "Phase plane" + ("; shades tell which attractor is reached" if len(analysis.basins.attractors) > 1 else ""),
+        "Phase plane" + ("; shades show which attractor is reached" if len(analysis.basins.attractors) > 1 else ""),
         None,
         legend(marks),
     )
 
 
 def _add_basins(drawn: Chart, analysis: "Analysis") -> None:
-    """Add the cells of each basin, those of a column that are neighbours as one rectangle."""
+    """Add the cells of each basin, with neighbours in a column as one rectangle."""
     grid = analysis.basins.grid
     if grid is None or len(analysis.basins.attractors) < 2:
         return
@@ -353,13 +347,11 @@ def _add_basins(drawn: Chart, analysis: "Analysis") -> None:
 
 
 def _runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return where runs of true flags begin and end."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _add_arrows(drawn: Chart, analysis: "Analysis") -> None:
-    """Add short lines along the flow, with a dot where they begin."""
     cells = 14
     places = [
         low + (np.arange(cells) + 0.5) * width / cells

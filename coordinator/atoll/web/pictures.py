@@ -9,7 +9,7 @@ import numpy as np
 
 from atoll.display.curves import chosen, curves_of, label
 from atoll.display.notation import equation_mathml
-from atoll.model.arguments import beginning_of
+from atoll.model.arguments import initial_conditions
 from atoll.model.equations import r2_text, rounded
 from atoll.model.model import Model
 from atoll.model.simulation import Simulation
@@ -180,7 +180,7 @@ def simulation_of(result: Result) -> dict[str, Any]:
 
 def _simulated(model: Model, simulation: Simulation) -> Simulated:
     """Return the simulation of an equation that was picked, from the first measured state, as a result lists it."""
-    beginning, names = beginning_of(model), model.result.columns_by_symbol
+    beginning, names = initial_conditions(model), model.result.columns_by_symbol
     recorded = next((part for part in model.result.recorded if part.name == beginning.name), None)
     is_same = recorded is not None and len(recorded.times) == len(simulation.t)
     columns = {names[state]: tuple(simulation[state].tolist()) for state in simulation.states}

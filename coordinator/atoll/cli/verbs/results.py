@@ -21,8 +21,8 @@ from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result
 from atoll.cli.result_files import REPORT, write_page
 from atoll.client.client import connected
 from atoll.model.arguments import FileStart, ReadColumns, start_of_file, times_until
-from atoll.model.files import write_text
 from atoll.model.model import Model
+from atoll.model.shortcuts import write_text
 from atoll.model.simulation import SimulationWarning
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.data.differentiation.inputs import InputCurve

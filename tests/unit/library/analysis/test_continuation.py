@@ -5,13 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.analysis.conserved import _Derivatives, _null_space, _reduced, conserved_quantities, is_volume_preserving
+from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import ContinuationParameter, continuation, special_points
 from atoll.analysis.flow import Flow
 from atoll.analysis.nullclines import nullclines
 from atoll.model.vector_field import VectorField
-from atoll_core.data.dataset import FloatArray
-from tests.unit.library.analysis.systems import COMPETITION, LORENZ, box, flow
+from tests.unit.library.analysis.systems import COMPETITION, box, flow
 
 
 def constant(system: Flow) -> ContinuationParameter:
@@ -109,13 +108,6 @@ def test_a_law_is_seen_in_a_narrow_box_as_well() -> None:
     assert energy.text == "-0.25*y**2 + cos(x)"
 
 
-def test_a_dissipative_system_keeps_nothing() -> None:
-    where = box((-20.0, 20.0), (-20.0, 20.0), (0.0, 40.0))
-    assert conserved_quantities(LORENZ, where) == ()
-    assert not is_volume_preserving(LORENZ, where)
-    assert is_volume_preserving(flow(x="y", y="-sin(x)"), box((-1, 1), (-1, 1)))
-
-
 WIDE = ((-2.0, 2.0), (-2.0, 2.0))
 ABOVE = ((0.1, 2.0), (0.1, 2.0))
 
@@ -164,35 +156,6 @@ def test_a_law_holds_on_the_measured_side_of_zero(side: tuple[float, float], of_
     terms = [{name: value for value, name in quantity.terms} for quantity in quantities]
     assert [term.keys() for term in terms] == [{"x**2", "y**2"}] * len(of_y)
     assert [term["y**2"] / term["x**2"] for term in terms] == pytest.approx(of_y)
-
-
-def test_elimination_begins_with_the_last_function_and_divides_by_the_largest_number() -> None:
-    rows = np.array([[1.0, 2.0, 1e-9, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0, 0.0], [3.0, 1.0, 2.0, 0.0, 4.0]])
-    expected = [[0.5, 1.0, 0.0, 0.0, 0.0], [-0.5, 0.0, 1.0, 0.0, 0.0], [0.875, 0.0, 0.0, 0.0, 1.0]]
-    np.testing.assert_allclose(_reduced(rows), expected, atol=1e-8)
-    np.testing.assert_allclose(_reduced(-rows[[2, 0, 1]]), expected, atol=1e-8)
-
-
-def derivatives(gradients: FloatArray, rates: FloatArray) -> _Derivatives:
-    products = gradients * rates[:, :, None]
-    return _Derivatives(products.sum(axis=1), np.abs(products).sum(axis=1), gradients, rates)
-
-
-@pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
-def test_a_billionth_of_a_gradient_along_the_flow_is_rounding_whatever_the_sizes_of_rates(size: float) -> None:
-    """Along (1, -1) the sum of the states is kept; the other function is the first of them."""
-    sizes = size * np.where(np.arange(100) == 0, 1.0, 0.1)
-    derived = derivatives(np.tile([[1.0, 1.0], [1.0, 0.0]], (100, 1, 1)), sizes[:, None] * [1.0, -1.0])
-    assert derived.is_kept(np.array([1.0, 0.0]))
-    assert derived.is_kept(np.array([1.0, 1.8e-9]))
-    assert not derived.is_kept(np.array([1.0, 2.2e-9]))
-
-
-def test_fewer_points_than_functions_leave_as_many_combinations_as_they_do_not_decide() -> None:
-    derived = derivatives(np.array([[[1.0, 2.0, 3.0]]]), np.array([[5.0]]))
-    combinations = _null_space([derived], np.array([1.0, 0.5, 1.0]))
-    assert combinations.shape == (2, 3)
-    np.testing.assert_allclose(combinations @ [1.0, 1.0, 3.0], 0.0, atol=1e-12)
 
 
 def test_volumes_are_kept_where_the_divergence_vanishes_everywhere() -> None:

@@ -1,4 +1,4 @@
-"""The model beside the data: periods, phases, and courses of equations of second order."""
+"""The model compared with the data: periods, phases, and trajectories of equations of second order."""
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_of_closed_orbits_the_period_is_said_also_where_the_data_are_too_short()
     (comparison,) = known.comparisons
     assert comparison.measured.period is None
     assert comparison.orbit_period == pytest.approx(6.6998, rel=1e-3)
-    assert "goes round a closed orbit of period 6.7" in str(known)
+    assert "follows a closed orbit of period 6.7" in str(known)
     assert known.as_dict()["dynamics"][0]["orbit_period"] == comparison.orbit_period
 
 

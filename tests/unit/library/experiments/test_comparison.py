@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.experiments.comparison import _most_errors, compare
-from atoll.experiments.suggestion import certainty_text, which_of_two
+from atoll.experiments.comparison import compare, most_errors
+from atoll.experiments.suggestion import certainty_text_of, which_of_two
 from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
@@ -40,7 +40,7 @@ def test_it_is_said_which_of_two_is_right_and_how_sure_that_is(nats: float, sent
 
 
 def test_a_certainty_is_never_rounded_up() -> None:
-    assert [certainty_text(sure) for sure in (0.5, 0.9896, 0.9989, 1.0)] == [
+    assert [certainty_text_of(sure) for sure in (0.5, 0.9896, 0.9989, 1.0)] == [
         "at least 50 %", "at least 98 %", "at least 99 %", "more than 99.9 %",
     ]  # fmt: skip
 
@@ -70,9 +70,9 @@ def test_constants_of_one_form_are_compared_by_their_errors() -> None:
 @pytest.mark.parametrize(("count", "most"), [(1, 1.96), (2, 2.24), (5, 2.57), (20, 3.02)])
 def test_the_largest_of_several_differences_may_be_larger(count: int, most: float) -> None:
     """At 2 standard errors a fifth of equal laws with five constants differed."""
-    assert _most_errors(count) == pytest.approx(most, abs=0.01)
+    assert most_errors(count) == pytest.approx(most, abs=0.01)
     differences = np.random.default_rng(0).normal(size=(20_000, count))
-    assert np.mean(np.abs(differences).max(axis=1) <= _most_errors(count)) == pytest.approx(0.95, abs=0.005)
+    assert np.mean(np.abs(differences).max(axis=1) <= most_errors(count)) == pytest.approx(0.95, abs=0.005)
 
 
 def test_results_of_different_data_are_compared_on_both() -> None:

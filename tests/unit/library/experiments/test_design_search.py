@@ -13,7 +13,6 @@ from atoll.experiments.designs import (
     DesignRequest,
     certainties,
     discrepancy,
-    distances_of,
     expected_gain,
     needed,
     precision,
@@ -77,14 +76,6 @@ def test_an_experiment_that_begins_outside_of_the_data_is_warned_of() -> None:
     assert f"  warning: {first.remark}" in str(suggestions).splitlines()
     within = suggest(Result.of(FOUND), DesignRequest({}))
     assert [experiment.remark for experiment in within.experiments] == [""] * len(within.experiments)
-
-
-def test_numbers_of_models_far_from_their_data_are_bounded() -> None:
-    along = np.zeros((1, 1, 1))
-    here, far = DesignPrediction(np.array([[0.0]]), along, 1), DesignPrediction(np.array([[1e41]]), along, 1)
-    distances = distances_of([here, far], [0.6, 0.4])
-    assert distances.max() == 500.0
-    assert expected_gain(distances, [0.6, 0.4], needed([0.0, 0.0])).evidence <= 2000.0
 
 
 def test_certainties_are_those_of_two_gaussians_at_least() -> None:

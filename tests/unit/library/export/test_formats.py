@@ -68,15 +68,6 @@ def test_every_operator_and_hostile_names_keep_their_meaning() -> None:
         assert difference(read(exported.export(name)).simulate(TIMES), exported) < 1e-8
 
 
-@pytest.mark.parametrize("format", LANGUAGES)
-def test_names_are_plain_and_said(format: str) -> None:
-    text = everything().export(format)
-    assert re.search(r"\btheta\b", text)
-    assert "theta is the column 'θ'" in text.replace("&apos;", "'")
-    code = [line for line in text.splitlines() if not line.lstrip().startswith(("#", "//", "%", "<p>", "<"))]
-    assert all(line.split("#")[0].split("//")[0].split("%")[0].split('"')[0].isascii() for line in code)
-
-
 def test_a_state_may_have_the_name_of_a_constant_or_of_a_helper() -> None:
     exported = model({"c1": "-0.5*c1 + 0.25*w1", "w1": "0.75*c1"})
     for name, read in READERS.items():
@@ -100,11 +91,6 @@ def test_constants_have_all_digits_and_their_errors(format: str) -> None:
     assert "-0.3" in text
     assert re.search(r"\bc1\b", text)
     assert "standard error 0.1" in text or format == "xppaut"
-
-
-@pytest.mark.parametrize("format", LANGUAGES)
-def test_whole_numbers_without_errors_are_no_parameters(format: str) -> None:
-    assert "c1" not in model({"x": "-2.0*x"}).export(format)
 
 
 def test_an_input_is_a_number_a_table_or_the_time() -> None:
@@ -141,7 +127,7 @@ def test_recorded_inputs_are_held_as_simulations_have_them() -> None:
     assert difference(run_python(exported.to_python(t=3.0))["simulate"](times=late), exported, t=late) < 1e-8
     for name in ("c", "julia", "matlab", "modelica", "sbml"):
         assert "held at 0" not in exported.export(name)
-    assert "held at 0, since nothing is given of them: u" in exported.to_python({"x": 1.0})
+    assert "held at 0, since no value is given: u" in exported.to_python({"x": 1.0})
     assert (
         difference(readers.read_modelica(recorded([2.0] * 9).to_modelica()).simulate(TIMES), recorded([2.0] * 9)) < 1e-8
     )
@@ -162,11 +148,6 @@ def test_held_inputs_are_tables_of_constant_pieces() -> None:
     assert difference(run_python(recorded([1.0] * 9).to_python())["simulate"](), exported) > 0.1
     late = np.linspace(0.0, 3.0, 9)
     assert difference(run_python(exported.to_python(t=3.0))["simulate"](times=late), exported, t=late) < 1e-5
-
-
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_c_holds_inputs() -> None:
-    assert difference(programs.c(held()), held()) < 1e-5
 
 
 def test_a_format_without_tables_says_that_a_recorded_input_is_not_held() -> None:
@@ -269,7 +250,7 @@ def test_a_regression_is_a_function_or_is_refused() -> None:
     assert "function value(a, b)" in exported.to_julia()
     assert "function value = atoll_model(a, b)" in exported.to_matlab()
     for name in ("modelica", "xppaut", "sbml"):
-        with pytest.raises(UsageError, match="holds what moves in time"):
+        with pytest.raises(UsageError, match="this is a regression"):
             exported.export(name)
 
 
@@ -292,7 +273,7 @@ def test_what_a_format_cannot_hold_is_refused_in_a_sentence() -> None:
         contents.to_c(u={"u": [1.0, 2.0]})
     with pytest.raises(UsageError, match="characters, XPPAUT reads 900"):
         model({"x": " + ".join(f"{0.1 + number!r}*sin(cos(tanh(x)))" for number in range(60))}).to_xppaut()
-    with pytest.raises(UsageError, match="no format of an export; choose one of python, c"):
+    with pytest.raises(UsageError, match="no export format; choose one of python, c"):
         contents.export("fortran")
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll.export.language import Naming, harmless
+from atoll.export.language import Naming
 
 NAMING = Naming(frozenset({"end", "pi"}), ("row_",), longest=8)
 
@@ -28,7 +28,3 @@ def test_names_are_kept_spelled_or_numbered(names: list[str], expected: list[str
 def test_case_may_tell_nothing_apart() -> None:
     naming = Naming(frozenset({"Sin"}), is_caseless=True)
     assert naming.assign({"A": "A", "a": "a", "sin": "sin"}) == {"A": "A", "a": "a_2", "sin": "sin_"}
-
-
-def test_a_comment_stays_one_line() -> None:
-    assert harmless("a\nb\u2028c \\ */ d\x00\u202e") == "a b c / * / d"

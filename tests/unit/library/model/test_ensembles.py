@@ -46,7 +46,7 @@ def test_inputs_are_held_at_their_values_along_the_paths() -> None:
         ({"paths": 0}, "paths must be a whole number of at least 1, but 0"),
         ({"paths": 2, "seed": -1}, "seed must be a whole number of at least 0"),
         ({"paths": 10_000_000}, "on 10000000 paths are more than"),
-        ({"paths": 1, "t": [0.0, 1e6]}, "steps of 0.1, that of the measurements, are more than 200000"),
+        ({"paths": 1, "t": [0.0, 1e6]}, "steps of 0.1, the sampling interval, are more than 200000"),
         ({"paths": 1, "t": [0.0, 1e300]}, "^1e\\+301 steps of 0.1"),
     ],
 )
@@ -74,7 +74,7 @@ def test_two_paths_settle_as_many_do() -> None:
         ({"step": -1.0}, "has -1.0 as 'step', where a number above 0 is expected"),
         ({"step": 0.1, "discretisation": "foo"}, "where Euler-Maruyama or local linearisation is expected"),
         ({}, "lacks 'step'"),
-        (None, "nothing as 'process'"),
+        (None, "no .process."),
     ],
 )
 def test_what_a_result_says_of_its_process_is_checked(process: object, fault: str) -> None:
@@ -83,7 +83,7 @@ def test_what_a_result_says_of_its_process_is_checked(process: object, fault: st
 
 
 def test_a_model_without_noise_has_no_paths() -> None:
-    with pytest.raises(UsageError, match="the model has no noise of its own"):
+    with pytest.raises(UsageError, match="the model has no noise"):
         Model(result({"x": "-x"})).simulate([1.0], 1.0, paths=2)
     with pytest.raises(UsageError, match="there is no input 'w'; the inputs are none"):
         Model(process_result()).stationary_density(inputs={"w": 1.0})

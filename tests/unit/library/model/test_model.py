@@ -401,16 +401,6 @@ def test_what_is_shown_says_that_constants_are_means_over_groups() -> None:
         assert "means" not in repr(model.of_group(1)) + model.of_group(1).export(name)
 
 
-def test_groups_that_share_all_constants_are_none() -> None:
-    contents = grouped()
-    contents["equations"][0]["constants"][1]["shared"] = True
-    model = Model(contents)
-    assert model.groups == ()
-    assert model.predict([[1.0]]).shape == (1, 1)
-    with pytest.raises(UsageError, match="one set of constants for all trajectories"):
-        model.of_group("1")
-
-
 def test_a_candidate_is_not_of_the_groups_of_the_equation_that_is_shown() -> None:
     contents = grouped()
     contents["equations"][0]["candidates"] = [
@@ -422,18 +412,10 @@ def test_a_candidate_is_not_of_the_groups_of_the_equation_that_is_shown() -> Non
         assert candidate.equations[0].exact == "1.0 - x*x"
         assert candidate.groups == ()
         assert "dx/dt" in candidate.remark
-        assert "of all groups together" in candidate.remark
+        assert "all groups together" in candidate.remark
         assert candidate.result.groups == ()
         equation = candidate.result.equations[0]
         assert (equation.groups, equation.bounds, equation.units) == ((), (), None)
-
-
-def test_constants_have_their_units() -> None:
-    contents = decay()
-    contents["equations"][0]["constants"][0]["unit"] = "1/h"
-    model = Model(contents)
-    assert model.params["c1"].unit == "1/h"
-    assert "-2 1/h" in model.summary()
 
 
 def test_names_that_are_no_inputs_are_refused() -> None:

@@ -2,13 +2,10 @@
 
 import csv
 import io
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from atoll.model import simulation
 from atoll.model.simulation import followed_sizes, simulate
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_core.errors import UsageError
@@ -85,7 +82,7 @@ def test_a_state_that_begins_at_0_has_the_size_that_was_measured_or_that_it_come
 
 def test_an_early_end_says_how_many_times_were_reached() -> None:
     simulation = simulate(VectorField.of({"x": "x**2"}), np.array([1.0]), TIMES)
-    assert simulation.message == "a state grows beyond all bounds near time 1; 2 of 11 times were reached"
+    assert simulation.message == "a state grows without bounds near time 1; 2 of 11 times were reached"
 
 
 PREY = VectorField.of({"x": "x*(1.0 - y)", "y": "y*(x - 1.0)"})
@@ -101,25 +98,6 @@ def test_a_state_that_comes_back_from_a_deep_trough_is_right(start: float, until
     expected = simulate(in_logarithms, np.log([start, start]), simulation.t)
     assert (simulation.status, expected.status) == ("finished", "finished")
     np.testing.assert_allclose(np.log(simulation.x / [unit, 1.0]), expected.x, atol=1e-6)
-
-
-@pytest.mark.parametrize("is_whole", [True, False])
-def test_a_trough_is_tried_again_with_smaller_sizes_and_what_fails_is_said(
-    monkeypatch: pytest.MonkeyPatch, is_whole: bool
-) -> None:
-    """Also where the first attempt ended early, which is then what is known."""
-    start, times, attempt, sizes = np.array([20.0, 20.0]), np.linspace(0.0, 60.0, 61), simulation._attempt, []
-
-    def only_the_first(*arguments: Any) -> Any:
-        sizes.append(arguments[-1].copy())
-        return replace(attempt(*arguments), is_whole=is_whole and len(sizes) == 1)
-
-    assert simulate(PREY, start, times).message == "it reached time 60"
-    monkeypatch.setattr(simulation, "_attempt", only_the_first)
-    message = simulate(PREY, start, times).message
-    assert message.startswith("it reached time 60; a state falls below") is is_whole
-    assert len(sizes) == 2
-    assert (sizes[1] < sizes[0]).any()
 
 
 def test_bands_come_back_from_a_deep_trough() -> None:

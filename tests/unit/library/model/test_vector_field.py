@@ -65,13 +65,6 @@ def _field(equations: list[dict[str, object]], symbols: dict[str, str]) -> Vecto
     return VectorField.from_result(Result.of({"schema": 1, "equations": equations, "symbols": symbols}))
 
 
-def test_a_result_of_first_order_keeps_its_order_and_its_symbols() -> None:
-    equations = [_equation("y rate", "dy rate/dt", "1.0 - u*x"), _equation("x", "dx/dt", "y_rate")]
-    field = _field(equations, {"y rate": "y_rate", "x": "x", "u": "u"})
-    assert (field.states, field.inputs) == (("y_rate", "x"), ("u",))
-    assert field.values([2.0, 3.0], [0.5]).tolist() == [-0.5, 2.0]
-
-
 def test_a_result_of_second_order_is_a_system_of_first_order() -> None:
     equations = [_equation("a", "d2a/dt2", "-a - 0.1*a_dot"), _equation("b", "d2b/dt2", "-b + a")]
     field = _field(equations, {"a": "a", "b": "b", "a_dot": "a_dot", "b_dot": "b_dot"})

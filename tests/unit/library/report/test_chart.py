@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll.report.markup import Axis, Chart, Element, element, number, ticks, to_text
+from atoll.report.markup import Axis, Chart, Element, ticks
 
 
 @given(st.floats(-1e9, 1e9), st.floats(1e-6, 1e9))
@@ -56,10 +56,3 @@ def test_a_band_is_closed_over_the_rows_that_are_known() -> None:
     chart.add_band([0.0, 1.0, 2.0], [0.0, None, 0.0], [1.0, 1.0, 1.0], "c0")
     (path,) = paths(chart.svg(), "area")
     assert re.sub(r"[-\d.,]+", "", path) == "MLLLZ"
-
-
-def test_texts_and_attributes_are_escaped() -> None:
-    assert to_text(element("p", "a < b & ", element("b", "c"), " > d", title='"<')) == (
-        '<p title="&quot;<">a &lt; b &amp; <b>c</b> &gt; d</p>'
-    )
-    assert (number(None), number(0.000123456)) == ("", "0.0001235")

@@ -95,7 +95,7 @@ def test_an_early_end_is_said_and_is_no_error(driven: Path, capsys: pytest.Captu
     written = json.loads((driven / "o.json").read_text())
     assert written["status"] == "blow-up"
     assert written["columns"]["t"] == [0.0, 0.5]
-    assert "ended early: a state grows beyond all bounds" in capsys.readouterr().err
+    assert "ended early: a state grows without bounds" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -440,7 +440,7 @@ def test_an_input_of_which_nothing_is_given_is_said_to_be_held(
     exportable: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["export", str(exportable), "--format", "python"]) == 0
-    assert "held at 0, since nothing is given of them: u;" in capsys.readouterr().err
+    assert "held at 0, since no value is given: u;" in capsys.readouterr().err
     assert main(["export", str(exportable), "--format", "python", "--hold", "u=0"]) == 0
     assert capsys.readouterr().err == ""
 
@@ -499,5 +499,5 @@ def test_the_heading_of_one_group_names_it(exportable: Path, capsys: pytest.Capt
     picked = exported(capsys, *words, *start, "--pick", "x=0")
     assert "those of dx/dt are of all groups together." in picked
     assert "0.75" in picked
-    assert "Constants are those of group a b." in text
+    assert "Constants belong to group a b." in text
     assert "0.6" in text
