@@ -234,11 +234,6 @@ class SpreadSettings:
     steps: int = 8
     """Steps of a fit that may take more, about: most settle by then or earlier."""
 
-    @property
-    def least(self) -> int:
-        """Work of a batch of segments at least, about: as much as giving it away takes."""
-        return self.batch // 32
-
 
 @dataclass(frozen=True)
 class CriterionSettings:

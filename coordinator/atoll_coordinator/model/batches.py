@@ -79,7 +79,7 @@ class BatchFunction(Generic[Context, Item, Outcome]):
         """Register a function.
 
         Args:
-            name: that of no other function.
+            name: no other function has it.
             context: type of the parts of a context that travel.
             item: type of an item.
             outcome: type of a result.

@@ -5,8 +5,8 @@ data are, in how operators are priced and in how constants are; a number of one 
 
 - `front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It says which member of a front
   is shown while the search runs, and whether the search stagnates.
-- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of one 1.4, each constant the
-  digits that its standard error leaves it. It says which equation is shown where there are no trajectories.
+- `RegressionCriterion`: errors on the target; each node costs ln 8, each further use of one 1.4, each constant
+  1/2 ln n. It says which equation is shown where there are no trajectories.
 - `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
   1/2 ln N. It says which equations together are the model.
 
@@ -25,7 +25,7 @@ import numpy as np
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, Target
 from atoll_core.expression.operators import ARITY, CONSTANT, DIVIDE, INVERSE, NEGATE, POW, SQUARE
-from atoll_core.expression.program import Program, structure
+from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.search.pareto import FrontEntry
 
 SMALLEST_UNCERTAINTY: Final = 1e-12
@@ -112,7 +112,7 @@ def program_length(program: Program) -> float:
 class RegressionCriterion:
     """Description lengths of the models of one target with n `rows` (Rissanen 1978).
 
-        n/2 (ln v + MSE/v - 1) + nodes ln 8 + 1.4 for each further use of a node + length of each constant
+        n/2 (ln v + MSE/v - 1) + nodes ln 8 + 1.4 for each further use of a node + k/2 ln n
 
     The misfit is minus the log-likelihood of independent Gaussian errors, up to a constant; their variance v is fitted,
     but not less than `least_variance`, the square of the target's uncertainty: v = max(MSE, least variance).
@@ -142,9 +142,13 @@ class RegressionCriterion:
         """Return the mean squared error of a misfit, the inverse of `misfit`; not below twice the least variance."""
         return max(math.exp(min(2.0 * misfit / self.rows, 700.0)), 2.0 * self.least_variance)
 
-    def length(self, mse: float, program: Program, constants: float) -> float:
-        """Return the description length; `constants` is the length of the constants' values."""
-        return self.misfit(mse) + program_length(program) + constants
+    def length_of_program(self, program: Program) -> float:
+        """Return the nats of a program, its constants fitted: 1/2 ln n for each (Schwarz 1978)."""
+        return program_length(program) + constant_nats_of(self.rows) * len(constant_places(program))
+
+    def length(self, mse: float, program: Program) -> float:
+        """Return the description length of a program with this mean squared error, infinite where that is."""
+        return self.misfit(mse) + self.length_of_program(program)
 
 
 # -------------------------------------------------------------------------------------- a system along trajectories

@@ -1,10 +1,10 @@
 """Least squares and likelihoods by damped steps: one driver of every fit, and the linear equations of its steps.
 
-Near a point with the gradient g, a cost is about that of the normal equations N s = -g: half a sum of squares with the
-derivatives J of the residuals has N = J'J, a likelihood has Fisher's information. A step s solves them with the
-diagonal raised by a share, the damping (Levenberg 1944, Marquardt 1963). One that does not lower the cost is tried
-again, damped more. What is fitted, to what, and when a fit has ended is for a `Fitter` to say: there is one for the
-rows of a target (`regression.fit`), one for trajectories (`shooting.multiple_shooting`), one for the steps of a
+Near a point with the gradient g, the least cost is reached by a step s with N s = -g, the normal equations: half a
+sum of squares with the derivatives J of the residuals has N = J'J, a likelihood has Fisher's information. Steps solve
+them with the diagonal raised by a share, the damping (Levenberg 1944, Marquardt 1963). A step that does not lower the
+cost is tried again, damped more. A `Fitter` says what is fitted, to what, and when a fit has ended: there is one for
+the rows of a target (`regression.fit`), one for trajectories (`shooting.multiple_shooting`), one for the steps of a
 stochastic process (`stochastic.likelihood`). Letters: K numbers that are fitted, R rows.
 """
 

@@ -1,4 +1,4 @@
-"""Loess of evenly spaced rows as a matrix: what it makes of each measured value, and what it leaves of errors. Pure.
+"""Loess of evenly spaced rows as a matrix: smoothed values, and the shares of errors in residuals. Pure.
 
 Letters: n rows, S the matrix (n, n) by which loess makes smoothed values of measured ones.
 """
@@ -11,7 +11,7 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 
 _MOST_ROWS: Final = 240
-"""Rows of which the matrix is made: those between the ends are alike."""
+"""Rows of the matrix that is computed: rows between the ends are alike."""
 
 
 @lru_cache(maxsize=64)
@@ -19,7 +19,7 @@ def residual_shares(rows: int, span: int, degree: int) -> FloatArray:
     """Return for each row (n,) the variance of its residual over the variance of its error, at most 1.
 
     That is the diagonal of (I - S)(I - S)': loess follows the errors of the rows at the ends, and of few rows all of
-    them. Of many rows, those in the middle have what the middle of fewer has.
+    them. The middle of many rows is like the middle of fewer rows.
     """
     degree = min(degree, rows - 2)
     if degree < 0:

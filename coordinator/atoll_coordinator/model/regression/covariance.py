@@ -1,4 +1,4 @@
-"""Standard errors of fitted constants from the normal equations, and what a fitted equation costs by them. Pure.
+"""Standard errors of fitted constants from the normal equations. Pure.
 
 Letters: n rows, K constants that are fitted.
 """
@@ -9,13 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.least_squares import inverse
 from atoll_coordinator.model.refinement import UnitCoefficient
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.simple_numbers import fitted_length
 from atoll_coordinator.model.structure.one_sided import one_sided_reaches, within_bounds
 from atoll_coordinator.result.equations import Constant, SimpleNumber
 from atoll_core.data.dataset import FloatArray
@@ -32,7 +30,7 @@ _RIDGE: Final = 1e-14
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of the constants of one equation: those that are written, and factors of one that are not."""
+    """The constants of one equation with their errors: those that are written, and factors of one that are not."""
 
     written: tuple[Constant, ...]
     unit_coefficients: tuple[UnitCoefficient, ...]
@@ -53,8 +51,8 @@ class Known:
 def covariance_of(fitted: Fitted, criterion: RegressionCriterion) -> FloatArray:
     """Return the covariance (K, K) of the constants that were fitted, in node order.
 
-    The variance of the errors is the sum of squared residuals over n - K, as if one were left where none is, or the
-    square of the target's uncertainty if that is larger.
+    The variance of the errors is the sum of squared residuals over n - K, at least one, or the square of the target's
+    uncertainty if that is larger.
     """
     degrees_of_freedom = max(criterion.rows - len(fitted.normal), 1)
     return criterion.variance(fitted.mse * criterion.rows / degrees_of_freedom) * inverse(fitted.normal, _RIDGE)
@@ -64,15 +62,6 @@ def standard_errors(fitted: Fitted, criterion: RegressionCriterion) -> list[floa
     """Return the standard errors of the constants that were fitted, in node order."""
     variances: list[float] = np.diag(covariance_of(fitted, criterion)).tolist()
     return [math.sqrt(max(variance, 0.0)) for variance in variances]
-
-
-def description_length(fitted: Fitted, criterion: RegressionCriterion) -> float:
-    """Return the description length of a model all of whose constants were fitted, infinite without a finite error."""
-    if not math.isfinite(criterion.misfit(fitted.mse)):
-        return math.inf
-    values = fitted.program.constants[constant_places(fitted.program)].tolist()
-    numbers = sum(map(fitted_length, values, standard_errors(fitted, criterion)))
-    return criterion.length(fitted.mse, fitted.program, numbers)
 
 
 def estimate_constants(
@@ -97,51 +86,26 @@ def estimate_constants(
     if not math.isfinite(fitted.mse):
         explicit = as_written(program)
         fitted = least_squares.fit(program)
-    values = fitted.program.constants[constant_places(fitted.program)].tolist()
+    values = fitted.program.constants[constant_places(fitted.program)]
     degrees_of_freedom = criterion.rows - len(values)
+    quantile = student_95(degrees_of_freedom) if has_intervals else None
     ranges = None if bounds is None else bounds.ranges(fitted.program)
-    whole = fitted
-    if ranges is not None:
-        fitted = _with_held(fitted, _on_bounds(values, ranges))
+    lower, upper = ranges or (np.full(len(values), -math.inf), np.full(len(values), math.inf))
+    held = (values <= lower) | (values >= upper)
     errors = [math.inf] * len(values)
     if degrees_of_freedom > 0 and math.isfinite(fitted.mse):
-        errors = standard_errors(fitted, criterion)
-    known = describe(explicit, program, values, errors, student_95(degrees_of_freedom) if has_intervals else None)
-    return known if ranges is None else _bounded(known, whole, ranges, criterion, degrees_of_freedom)
-
-
-def _on_bounds(values: Sequence[float], ranges: tuple[FloatArray, FloatArray]) -> npt.NDArray[np.bool_]:
-    """Return which of the constants (K,) lie on a bound."""
-    return np.asarray((np.asarray(values) <= ranges[0]) | (np.asarray(values) >= ranges[1]))
-
-
-def _with_held(fitted: Fitted, held: npt.NDArray[np.bool_]) -> Fitted:
-    """Return a fit whose normal equations say nothing of the others where some constants are held."""
-    normal = fitted.normal.copy()
-    diagonal = np.diag(normal).copy()
-    normal[held, :] = normal[:, held] = 0.0
-    np.fill_diagonal(normal, diagonal)
-    return replace(fitted, normal=normal)
-
-
-def _bounded(
-    known: Known,
-    fitted: Fitted,
-    ranges: tuple[FloatArray, FloatArray],
-    criterion: RegressionCriterion,
-    degrees_of_freedom: int,
-) -> Known:
-    """Return the constants with intervals within their bounds; those on a bound are as good as given for the others."""
-    lower, upper = ranges
-    values = fitted.program.constants[constant_places(fitted.program)]
+        normal = np.where((held[:, None] | held) & ~np.eye(len(values), dtype=bool), 0.0, fitted.normal)
+        errors = standard_errors(replace(fitted, normal=normal), criterion)  # what is held is as good as given
+    known = describe(explicit, program, values.tolist(), errors, quantile)
+    if ranges is None:
+        return known
     variance = criterion.variance(fitted.mse * criterion.rows / max(degrees_of_freedom, 1))
-    likelier = -fitted.gradient / variance
-    reaches = one_sided_reaches(fitted.normal / variance, likelier, _on_bounds(values.tolist(), ranges))
+    reaches = one_sided_reaches(fitted.normal / variance, -fitted.gradient / variance, held)
     written = [
-        within_bounds(constant, float(low), float(high), reaches.get(number))
+        within_bounds(constant, low, high, reaches.get(number))
         if math.isfinite(low) or math.isfinite(high)
         else constant
-        for number, (constant, low, high) in enumerate(zip(known.written, lower, upper, strict=True))
+        for number, (constant, low, high) in enumerate(zip(known.written, lower.tolist(), upper.tolist(), strict=True))
     ]
     return Known(tuple(written), known.unit_coefficients)
 

@@ -1,4 +1,4 @@
-"""Errors of a program on the rows of a problem. Pure."""
+"""Errors of a program on the rows of a problem; loads no kernels. Pure."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ _ROWS_AT_A_TIME: Final = 100_000
 
 
 def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, float]:
-    """Return loss and mean squared error on all rows, infinite when one is not finite; in parts, to save memory."""
+    """Return loss and mean squared error on all rows, infinite when one is not finite."""
     rows = len(problem.target.values)
     total, square = 0.0, 0.0
     for start in range(0, rows, _ROWS_AT_A_TIME):
@@ -31,7 +31,7 @@ def errors_on(problem: Problem, program: Program, loss: Loss) -> tuple[float, fl
 
 
 def grouped_errors_on(problem: Problem, programs: Sequence[Program], loss: Loss) -> tuple[float, float]:
-    """Return the same of an equation with a program for each group of rows, or one for all."""
+    """Return `errors_on` of an equation with a program for each group of rows, or one for all."""
     if len(programs) == 1:
         return errors_on(problem, programs[0], loss)
     parts = [problem.of_group(group) for group in range(len(programs))]

@@ -1,4 +1,4 @@
-"""The constants of a program fitted to all rows, to convergence: Levenberg's method with Marquardt's damping.
+"""The constants of a program fitted to the rows of a target.
 
 Maximum likelihood for noise of one variance on every row, or of one that the rows' weights divide. Letters: R rows, K
 constants that are fitted.
@@ -20,6 +20,8 @@ from atoll_core.expression.restrictions import NONE, Restrictions
 
 _OVERHEAD_ROWS: Final = 500
 """Rows whose evaluation takes as long as everything else about a program."""
+_SAME: Final = 1e-9
+"""Share of the mean square of a function by which equal functions in other words differ: where fits have settled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ class LeastSquares:
         Args:
             program: where the fit begins.
             fixed: indices of nodes whose constants stay.
-            enough: a mean squared error; a fit that is not going to come near it is given up early.
+            enough: a mean squared error; a fit that will not come near it ends early.
             steps: most steps, successful or not.
         """
         admitted = self.restrictions.admitted(program)
@@ -113,23 +115,19 @@ class _TargetFit(Fitter[Fitted, FloatArray, Fitted]):
         self._begun = rows.linearised(program, self._places)
 
     def init(self) -> Fitted | None:
-        """Return the program as it is; None where there is nothing to fit, or no finite error."""
         return self._begun if self._places and math.isfinite(self._begun.mse) else None
 
     def equations(self, point: Fitted) -> Solver[FloatArray]:
-        """Return the solver for steps of the constants within their bounds."""
         values = point.program.constants[self._places]
         return solver(point.normal, point.gradient, (self._lower - values, self._upper - values))
 
     def step(self, point: Fitted, step: FloatArray) -> tuple[Fitted, float]:
-        """Return the program after a step."""
         constants = point.program.constants.copy()
         constants[self._places] = np.clip(constants[self._places] + step, self._lower, self._upper)
         moved = self._rows.linearised(replace(self._program, constants=constants), self._places, point.mse)
         return moved, self._rows.half * (point.mse - moved.mse)
 
     def settled(self, point: Fitted) -> float:
-        """Return a share of the cost."""
         return SETTINGS.effort.settled * self._rows.half * point.mse
 
     def done(self, point: Fitted, promise: float, taken: int) -> bool:
@@ -140,7 +138,6 @@ class _TargetFit(Fitter[Fitted, FloatArray, Fitted]):
         return bool(point.mse * left ** (self._steps - taken) > self._enough)
 
     def result(self, point: Fitted | None) -> Fitted:
-        """Return the program with its constants fitted."""
         return self._begun if point is None else point
 
 
@@ -157,7 +154,3 @@ def contains(program: Program, other: Program, points: FloatArray) -> bool:
     names = tuple(str(number) for number in range(len(points)))
     fitted = LeastSquares(Problem(names, points, Target("", "", values, 0.0, 1.0))).fit(program)
     return fitted.mse <= _SAME * square
-
-
-_SAME: Final = 1e-9
-"""Share of the mean square of a function that what is the same in other words differs by: where fits have settled."""

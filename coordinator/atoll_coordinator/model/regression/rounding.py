@@ -1,61 +1,59 @@
 """Constants as they are shown: simple numbers where the data single them out, else estimates with few digits.
 
-A constant is either a simple number, one of length L with the probability e^-L, or any number of the same
-neighbourhood; before the data both are as likely (`simple_numbers`). Near its minimum the misfit is a quadratic form of
-the constants, so that what the data say of each of these decisions is known: constants are decided one after another,
-each by a few simple numbers near where it lies once the earlier ones are fixed, and a beam of the most probable
-decisions is kept (a sequential decoding, as in integer least squares). A simple number takes the place of an estimate
-when its odds, against all other decisions together, are at least those of `InferenceSettings.distinct_nats`.
+*Simple numbers.* A simple number is p/q times a power of ten, p and q whole numbers and q small, or pi times that:
+whole numbers and short decimals have q = 1. No unit is preferred: a number is as long as ten times it.
 
-Constants are judged jointly. What share of them is simple is not known beforehand, and any share is as likely: of K
+*One constant.* It is either a simple number, one of length L with the probability e^-L, or any number of the same
+neighbourhood; before the data both are as likely. Near its minimum the misfit is a quadratic form of the constants, so
+that the effect of each decision is known: constants are decided one after another, each by a few simple numbers near
+its estimate once the earlier ones are fixed, and a beam of the most probable decisions is kept (a sequential decoding,
+as in integer least squares). A simple number takes the place of an estimate when its odds, against all other decisions
+together, reach `InferenceSettings.distinct_nats`.
+
+*All constants together.* What share of them is simple is not known beforehand, and any share is as likely: of K
 constants m certain ones are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession), so that
-simple numbers speak for each other, and estimates against a simple number that is alone. And what is simple may be the
-product of a constant with one that is decided already: 0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f with the bracket
-expanded.
+simple numbers speak for each other, and estimates against a simple number that is alone. And a constant may be simple
+as a factor of one that is decided already: 0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f with the bracket expanded.
+
+All routes round by this module: equations of a target (`equation`), systems along trajectories and groups of them
+(`selection.rounding`, `inference`), and processes.
 """
 
 import math
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import compress
 from typing import Final
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.least_squares import inverse
-from atoll_coordinator.model.regression.covariance import covariance_of, description_length, standard_errors
-from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
 from atoll_coordinator.result.equations import SimpleNumber, SimpleTogether
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.program import Program, constant_places, with_constants
-from atoll_core.expression.writing.shortest import collected
 
 ERROR_DIGITS: Final = tuple(1 + 2**power for power in range(5))
-"""Digits of standard errors to which estimates may be rounded, all of a double at last: the first with which
-simulations stay as they are. With two they are off by at most a twentieth of a standard error."""
-_ROUNDING = 2.0**-50
-"""Standard errors below this share of a constant are those of arithmetic."""
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """A program as it would be shown: its length in nats and its mean squared error."""
-
-    program: Program
-    length: float
-    mse: float
+"""Digits of standard errors to which estimates may be rounded, at last all of a double: the first number of digits with
+which simulations stay as they are is taken. With two, estimates are off by at most a twentieth of a standard error."""
+_ROUNDING: Final = 2.0**-50
+"""Standard errors below this share of a constant are rounding errors."""
+_DIGIT: Final = math.log(3.0)
+"""Nats of each digit beyond the first, in addition to the nats of the whole number."""
+_SHORT: Final = 3
+"""Of numerators with more digits the sum of probabilities is an integral."""
+_DIGITS_OF_PI: Final = 2
+"""Digits of multiples of pi: with more, they would say less than a decimal of the same size."""
+_LARGE: Final = 1e200
+"""Beyond, and below its inverse, numbers are scaled first, since powers of ten would overflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """Some constants decided, by their number in node order; where the others lie now, and their covariance.
+    """Some constants decided, by their number in node order; the present estimates of the others, and their covariance.
 
-    `nats` is the logarithm of the probability of these simple numbers over that of any numbers in their place.
+    `nats` is the logarithm of the probability of these simple numbers over the one of any numbers in their place.
     """
 
     numbers: tuple[tuple[int, float], ...]
@@ -64,40 +62,36 @@ class Decision:
     means: FloatArray
     covariance: FloatArray
 
+    @classmethod
+    def none(cls, means: FloatArray, covariance: FloatArray) -> "Decision":
+        """Return the decision on no constant; variances are at least those of rounding errors."""
+        least = np.maximum((_ROUNDING * means) ** 2, np.finfo(np.float64).tiny)
+        spread = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
+        return cls((), 0.0, tuple(range(len(means))), means, spread)
 
-@dataclass(frozen=True, eq=False)
-class _Successor:
-    """A decision with the k-th of its open constants decided, too; `numbers` and `nats` are as in the decision.
+    def with_next(self, k: int, number: float) -> tuple[tuple[int, float], ...]:
+        """Return the decided numbers once the k-th of the open constants is decided."""
+        return tuple(sorted((*self.numbers, (self.open[k], number))))
 
-    It is `made` of those only that go on: of a beam's successors few do.
-    """
-
-    before: Decision
-    k: int
-    number: float
-    numbers: tuple[tuple[int, float], ...]
-    nats: float
-
-    def made(self) -> Decision:
-        """Return the decision; the constants that are open move along."""
-        before, k = self.before, self.k
-        others = [place for place in range(len(before.open)) if place != k]
-        column, variance = before.covariance[others, k], float(before.covariance[k, k])
-        rest = before.covariance[np.ix_(others, others)]
+    def followed(self, k: int, number: float, nats: float = 0.0) -> "Decision":
+        """Return the decision with the k-th of the open constants decided, too; the other open constants move along."""
+        others = [place for place in range(len(self.open)) if place != k]
+        column, variance = self.covariance[others, k], float(self.covariance[k, k])
+        rest = self.covariance[np.ix_(others, others)]
         spread = rest - np.outer(column, column) / variance
         diagonal, least = np.diag(spread), np.maximum(_ROUNDING * np.diag(rest), np.finfo(np.float64).tiny)
-        means = before.means[others] + column / variance * (self.number - float(before.means[k]))
+        means = self.means[others] + column / variance * (number - float(self.means[k]))
         return Decision(
-            numbers=self.numbers,
-            nats=self.nats,
-            open=tuple(before.open[place] for place in others),
+            numbers=self.with_next(k, number),
+            nats=self.nats + nats,
+            open=tuple(self.open[place] for place in others),
             means=means,
             covariance=spread + np.diag(np.maximum(np.maximum((_ROUNDING * means) ** 2, least) - diagonal, 0.0)),
         )
 
 
 class Considered:
-    """Decisions that were weighed, and the odds of what is held by some of them."""
+    """Decisions that were weighed against each other, and the odds of what some of them have in common."""
 
     def __init__(self, weighed: Sequence[Decision] = ()) -> None:
         """Weigh these decisions."""
@@ -107,9 +101,9 @@ class Considered:
         self._weights: Final = [math.exp(decision.nats - most) for decision in weighed]
         self._whole: Final = math.fsum(self._weights)
 
-    def odds_of(self, held: Iterable[bool]) -> float:
-        """Return the odds of what some decisions hold, those that are true here, against all others."""
-        share = math.fsum(compress(self._weights, held))
+    def odds_of(self, chosen: Iterable[bool]) -> float:
+        """Return the odds of the chosen decisions, those that are true here, against all others."""
+        share = math.fsum(compress(self._weights, chosen))
         return share / max(self._whole - share, 1e-300)
 
     @cached_property
@@ -127,9 +121,9 @@ class Considered:
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """What becomes of constants: their `values` (K,) as they are shown, and the nearest simple number of each.
+    """Constants as they are shown: their `values` (K,), and the nearest simple number of each.
 
-    `means` (K,) and `covariance` are those of the estimates, `considered` the decisions that were weighed.
+    `means` (K,) and `covariance` belong to the estimates; `considered` are the decisions that were weighed.
     """
 
     values: FloatArray
@@ -141,12 +135,14 @@ class Rounding:
     def together(self, constants: Sequence[int]) -> SimpleTogether | None:
         """Return simple numbers of two and more of these constants that are right together; None if that is unlikely.
 
-        Of those that the data single out together the most, else of those that are likelier than everything else.
-        Places in it are those in `constants`.
+        The largest combination that the data single out, else the largest that is likelier than all others together.
+        Its places are those in `constants`.
         """
         decided = self.considered.numbers
-        combinations = dict.fromkeys(tuple(number for number in decision.numbers if number[0] in constants)
-                                     for decision in self.considered.decisions)  # fmt: skip
+        combinations = dict.fromkeys(
+            tuple(number for number in decision.numbers if number[0] in constants)
+            for decision in self.considered.decisions
+        )
         odds = {
             key: self.considered.odds_of([numbers.issuperset(key) for numbers in decided])
             for key in combinations
@@ -156,26 +152,21 @@ class Rounding:
             likely = [key for key, key_odds in odds.items() if key_odds >= least]
             if likely:
                 best = max(likely, key=lambda key: (len(key), odds[key]))
-                return self._together(constants, dict(best), odds[best])
+                numbers = dict(best)
+                places = tuple(place for place, index in enumerate(constants) if index in numbers)
+                chosen = sorted(numbers)
+                away = self.means[chosen] - [numbers[index] for index in chosen]
+                chi_square = 2.0 * quadratic_form(away, self.covariance[np.ix_(chosen, chosen)])
+                values = tuple(numbers[constants[place]] for place in places)
+                return SimpleTogether(constants=places, values=values, odds=odds[best], chi_square=chi_square)
         return None
-
-    def _together(self, constants: Sequence[int], numbers: Mapping[int, float], odds: float) -> SimpleTogether:
-        places = tuple(place for place, index in enumerate(constants) if index in numbers)
-        chosen = sorted(numbers)
-        away = self.means[chosen] - [numbers[index] for index in chosen]
-        return SimpleTogether(
-            constants=places,
-            values=tuple(numbers[constants[place]] for place in places),
-            odds=odds,
-            chi_square=2.0 * quadratic_form(away, self.covariance[np.ix_(chosen, chosen)]),
-        )
 
 
 class Estimates:
-    """Fitted constants, and what is considered of them: once, in however many digits they are shown."""
+    """Fitted constants, and the decisions on them, which are weighed once for any number of digits."""
 
     def __init__(self, means: FloatArray, covariance: FloatArray) -> None:
-        """Know constants by their `means` (K,) and `covariance`."""
+        """Take the `means` (K,) and the `covariance` of the constants."""
         self._means: Final = means
         self._covariance: Final = covariance
 
@@ -187,19 +178,19 @@ class Estimates:
     def rounded(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> Rounding:
         """Return the constants as they are shown.
 
-        Estimates are rounded to so many digits of their standard errors, one after another, each where it lies once the
-        earlier ones are: so the last of several constants that only together are determined keeps the digits it needs.
-        Simple numbers that are singled out take their place, but for those of the `estimates`, by number.
+        Estimates are rounded to so many digits of their standard errors, one after another, each at its estimate given
+        the earlier ones: so the last of several constants that only together are determined keeps the digits it needs.
+        Simple numbers that are singled out take their place, except for the `estimates`, by number.
         """
-        means, decision = self._means, _start(self._means, self._covariance)
+        means, decision = self._means, Decision.none(self._means, self._covariance)
         covariance = decision.covariance
         considered = self.considered if len(estimates) < len(means) else Considered()
         numbers = {index: number for index, number in considered.singled_out.items() if index not in estimates}
         for index, number in numbers.items():
-            decision = _decided(decision, decision.open.index(index), number)
+            decision = decision.followed(decision.open.index(index), number)
         while decision.open:
             number = _rounded(float(decision.means[0]), math.sqrt(float(decision.covariance[0, 0])), digits)
-            decision = _decided(decision, 0, number)
+            decision = decision.followed(0, number)
         values = np.array([value for _, value in decision.numbers])
         constants = zip(range(len(means)), means, np.diag(self._covariance), strict=True)
         remarks = [_simple_number(*constant, considered.odds) for constant in constants]
@@ -211,27 +202,19 @@ def find_simple(means: FloatArray, covariance: FloatArray) -> dict[int, float]:
     return Estimates(means, covariance).considered.singled_out
 
 
-def round_constants(fitted: Fitted, criterion: RegressionCriterion, least_squares: LeastSquares) -> Model:
-    """Return the shortest model that comes from `fitted` by making constants simple; itself when none is shorter.
-
-    That is what equations are compared by: simple numbers speak for an equation before any of them is singled out.
-    """
-    best = Model(fitted.program, description_length(fitted, criterion), fitted.mse)
-    places = constant_places(fitted.program)
-    if not 0 < len(places) <= SETTINGS.effort.beam or not math.isfinite(best.length):
-        return best
-    candidates = decisions(fitted.program.constants[places], covariance_of(fitted, criterion))
-    probable = sorted((decision for decision in candidates if decision.numbers), key=lambda decision: -decision.nats)
-    for decision in probable[: SETTINGS.effort.beam]:
-        model = _measured(fitted.program, places, dict(decision.numbers), criterion, least_squares)
-        if model.length <= best.length:
-            best = model
-    return best
-
-
 def quadratic_form(away: FloatArray, covariance: FloatArray) -> float:
     """Return by how many nats the misfit grows when constants move away (K,) from their estimates, near its minimum."""
     return 0.5 * float(away @ inverse(covariance) @ away)
+
+
+def allowed_growth(means: FloatArray, covariance: FloatArray, numbers: Mapping[int, float]) -> float:
+    """Return by how many nats the misfit may grow when constants, by their place, become simple `numbers`.
+
+    By the growth that the quadratic form predicts, and by what is no evidence.
+    """
+    chosen = sorted(numbers)
+    away = means[chosen] - [numbers[index] for index in chosen]
+    return quadratic_form(away, covariance[np.ix_(chosen, chosen)]) + SETTINGS.inference.distinct_nats
 
 
 def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool = False) -> list[Decision]:
@@ -239,50 +222,34 @@ def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool =
 
     With `has_products` a constant may also be what makes its product with one that is decided a simple number.
     """
-    all_decisions = beam = [_start(means, covariance)]
+    all_decisions = beam = [Decision.none(means, covariance)]
     while beam:
-        following: dict[tuple[tuple[int, float], ...], _Successor] = {}
-        for successor in (successor for decision in beam for successor in _next(decision, has_products=has_products)):
-            known = following.get(successor.numbers)
-            if known is None or successor.nats > known.nats:
-                following[successor.numbers] = successor
-        best = sorted(following.values(), key=lambda successor: -successor.nats)[: SETTINGS.effort.beam]
-        beam = [successor.made() for successor in best]
+        following: dict[tuple[tuple[int, float], ...], tuple[float, Decision, int, float]] = {}
+        for decision in beam:
+            others = [number for _, number in decision.numbers] if has_products else []
+            for k in range(len(decision.open)):
+                gains = _gains(float(decision.means[k]), math.sqrt(float(decision.covariance[k, k])), others)
+                for number in sorted(gains, key=lambda number: -gains[number])[: SETTINGS.effort.beam]:
+                    key, nats = decision.with_next(k, number), decision.nats + gains[number]
+                    if key not in following or nats > following[key][0]:
+                        following[key] = nats, decision, k, gains[number]
+        best = sorted(following.items(), key=lambda entry: -entry[1][0])[: SETTINGS.effort.beam]
+        beam = [  # of the successors of a beam few go on, and only these are made
+            before.followed(k, dict(numbers)[before.open[k]], gain) for numbers, (_, before, k, gain) in best
+        ]
         all_decisions = [*all_decisions, *beam]
-    return [
-        replace(decision, nats=decision.nats + _of_share(len(decision.numbers), len(means)))
-        for decision in all_decisions
-    ]
+
+    def of_share(simple: int) -> float:
+        """Return the logarithm of the probability that so many certain constants, and no others, are simple."""
+        return -math.log((len(means) + 1) * math.comb(len(means), simple))
+
+    return [replace(decision, nats=decision.nats + of_share(len(decision.numbers))) for decision in all_decisions]
 
 
-def _of_share(simple: int, constants: int) -> float:
-    """Return the logarithm of the probability that so many certain ones of all constants, and no others, are simple.
-
-    Any share of simple ones is as likely as any other (Laplace's rule of succession).
-    """
-    return -math.log((constants + 1) * math.comb(constants, simple))
-
-
-def _start(means: FloatArray, covariance: FloatArray) -> Decision:
-    """Return the decision on nothing; variances are at least those of arithmetic."""
-    least = np.maximum((_ROUNDING * means) ** 2, np.finfo(np.float64).tiny)
-    spread = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
-    return Decision((), 0.0, tuple(range(len(means))), means, spread)
-
-
-def _next(decision: Decision, *, has_products: bool) -> Iterator[_Successor]:
-    """Yield `decision` with one more constant decided."""
-    others = [number for _, number in decision.numbers] if has_products else []
-    for k in range(len(decision.open)):
-        gains = _gains(float(decision.means[k]), math.sqrt(float(decision.covariance[k, k])), others)
-        best = sorted(gains, key=lambda number: -gains[number])[: SETTINGS.effort.beam]
-        yield from (_successor(decision, k, number, gains[number]) for number in best)
-
-
-def _gains(value: float, error: float, others: Sequence[float] = ()) -> dict[float, float]:
+def _gains(value: float, error: float, others: Sequence[float]) -> dict[float, float]:
     """Return for the simple numbers near an estimate the nats by which each is more probable than any number.
 
-    Among them are those that are simple as factors of one of `others`: they are half as probable as the others
+    Numbers that are simple as factors of one of `others` are among them: they are half as probable as the others
     together, and only of interest where none of these is more probable than any number.
     """
     if value == 0.0 or not math.isfinite(value) or not math.isfinite(error):  # no number is near
@@ -309,17 +276,6 @@ def _priced(numbers: Mapping[float, float], value: float, error: float, least: f
     return {number: -length - 0.5 * ((number - value) / error) ** 2 - least for number, length in numbers.items()}
 
 
-def _successor(decision: Decision, k: int, number: float, gain: float) -> _Successor:
-    """Return what makes `decision` with the k-th of the open constants fixed at a number of so many nats."""
-    numbers = tuple(sorted((*decision.numbers, (decision.open[k], number))))
-    return _Successor(decision, k, number, numbers, decision.nats + gain)
-
-
-def _decided(decision: Decision, k: int, number: float) -> Decision:
-    """Return `decision` with the k-th of the open constants fixed; the others move along."""
-    return _successor(decision, k, number, 0.0).made()
-
-
 def _rounded(value: float, error: float, digits: int) -> float:
     """Return `value` rounded to so many digits of its error, and to as many of its own at least."""
     if value == 0.0 or not math.isfinite(value):
@@ -342,26 +298,90 @@ def _simple_number(
     return SimpleNumber(value=number, odds=near[number], standard_errors=away)
 
 
-def _measured(
-    program: Program,
-    places: Sequence[int],
-    decided: Mapping[int, float],
-    criterion: RegressionCriterion,
-    least_squares: LeastSquares,
-) -> Model:
-    """Return the model of simple numbers, its other constants fitted and its neutral ones gone."""
-    values = {places[index]: number for index, number in decided.items()}
-    prices = {number: min(simple_numbers(number, 0.0).values(), default=0.0) for number in values.values()}
-    refitted = least_squares.fit(with_constants(program, values), [*values])
-    if not math.isfinite(refitted.mse):
-        return Model(refitted.program, math.inf, math.inf)
-    freed = refitted.program.constants[[place for place in places if place not in values]].tolist()
-    prices |= dict(zip(freed, map(fitted_length, freed, standard_errors(refitted, criterion)), strict=True))
-    shown = collected(refitted.program)
-    mse = least_squares.mse(shown)
-    known = {abs(number): price for number, price in prices.items()}
-    numbers = sum(
-        known[number] if number in known else min(simple_numbers(number, 0.0).values(), default=0.0)
-        for number in set(np.abs(shown.constants[constant_places(shown)]).tolist())
-    )
-    return Model(shown, criterion.length(mse, shown, numbers), mse)
+# ------------------------------------------------------------------------------------------------ simple numbers
+
+
+def number_length(numerator: int, denominator: int = 1) -> float:
+    """Return the length in nats of p/q times any power of ten: of p, its digits beyond the first, and q if not one."""
+    digits = len(str(abs(numerator))) - 1
+    return math.log1p(abs(numerator)) + _DIGIT * digits + (math.log1p(denominator) if denominator > 1 else 0.0)
+
+
+def simple_numbers(value: float, error: float) -> dict[float, float]:
+    """Return numbers within a few standard errors of `value`, each with its length in nats; 0 is not among them.
+
+    The more digits the error leaves, the more of them are considered, of decimals up to one more than it justifies.
+
+    Args:
+        value: not 0.
+        error: its standard error.
+    """
+    if value != 0.0 and not 1.0 / _LARGE < abs(value) < _LARGE:
+        scale = _LARGE**0.5 if abs(value) < 1.0 else _LARGE**-0.5
+        near = simple_numbers(value * scale, error * scale).items()
+        return {
+            quotient: length
+            for number, length in near
+            if (quotient := number / scale) != 0.0 and math.isfinite(quotient)
+        }
+    lengths: dict[float, float] = {}
+    for unit, digits, price in ((1.0, sys.float_info.dig, 0.0), (math.pi, _DIGITS_OF_PI, SETTINGS.regression.pi_nats)):
+        for denominator in SETTINGS.regression.denominators:
+            for number, numerator in _near(value, error, denominator, unit, digits):
+                length = number_length(numerator, denominator) + price
+                lengths[number] = min(length, lengths.get(number, math.inf))
+    return lengths
+
+
+def continuum_density(value: float) -> float:
+    """Return the probability of any number per unit at `value`, when each decade is as probable as by simple numbers.
+
+    Simple numbers of length L have the probability e^-L, up to a common factor; the sum of those between two powers of
+    ten, the same for all, is spread evenly over the logarithm of that decade.
+    """
+    return _probability_of_decade() / math.log(10.0) / abs(value)
+
+
+@cache
+def _probability_of_decade() -> float:
+    """Return the sum of e^-L over the simple numbers between a power of ten and ten times that, pi left out."""
+    lengths: dict[str, float] = {}
+    rest = 0.0
+    for denominator in SETTINGS.regression.denominators:
+        for numerator in range(1, 10**_SHORT):
+            if numerator % 10 and math.gcd(numerator, denominator) == 1:
+                digits = f"{numerator / denominator:.12e}".split("e")[0]
+                lengths[digits] = min(number_length(numerator, denominator), lengths.get(digits, math.inf))
+        recurs = 10 * denominator
+        share = sum(residue % 10 > 0 and math.gcd(residue, denominator) == 1 for residue in range(recurs)) / recurs
+        of_digits = share * math.log(10.0) * math.exp(number_length(0) - number_length(0, denominator))
+        rest += sum(of_digits * math.exp(-_DIGIT * more) for more in range(_SHORT, sys.float_info.dig))
+    return rest + sum(math.exp(-length) for length in lengths.values())
+
+
+def _near(value: float, error: float, denominator: int, unit: float, digits: int) -> Iterator[tuple[float, int]]:
+    """Yield multiples of `unit` by p/q times powers of ten near `value`, with p, which has at most so many digits."""
+    if value == 0.0:
+        return
+    beside = SETTINGS.regression.numerators_beside
+    reach = max(SETTINGS.regression.rounding_reach * error, abs(value) * 4.0 * 2.0**-52)
+    size, scale = value / unit * denominator, denominator / unit
+    finest = max(error if scale != 1.0 else error / 10.0, abs(value) * 10.0**-sys.float_info.dig) * scale
+    first = math.floor(math.log10(abs(size))) + 1
+    for exponent in range(first, max(first - digits, -300) - 1, -1):
+        step = 10.0**exponent
+        if step < 0.999 * finest:  # not equal by chance of rounding in another unit
+            return
+        nearest, around = round(size / step), beside if reach * scale > 0.25 * step else 0
+        if abs(nearest * step - size) > 2.0 * reach * scale:
+            continue
+        for numerator in range(nearest - around, nearest + around + 1):
+            if numerator % 10 and math.gcd(numerator, denominator) == 1:
+                number = _ratio(numerator, denominator, exponent) * unit
+                if abs(number - value) <= reach:
+                    yield number, numerator
+
+
+def _ratio(numerator: int, denominator: int, exponent: int) -> float:
+    """Return p/q times a power of ten as the nearest number that there is."""
+    return float(numerator * 10 ** max(exponent, 0) / (denominator * 10 ** max(-exponent, 0)))

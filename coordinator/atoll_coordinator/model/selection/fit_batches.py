@@ -1,7 +1,7 @@
-"""Fits of systems as they travel: what a comparison is made of, what is to be fitted, and what comes of a fit. Pure.
+"""Fits of systems as they travel: the parts of a comparison, the systems to be fitted, and summaries of fits. Pure.
 
-Of a fit, only numbers come back from which it is made whole again by one integration: states, residuals and normal
-equations are hundreds of times as large, and nobody asks for those of most candidates.
+A summary has the numbers from which one integration makes the whole fit again: states, residuals and normal equations
+are hundreds of times as large, and most candidates do not need them.
 """
 
 import math
@@ -21,7 +21,7 @@ from atoll_core.expression.restrictions import Restrictions
 
 @dataclass(frozen=True, eq=False)
 class ComparisonParts:
-    """What a `ModelComparison` is made of; `errors` and `misfit` are those that it was calibrated to."""
+    """Parts of a `ModelComparison`; it was calibrated to `errors` and `misfit`."""
 
     measurements: Measurements
     tolerance: float
@@ -49,8 +49,7 @@ class Beginning:
 class FitOrder:
     """How systems are to be fitted: in stages of growing `lengths`, or in whole from a beginning `near`.
 
-    A fit takes so many `steps` at most, and ends where it is told that it does not come to a description of `most`
-    nats.
+    A fit takes so many `steps` at most, and ends where it will not reach a description of `most` nats.
     """
 
     steps: int
@@ -69,9 +68,9 @@ class FitBatch:
 
 @dataclass(frozen=True, eq=False)
 class FitSummary:
-    """What a fit came to: `constants` of all nodes, by group if there are any, and what tells it from others.
+    """The numbers of a fit: `constants` of all nodes, by group if there are any, and the rest that decides it.
 
-    `length` is that of its segments (rows; None: whole trajectories), `squares` are the mean squares of residuals.
+    `length` is the length of its segments (rows; None: whole trajectories); `squares` are mean squares of residuals.
     """
 
     constants: FloatArray
@@ -87,7 +86,7 @@ class FitSummary:
 
 @dataclass(frozen=True, eq=False)
 class FitOutcome:
-    """What came of a system, None if nothing could be fitted, and the work that it took."""
+    """The fit of a system, None if it could not be fitted, and its work."""
 
     summary: FitSummary | None
     work: int

@@ -11,7 +11,7 @@ from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Final
 
-from atoll_coordinator.model.regression.rounding import Estimates, Rounding, find_simple, quadratic_form
+from atoll_coordinator.model.regression.rounding import Estimates, Rounding, allowed_growth, find_simple
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.system import System
@@ -50,7 +50,7 @@ def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Progr
         return model.programs
     programs, fixed = _decided(comparison, model.programs, numbers)
     after = comparison.fit_beside(model, programs, SETTINGS.effort.steps, fixed)
-    if after is None or after.misfit > model.misfit + _allowed(means, spread, numbers):
+    if after is None or after.misfit > model.misfit + allowed_growth(means, spread, numbers):
         return model.programs
     return tuple(
         program if index in comparison.fixed else collected(program) for index, program in enumerate(after.programs)
@@ -119,13 +119,6 @@ def _multiplied(system: System, simple: Sequence[SimpleNumber | None]) -> Iterat
 
 def _covariance(comparison: ModelComparison, model: FittedModel) -> FloatArray:
     return comparison.score.inflation(model) * bounded_covariance(model.fit)
-
-
-def _allowed(means: FloatArray, spread: FloatArray, numbers: Mapping[int, float]) -> float:
-    """Return by how many nats the misfit may grow: by what the quadratic form says, and what is no evidence."""
-    chosen = sorted(numbers)
-    away = means[chosen] - [numbers[index] for index in chosen]
-    return quadratic_form(away, spread[chosen][:, chosen]) + SETTINGS.inference.distinct_nats
 
 
 def _decided(

@@ -3,11 +3,11 @@
 - `multiple_shooting`: the fit of constants and initial states; its docstring says how all of this works together
 - `measurements`: the recording laid out for fits: all rows one after another, and the pieces that are simulated
 - `system`: several programs as one system whose constants can be fitted
-- `integration`: states and sensitivities along segments; `kernels`: its compiled parts, and those of the fit's steps
+- `integration`: states and sensitivities along segments; `kernels`: compiled parts of integration and of a fit's steps
 - `error_model`: errors of neighbouring rows that go together; `noise`: how large errors of measurement are, by
   smoothing and by residuals
 - `trajectory_fit`: a fitted system, the covariance of its constants, the growth of its errors
-- `points_between`: points beside measured curves, from two measured ones
+- `points_between`: points off the measured curves, from two measured ones
 - `warmup`: makes the kernels ready
 
 A recording and programs go in, a `TrajectoryFit` comes out: states as simulated, residuals, normal equations.

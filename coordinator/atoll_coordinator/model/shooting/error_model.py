@@ -1,7 +1,7 @@
-"""The errors of measured states, as a fit weighs them and estimates them from its residuals. Pure.
+"""The errors of measured states, by which a fit weighs its residuals, and their estimate from residuals. Pure.
 
-The errors of a state have one variance, in a row of weight 1, of which a share goes together between neighbouring rows
-(see `atoll_coordinator.model.shooting.kernels.innovations`). Errors of simulators, filters and drifting sensors do.
+The errors of a state have one variance, in a row of weight 1. A share of it may go together between neighbouring rows
+(see `atoll_coordinator.model.shooting.kernels.innovations`), as errors of simulators, filters and drifting sensors do.
 Letters: O measured states, N rows.
 """
 
@@ -27,7 +27,7 @@ class ErrorModel:
     """Errors of O states: `sigmas` their standard deviations, `shares` of the variances that go together, `decays` the
     correlation of that share between rows one median step apart. All are (O,).
 
-    A fit estimates `sigmas`, unless these errors are `is_known`; what goes together it holds.
+    A fit estimates `sigmas`, unless these errors are `is_known`; `shares` and `decays` stay as they are.
     """
 
     sigmas: FloatArray
@@ -41,7 +41,7 @@ class ErrorModel:
         return cls(sigmas, np.zeros(len(sigmas)), np.zeros(len(sigmas)))
 
     def to_bytes(self) -> bytes:
-        """Return what tells this model from others."""
+        """Return bytes that are equal for equal models."""
         numbers = self.sigmas.tobytes() + self.shares.tobytes() + self.decays.tobytes()
         return numbers + bytes([self.is_known])
 
@@ -50,13 +50,13 @@ class ErrorModel:
         """Degrees of freedom of a variance of each state (O,) over its rows: 1 where errors are independent.
 
         An estimated correlation r, of variance (1 - r^2)/n, makes the logarithm of (1 + r)/(1 - r), which the variance
-        of a mean is multiplied by, uncertain by 4/(n (1 - r^2)), that of the innovations by 2/n (Satterthwaite 1946).
+        of a mean is multiplied by, uncertain by 4/(n (1 - r^2)); the innovations' variance by 2/n (Satterthwaite 1946).
         """
         return np.asarray(1.0 / (1.0 + (self.shares > 0.0) * 2.0 / (1.0 - self.decays**2)))
 
     @property
     def lengths(self) -> FloatArray:
-        """Rows that count as one independent row each (O,): the variance of a mean over that of independent rows.
+        """Rows that count as one independent row each (O,): the ratio of variances of a mean.
 
         (1 + r) / (1 - r) where all errors go together, 1 where none do.
         """
@@ -89,11 +89,11 @@ class Innovations:
         return sums[:, 0], sums[:, 1]
 
     def whitened(self, residuals: FloatArray, model: ErrorModel) -> FloatArray:
-        """Return the innovations (O, N) of `residuals` (O, N), as independent as those of errors of one size are."""
-        made, sums = np.zeros_like(residuals), np.empty(2)
+        """Return the innovations (O, N) of `residuals` (O, N), as independent as errors of one size."""
+        whitened, sums = np.zeros_like(residuals), np.empty(2)
         for state, (share, decay) in enumerate(zip(model.shares.tolist(), model.decays.tolist(), strict=True)):
-            self._innovate(state, residuals, share, decay, sums, made[state])
-        return made
+            self._innovate(state, residuals, share, decay, sums, whitened[state])
+        return whitened
 
     def _innovate(
         self, state: int, residuals: FloatArray, share: float, decay: float, sums: FloatArray,
@@ -102,12 +102,12 @@ class Innovations:
         innovate(self.segments, self._steps, residuals[state], self._weights[state], share, decay, sums, whitened)
 
     def sensor_errors(self, residuals: FloatArray, sigmas: FloatArray, fitted: float, turns: FloatArray) -> ErrorModel:
-        """Return the errors of measurement that these residuals are, up to what a law leaves out.
+        """Return the errors of measurement in these residuals, which may hold errors of the law as well.
 
-        What goes together between neighbouring rows is an error of the sensor where it is rough: an
-        Ornstein-Uhlenbeck process describes it in fewer nats than independent errors do, and than a smooth process
-        does. What a law leaves out is smooth, since it adds up along the trajectory, and its derivative varies no
-        faster than that of the state. Errors of states of which that is not so are taken to be independent.
+        Residuals that go together between neighbouring rows are errors of the sensor where they are rough: an
+        Ornstein-Uhlenbeck process describes them in fewer nats than independent errors, and than a smooth process.
+        Errors of the law are smooth, since they add up along the trajectory, and their derivatives vary no faster than
+        the derivative of the state. Where residuals are not rough in this sense, errors are taken to be independent.
 
         Args:
             residuals: (O, N).
@@ -147,9 +147,9 @@ class Innovations:
     def estimate(self, residuals: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
         """Return the shares and decays (O,) of least description length for these residuals (O, N).
 
-        A correlation is described by two numbers more, which take ln n nats (Schwarz 1978). What is left when slow
-        curves are fitted is less correlated than the errors were: with `fitted` numbers for each state, the decay d is
-        too small by (2 d + (1 + d) `fitted`)/n, which is added (for a mean, `fitted` 1, Marriott & Pope 1954).
+        A correlation is described by two numbers more, which take ln n nats (Schwarz 1978). Residuals of fitted slow
+        curves are less correlated than the errors: with `fitted` numbers for each state, the decay d is too small by
+        (2 d + (1 + d) `fitted`)/n, which is added (for a mean, `fitted` 1, Marriott & Pope 1954).
         """
         shares, decays = np.zeros((2, len(residuals)))
         for state in np.flatnonzero(self._counts).tolist():

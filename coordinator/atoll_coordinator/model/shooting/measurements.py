@@ -167,7 +167,7 @@ class Measurements:
 def measurements_of(
     recording: Recording, modelled: Sequence[int], *, held_out: bool = False, piece: int = SETTINGS.shooting.piece
 ) -> Measurements:
-    """Return the measurements for a system whose equations are those of the `modelled` states (indices).
+    """Return the measurements for a system with equations for the `modelled` states (indices).
 
     The other states, as smoothed, are inputs behind the recording's own; rows where they are not known are left out.
     With order 2 the velocities of the modelled states are states, too, behind the positions, and not measured. At most

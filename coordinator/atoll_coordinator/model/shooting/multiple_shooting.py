@@ -18,7 +18,7 @@ the least sum of squared residuals over the variances of the errors. Segments gr
    alone, since nearly half of all steps fail.
 4. *Joining* (`MultipleShooting.join`). Before segments are fitted in longer ones, constants and initial states are
    moved until each segment begins where the one before ends. The conditions are linearised, and the initial states of
-   the inner segments eliminated by them: condensing (`kernels.condensing`). Without that, a chaotic trajectory is lost
+   the inner segments eliminated by them: condensing (`_condensed`). Without that, a chaotic trajectory is lost
    between two stages: a state carried from the beginning of a long segment is far away from the measured one.
 5. *Offsets and groups.* A state that was measured up to an offset has one for each whole trajectory: another number
    of the segment. Groups of trajectories with constants of their own have more columns of sensitivities
@@ -45,7 +45,6 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.least_squares import LEAST_DAMPING, Fitter, Solver, minimize, without
 from atoll_coordinator.model.shooting.error_model import ErrorModel, Innovations
 from atoll_coordinator.model.shooting.integration import OVERHEAD_NUMBERS, STEEPEST, Integrator, Method, Unsimulated
-from atoll_coordinator.model.shooting.kernels.condensing import condense
 from atoll_coordinator.model.shooting.kernels.normal_equations import LINES, normal_equations, solve_step
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.system import System
@@ -76,7 +75,7 @@ class _Blocks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Constants, initial states (G, L) and errors, the cost by these errors, and what it follows from."""
+    """Constants, initial states (G, L), errors and the cost by them, with the states and the equations there."""
 
     system: System
     starts: FloatArray
@@ -186,7 +185,7 @@ class MultipleShooting:
         return fit
 
     def count(self, work: int) -> None:
-        """Add to the work, also that of fits that were made elsewhere."""
+        """Add to the work, also for fits that were made elsewhere."""
         self._of_thread.counted = self.counted + work
         with self._lock:
             self.work += work
@@ -240,20 +239,13 @@ class MultipleShooting:
             if np.all(np.abs(gaps) <= method.tolerance):
                 return system, np.ascontiguousarray(simulated[:, begun].T)
             residuals = self.residuals(simulated, starts, segments)
-            normal, coupling, own, gradient, own_gradient = self.blocks(
-                segments, sensitivities, residuals, fit.errors, fitted
-            )
-            size = fitted + states
-            sums, moves = np.zeros((pieces[-1] + 1, size + 1, size + 1)), np.zeros((len(segments), states, size + 1))
-            condense(coupling, own, own_gradient, ends, gaps, pieces, normal, gradient, sums, moves)
-            change, its_own = np.empty(fitted), np.empty((len(sums), states))
-            parts = (sums[:, :fitted, fitted:-1], sums[:, fitted:-1, fitted:-1])
-            coupling, own = map(np.ascontiguousarray, parts)
-            own_gradient = np.ascontiguousarray(-sums[:, fitted:-1, -1])
-            if not solve_step(normal, coupling, own, gradient, own_gradient, LEAST_DAMPING, change, its_own):
+            blocks = self.blocks(segments, sensitivities, residuals, fit.errors, fitted)
+            condensed, moves = _condensed(blocks, ends, gaps, pieces)
+            change, its_own = np.empty(fitted), np.empty((len(condensed.own), states))
+            if not solve_step(*condensed, LEAST_DAMPING, change, its_own):
                 return None
             system = system.with_values(system.values + change)
-            numbers = np.concatenate([np.tile(change, (len(sums), 1)), its_own, np.ones((len(sums), 1))], axis=1)
+            numbers = np.concatenate([np.tile(change, (len(its_own), 1)), its_own, np.ones((len(its_own), 1))], axis=1)
             starts = starts + (moves * numbers[pieces][:, None]).sum(axis=2)
         return None
 
@@ -299,8 +291,8 @@ class MultipleShooting:
         """Return the segments of about `length` rows, along which residuals are whitened."""
         known = self._layouts.get(length)
         if known is None:
-            made = Innovations(self.measurements.segments(length), self._row_steps, self.measurements.weights)
-            known = self._layouts.setdefault(length, made)
+            layout = Innovations(self.measurements.segments(length), self._row_steps, self.measurements.weights)
+            known = self._layouts.setdefault(length, layout)
         return known
 
     def residuals(self, simulated: FloatArray, starts: FloatArray, segments: Ints) -> FloatArray:
@@ -328,7 +320,7 @@ class MultipleShooting:
         return blocks
 
     def squares(self, residuals: FloatArray) -> FloatArray:
-        """Return the mean squares (O,) of residuals, those of normal errors whatever the robustness weights."""
+        """Return the mean squares (O,) of residuals, corrected for robustness weights, which reduce large errors."""
         return self._consistent((self.measurements.weights * residuals * residuals).sum(axis=1) / self._totals)
 
     def _consistent(self, squares: FloatArray) -> FloatArray:
@@ -383,7 +375,7 @@ class MultipleShooting:
 
 
 class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
-    """The fit of one system to segments of one length; `work` is what it took so far."""
+    """The fit of one system to segments of one length; `work` is its work so far."""
 
     def __init__(  # noqa: PLR0913, see `MultipleShooting.fit`
         self, estimator: MultipleShooting, system: System, length: int | None, starts: FloatArray | None,
@@ -391,16 +383,12 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     ) -> None:  # fmt: skip
         self._estimator, self._measurements = estimator, estimator.measurements
         self._layout = estimator.layout(length)
+        self._segments = self._layout.segments
         self._is_whole = length is None
         self._system, self._starts, self._errors = system, starts, errors
         self._goal, self._may_be_stiff = goal, may_be_stiff
         self.method: Method = estimator.integrator.methods[0]
         self.work = 0
-
-    @property
-    def segments(self) -> Ints:
-        """Row ranges (G, 2)."""
-        return self._layout.segments
 
     def init(self) -> _Point | None:
         """Return the first point, None where the system cannot be integrated from any initial states.
@@ -445,7 +433,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return solve
 
     def step(self, point: _Point, step: _Step) -> tuple[_Point, float] | None:
-        """Return the point after a step, its variances those of the residuals there, and the gain by the old ones."""
+        """Return the point after a step, its variances estimated there, and the gain by the variances before."""
         system, starts = point.system.with_values(point.system.values + step[0]), point.starts + step[1]
         there, _ = self.point(system, starts, point.errors, point.cost)
         return None if there is None else (there, point.cost - _cost(self._layout, there.residuals, point.errors))
@@ -453,20 +441,19 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
     def settled(self, point: _Point) -> float:
         """Return a share of the cost, or the cost of rounding errors if that is more.
 
-        A solution in closed form leaves nothing but rounding errors, and its fit would follow these for long.
+        The residuals of a solution in closed form are rounding errors, and its fit would follow these for long.
         """
         return max(SETTINGS.effort.settled * point.cost, float((self._rounding / point.errors.sigmas**2).sum()))
 
     @cached_property
     def _rounding(self) -> FloatArray:
         """The sum of squared rounding errors (O,), of which each row of a segment has one more in its states."""
-        segments, measurements = self.segments, self._measurements
+        segments, measurements = self._segments, self._measurements
         since = np.arange(measurements.rows) - np.repeat(segments[:, 0], segments[:, 1] - segments[:, 0])
         squares = (np.finfo(np.float64).eps * self._estimator.measured) ** 2 * (1 + since)
         return np.asarray((measurements.weights * squares).sum(axis=1))
 
     def done(self, point: _Point, promise: float, taken: int) -> bool:
-        """Tell whether time is over, or the goal out of reach."""
         if self._goal is None or self._estimator.deadline.is_over:
             return self._estimator.deadline.is_over
         is_white = not point.errors.shares.any()
@@ -474,12 +461,11 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         return self._goal.is_beyond(self._estimator.squares(residuals), promise, SETTINGS.effort.steps - taken)
 
     def result(self, point: _Point | None) -> TrajectoryFit | None:
-        """Return the fit that ended at a point."""
         if point is None:
             return None
         blocks, estimator = point.blocks, self._estimator
         return TrajectoryFit(
-            point.system, self.segments, point.starts, point.states, point.residuals, point.errors,
+            point.system, self._segments, point.starts, point.states, point.residuals, point.errors,
             estimator.squares(point.residuals), blocks.normal, blocks.coupling, blocks.own, estimator,
             self.method is estimator.integrator.methods[1], blocks.gradient,
         )  # fmt: skip
@@ -499,18 +485,18 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         is_tried = is_step and OVERHEAD_NUMBERS + states < _REJECTED * numbers
         for has_sensitivities in (False, True) if is_tried else (True,):
             course = integrator.integrate(
-                self.method, system, self.segments, starts, has_sensitivities=has_sensitivities
+                self.method, system, self._segments, starts, has_sensitivities=has_sensitivities
             )
             is_steep = not integrator.steepest(course.sensitivities, system) < STEEPEST
-            if course.done < len(self.segments) or is_steep:
+            if course.done < len(self._segments) or is_steep:
                 break
-            residuals = estimator.residuals(course.states, starts, self.segments)
+            residuals = estimator.residuals(course.states, starts, self._segments)
             if not _cost(self._layout, residuals, errors) < below:
                 break
             weighed = estimator.reweighed(residuals, self._layout, errors) if is_step else errors
         else:
             cost = _cost(self._layout, residuals, weighed)
-            blocks = estimator.blocks(self.segments, course.sensitivities, residuals, weighed, fitted)
+            blocks = estimator.blocks(self._segments, course.sensitivities, residuals, weighed, fitted)
             point = _Point(system, starts, weighed, cost, course.states, residuals, blocks)
         self.work += self.method.work(course.steps, self._measurements.rows) * numbers
         return point, course.done < 0
@@ -521,7 +507,7 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
         Noise may carry a first value below zero, where many laws blow up, growth among them. So a state that has one
         sign from some row of its piece to the end has that sign in the second beginning, where it is as in that row.
         """
-        measurements, segments = self._measurements, self.segments
+        measurements, segments = self._measurements, self._segments
         smoothed = np.ascontiguousarray(measurements.smoothed[:, segments[:, 0]].T)
         starts = smoothed if self._starts is None else self._starts
         yield starts
@@ -550,14 +536,56 @@ class _Shooting(Fitter[_Point, _Step, TrajectoryFit | None]):
             return starts
         starts = starts.copy()
         for resting, state in zip(measurements.resting, measurements.observed.tolist(), strict=True):
-            starts[resting[self.segments[:, 0]], state] = 0.0
+            starts[resting[self._segments[:, 0]], state] = 0.0
         return starts
 
 
 def _cost(layout: Innovations, residuals: FloatArray, errors: ErrorModel) -> float:
-    """Return the weighted sum of squares, errors that go together made independent."""
+    """Return the weighted sum of squares of whitened residuals."""
     squares, _ = layout.squares(residuals, errors)
     return float((squares / (errors.sigmas * errors.sigmas)).sum())
+
+
+def _condensed(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints) -> tuple[_Blocks, FloatArray]:
+    """Return the normal equations of pieces whose segments begin where the one before ends, and how segments move.
+
+    The move of a segment's initial state is linear in the constants and in its piece's initial state: A, S B + T and
+    S c + h follow from A, B and c of the segment before, with the sensitivities S and T of its end to its initial state
+    and to the constants, and with the gap h there (Bock 1983, section 3; Albersmeyer & Diehl 2010, SIAM Journal on
+    Optimization 20:1655).
+
+    Args:
+        blocks: of each segment alone.
+        ends: T and S (G, D, P + D).
+        gaps: h, by how much the end is beyond the initial state of the next segment (G, D).
+        pieces: of which each segment is a part (G,), ascending.
+
+    Returns:
+        Blocks of the pieces, and B, A and c (G, D, P + D + 1).
+    """
+    normal, coupling, own, gradient, own_gradient = blocks
+    groups, fitted, states = coupling.shape
+    moves = np.zeros((groups, states, fitted + states + 1))
+    sums = np.zeros((int(pieces[-1]) + 1, fitted + states + 1, fitted + states + 1))
+    crossed = np.zeros((fitted, fitted))
+    for g, piece in enumerate(pieces.tolist()):
+        move = moves[g]
+        if g and piece == pieces[g - 1]:
+            move += ends[g - 1, :, fitted:] @ moves[g - 1]
+            move[:, :fitted] += ends[g - 1, :, :fitted]
+            move[:, -1] += gaps[g - 1]
+        else:
+            move[:, fitted:-1] = np.eye(states)
+        costs = own[g] @ move
+        costs[:, -1] -= own_gradient[g]
+        sums[piece] += move.T @ costs
+        sums[piece, :fitted] += coupling[g] @ move
+        crossed += coupling[g] @ move[:, :fitted]
+    normal = normal + crossed.T + sums[:, :fitted, :fitted].sum(axis=0)
+    gradient = gradient - sums[:, :fitted, -1].sum(axis=0)
+    parts = (sums[:, :fitted, fitted:-1], sums[:, fitted:-1, fitted:-1], -sums[:, fitted:-1, -1])
+    coupling, own, own_gradient = map(np.ascontiguousarray, parts)
+    return _Blocks(normal, coupling, own, gradient, own_gradient), moves
 
 
 def row_steps(measurements: Measurements) -> FloatArray:

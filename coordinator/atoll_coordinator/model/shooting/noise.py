@@ -41,7 +41,7 @@ class VarianceModel:
     """Errors of one state: the `proportional` share of their variance where the state is as large as its `rms`.
 
     `mean` is the mean of inverse variances over the rows of the recording, so that weights are 1 on average. `scale` is
-    the standard deviation in a row of weight 1 over that of all rows alike.
+    the standard deviation in a row of weight 1 over the one for equal weights.
     """
 
     proportional: float = 0.0
@@ -133,7 +133,7 @@ def roughness(measurements: "Measurements", residuals: FloatArray) -> FloatArray
 def slow_shares(
     measurements: "Measurements", residuals: FloatArray, pieces: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the share of the residuals' squares (O,) that slow waves explain, and that of independent errors.
+    """Return the share of the residuals' squares (O,) that slow waves explain, and the expected share.
 
     The errors of a law move a state no faster than its derivative varies. Hence they are a sum of about `pieces` (O,)
     cosines along the rows, and three more along each trajectory, whose initial state and constants take up the slowest.

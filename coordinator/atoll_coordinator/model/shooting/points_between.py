@@ -1,6 +1,6 @@
-"""Points beside measured curves, from two measured ones that are far apart. Pure.
+"""Points off the measured curves, from two measured ones that are far apart. Pure.
 
-Letters: N measured points, V numbers of each, G points beside them.
+Letters: N measured points, V numbers of each, G points off the curves.
 """
 
 import math
@@ -13,21 +13,21 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 MOST_POINTS: Final = 500
-"""Measured points that are looked at, about. Taken in step with a period they would all be the same state."""
+"""Measured points that are taken, about: at a lattice, since every n-th row may be the same state of a period."""
 
 
 def points_between(points: FloatArray) -> FloatArray:
     """Return points (G, V) on the lines between two measured ones each, which are far out among all `points` (V, N).
 
-    What holds of all measured ones, such as a weighted sum that does not change or a sign, holds between them as well,
-    and energies are not as large as in the corners of a box of many states.
+    Between measured points hold the constraints of all of them, such as a constant weighted sum or a sign, and energies
+    are not as large as in the corners of a box of many states.
     """
     first, second, (share,) = _pairs(points, 1)
     return np.asarray(first + share[:, None] * (second - first))
 
 
 def points_beside(points: FloatArray, moved: int) -> FloatArray:
-    """Return points (G, V) in the boxes that two measured ones span: they lose what sums and the like keep on lines.
+    """Return points (G, V) in the boxes that two measured ones span, where constant sums and the like do not hold.
 
     The first so many numbers are `moved`; the others, such as inputs, stay as they are at the first of the two.
     """
@@ -39,9 +39,9 @@ def points_beside(points: FloatArray, moved: int) -> FloatArray:
 def without_kept(moves: FloatArray, points: FloatArray, noise: FloatArray) -> FloatArray:
     """Return `moves` (G, V) without what would change a weighted sum that all measured `points` (V, N) keep.
 
-    These are directions (singular vectors, in widths of the range) along which points vary less than `noise` (V,)
-    would let be seen: of N independent rows the variance is known to a share of sqrt(2/N), and a signal is told from
-    noise (p = 0.05) where it adds more than 1.64 times that. Of no more rows than numbers nothing is known.
+    These are directions (singular vectors, in widths of the range) along which points do not vary visibly, given their
+    `noise` (V,): the variance of N independent rows is known to a share of sqrt(2/N), and a signal differs from noise
+    (p = 0.05) where it adds more than 1.64 times that. With no more rows than numbers, no direction is known.
     """
     if points.shape[1] <= len(points):
         return moves
@@ -68,9 +68,9 @@ def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _far_apart(points: FloatArray, count: int) -> list[int]:
-    """Return the places of up to so many of the `points` (N, D), each as far from those before as any (Gonzalez 1985).
+    """Return the places of up to so many of the `points` (N, D), each as far from the earlier ones as any.
 
-    However long a process rests, the way there counts as much.
+    Farthest points first (Gonzalez 1985): a long rest of a process gets no more points than the way there.
     """
     places, nearest = [0], np.full(len(points), math.inf)
     for _ in range(1, count):

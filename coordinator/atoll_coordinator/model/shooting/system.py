@@ -26,8 +26,9 @@ SharedNumber = tuple[tuple[Place, float], ...]
 class Sharing:
     """Which of Q fitted numbers each constant is a multiple of, in each of G groups of trajectories; G is one without.
 
-    `constants` (G, N) are those of each group's tape. The fitted constant p of group g is the number `columns[g, p]`
-    times `multiples[p]`: the same number in all groups where these share it, and at several constants where these do.
+    `constants` (G, N) are the constants of each group's tape. The fitted constant p of group g is the number
+    `columns[g, p]` times `multiples[p]`: the same number in all groups where these share it, and at several constants
+    where these do.
     """
 
     constants: FloatArray
@@ -64,7 +65,7 @@ class Sharing:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """D equations on one tape, see `kernels.rates.Tape`; `equations` are the programs that it was made of.
+    """D equations on one tape, see `kernels.rates.Tape`; `equations` are their programs.
 
     `parameters` (N,) numbers the fitted constants; `places` are their nodes, `owners` (P,) their equations. `lower` and
     `upper` (Q,) are bounds on the fitted numbers, None where there are none. With a `sharing` there are more fitted
@@ -118,9 +119,9 @@ class System:
         return replace(self, constants=constants, sharing=replace(self.sharing, constants=own))
 
     def sharing_numbers(self, constants: FloatArray, shared: Collection[SharedNumber], leading: int = 0) -> "System":
-        """Return the system with a number of each group at each constant, but for those that are `shared`.
+        """Return the system with a number of each group at each constant, except at the `shared` ones.
 
-        Where numbers are shared, it begins from the mean of what the constants say.
+        A shared number begins at the mean of its constants, over their multiples.
 
         Args:
             constants: of the nodes, by group (G, N).
@@ -144,8 +145,8 @@ class System:
                 own[:, nodes] = (own[:, nodes] / multiples[places]).mean() * multiples[places]
             columns[:, places] = count if place in together else count + np.arange(groups)[:, None]
             count += 1 if place in together else groups
-        made = replace(self, sharing=Sharing(own, columns, multiples, count))
-        return made.with_values(made.values)
+        system = replace(self, sharing=Sharing(own, columns, multiples, count))
+        return system.with_values(system.values)
 
     def held(self, gradient: FloatArray) -> npt.NDArray[np.bool_] | None:
         """Return which of the fitted numbers (Q,) lie on a bound beyond which `gradient` (Q,) wants to move them.
@@ -177,9 +178,9 @@ class System:
         )  # fmt: skip
 
     def by_place(self, numbers: FloatArray, power: int = 1) -> FloatArray:
-        """Return what belongs to the Q fitted numbers by group and constant (G, P); G is one without groups.
+        """Return values of the Q fitted numbers by group and constant (G, P); G is one without groups.
 
-        Variances grow with the `power` 2 of the multiples.
+        Variances are multiplied by the `power` 2 of the multiples.
         """
         if self.sharing is None:
             return numbers[None]
@@ -192,7 +193,7 @@ class System:
         return replace(self, constants=self.sharing.constants[group], lower=None, upper=None, sharing=None)
 
     def arrays(self) -> Iterator[FloatArray | Ints | None]:
-        """Yield all arrays that decide what a fit of the system gives."""
+        """Yield all arrays on which a fit of the system depends."""
         yield from self.tape
         yield self.lower
         yield self.upper
@@ -216,38 +217,30 @@ def system_of(
 
     Args:
         programs: over `names`, the variables of the dataset.
-        names: what a program's variables are called, by index.
+        names: names of a program's variables, by index.
         variables: the numbers of a point by name: states with an equation first, then inputs.
         fixed: for each program the nodes whose constants are not fitted.
     """
     index = {name: place for place, name in enumerate(variables)}
-    where = [index.get(name, -1) for name in names]
-    code: list[int] = []
-    left: list[int] = []
-    right: list[int] = []
-    parameters: list[int] = []
-    outputs: list[int] = []
-    owners: list[int] = []
-    places: list[int] = []
-    start = 0
-    for equation, program in enumerate(programs):
-        held = fixed[equation] if fixed else ()
-        columns = (program.operators.tolist(), program.left.tolist(), program.right.tolist())
-        for node, (node_code, first, second) in enumerate(zip(*columns, strict=True)):
-            code.append(node_code)
-            is_operator = node_code not in (VARIABLE, CONSTANT)
-            left.append(first + start if is_operator else where[first] if node_code == VARIABLE else 0)
-            right.append(second + start if is_operator else 0)
-            is_fitted = node_code == CONSTANT and node not in held
-            parameters.append(len(places) if is_fitted else -1)
-            if is_fitted:
-                places.append(start + node)
-                owners.append(equation)
-        start += len(program)
-        outputs.append(start - 1)
+    where = np.array([index.get(name, -1) for name in names], np.int64)
+    lengths = [len(program) for program in programs]
+    starts = np.cumsum([0, *lengths[:-1]])
+    shifts, equations = np.repeat(starts, lengths), np.repeat(np.arange(len(programs)), lengths)
+    code, left, right = (
+        np.concatenate([getattr(program, name) for program in programs]).astype(np.int64)
+        for name in ("operators", "left", "right")
+    )
+    is_variable, is_fitted = code == VARIABLE, code == CONSTANT
+    is_operator = ~is_variable & ~is_fitted
+    left = np.where(is_operator, left + shifts, where[np.where(is_variable, left, 0)] * is_variable)
+    right = np.where(is_operator, right + shifts, 0)
+    for start, length, held in zip(starts.tolist(), lengths, fixed, strict=False):
+        is_fitted[[start + node for node in range(length) if node in held]] = False
+    places, parameters = np.flatnonzero(is_fitted), np.full(len(code), -1, np.int64)
+    parameters[places] = np.arange(len(places))
     constants = np.concatenate([program.constants for program in programs])
-    ints = [np.array(numbers, dtype=np.int64) for numbers in (code, left, right, outputs, parameters, owners, places)]
-    return System(tuple(programs), ints[0], ints[1], ints[2], constants, ints[3], ints[4], ints[5], ints[6])
+    outputs = np.cumsum(lengths) - 1
+    return System(tuple(programs), code, left, right, constants, outputs, parameters, equations[places], places)
 
 
 def variable_program(index: int) -> Program:

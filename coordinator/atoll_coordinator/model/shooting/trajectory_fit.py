@@ -1,7 +1,6 @@
-"""A system fitted to measured trajectories, and what its normal equations and sensitivities tell. Pure.
+"""A system fitted to measured trajectories, the covariance of its constants and the growth of its errors. Pure.
 
-`covariance` says how well the constants are determined, `growth_rate` and `speed_growth` how fast errors of a state
-grow. Letters as in `atoll_coordinator.model.shooting.multiple_shooting`.
+Letters as in `atoll_coordinator.model.shooting.multiple_shooting`.
 """
 
 import math

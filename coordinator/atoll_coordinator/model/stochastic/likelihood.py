@@ -1,8 +1,8 @@
 """The likelihood of a sampled process, and the fit of its constants: independent Gaussian steps, or a Kalman smoother.
 
 Without errors of measurement, steps are independent given where they begin (`moments`). With errors e of variance Q
-a step from y = x + e leaves, to first order in the errors, r_k = w_k + e_k+1 - A_k e_k, A_k being the Jacobian of a
-step: all steps together are normal with a covariance that is block tridiagonal,
+the residual of a step from y = x + e is, to first order in the errors, r_k = w_k + e_k+1 - A_k e_k, with the Jacobian
+A_k of a step: all steps together are normal with a covariance that is block tridiagonal,
 
     cov(r_k) = V_k + Q + A_k Q A_k',    cov(r_k, r_k+1) = - Q A_k+1'
 
@@ -36,7 +36,7 @@ _DIFFERENCE = 1e-5
 class ProcessModel:
     """A process: programs of the `drift` (S) and of the components of the diffusion, in the order of their `pairs`.
 
-    `noise` has the variance of the errors of measurement of each state (S); `discretisation` says what a step is.
+    `noise` has the variance of the errors of measurement of each state (S); `discretisation` is how a step is computed.
     """
 
     drift: tuple[Program, ...]
@@ -94,7 +94,7 @@ class Whitened:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A model on the way of a fit, the values of its parameters (K,), and what it leaves."""
+    """A model during a fit, the values of its parameters (K,), and its whitened residuals."""
 
     model: ProcessModel
     values: FloatArray
@@ -103,7 +103,7 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class FittedProcess:
-    """A model with its constants fitted, its `misfit` in nats, and what finds the information of its parameters."""
+    """A model with its constants fitted, its `misfit` in nats, and a function for the information of its parameters."""
 
     model: ProcessModel
     misfit: float
@@ -111,14 +111,15 @@ class FittedProcess:
 
     @cached_property
     def information(self) -> FloatArray:
-        """That information (K, K): it takes two likelihoods for each, and most fits are compared only."""
+        """The information (K, K). It takes two likelihoods for each parameter, and most fits are only compared."""
         return self.inform()
 
     @property
     def covariance(self) -> FloatArray:
-        """The covariance (K, K) of the parameters; of those that the data do not determine it is huge.
+        """The covariance (K, K) of the parameters; huge for parameters that the data do not determine.
 
-        Nothing determines those by which the likelihood has no finite derivative: the model ends next to them.
+        A parameter by which the likelihood has no finite derivative is not determined: the model is defined on one side
+        only.
         """
         known = np.isfinite(np.diag(self.information))
         return inverse(np.where(np.outer(known, known), self.information, 0.0), ridge=1e-12)
@@ -137,7 +138,7 @@ class ProcessLikelihood:
         self._points = steps.points if smoothed is None else np.concatenate([smoothed, steps.points[len(smoothed) :]])
 
     def of_a_step(self, misfit: float) -> float:
-        """Return the mean log-likelihood of a step in nats: that of its density in the units of the states.
+        """Return the mean log-likelihood of a step in nats, by its density in the units of the states.
 
         Args:
             misfit: of all steps, as `Whitened` and `fit` have it.
@@ -156,18 +157,19 @@ class ProcessLikelihood:
         return _independent(self.steps.increments - moments.mean, covariance)
 
     def _with_least_noise(self, covariance: FloatArray) -> FloatArray:
-        """Return covariances (S, S, N) whose variances are at least those of what does not count as noise.
+        """Return covariances (S, S, N) with variances of at least what does not count as noise.
 
-        By the method of Euler and Maruyama states without noise of their own have none: what they leave is rounding.
+        By the method of Euler and Maruyama a state without noise of its own has no variance: its residuals are rounding
+        errors.
         """
         for state, least in enumerate(self.steps.least_variances.tolist()):
             covariance[state, state] = np.maximum(covariance[state, state], least)
         return covariance
 
     def smoothed(self, model: ProcessModel) -> FloatArray:
-        """Return the states (S, N) where steps begin, without the errors of measurement as far as can be told.
+        """Return the states (S, N) where steps begin, without the errors of measurement as far as these are known.
 
-        By a model that no covariance is positive by, nothing can: they stay as they are.
+        With a model whose covariance is not positive they stay as they are.
         """
         from scipy import linalg
 
@@ -213,8 +215,8 @@ class ProcessLikelihood:
     ) -> FittedProcess:
         """Return `model` with the constants of the equations `free` and its noise fitted by damped Fisher scoring.
 
-        The fit ends where a step promises or gains less than `settled`, in nats, and where the misfit is not going to
-        come below `limit`.
+        The fit ends where a step promises or gains less than `settled`, in nats, and where the misfit will not come
+        below `limit`.
         """
         return minimize(_LikelihoodFit(self, model, free, settled, limit))
 
@@ -253,30 +255,24 @@ class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
         self._derivatives = cache(lambda point: likelihood.derivatives(point, free))
 
     def init(self) -> _Point | None:
-        """Return the model as it is, None without a likelihood."""
         return self._begun if math.isfinite(self._begun.whitened.misfit) else None
 
     def equations(self, point: _Point) -> Solver[FloatArray]:
-        """Return the solver for steps of the parameters within their bounds."""
         gradient, information = self._derivatives(point)
         return solver(information, gradient, (self._lower - point.values, self._upper - point.values))
 
     def step(self, point: _Point, step: FloatArray) -> tuple[_Point, float]:
-        """Return the model after a step."""
         model = self._begun.model.with_parameters(self._free, point.values + step)
         moved = _Point(model, point.values + step, self._likelihood.whitened(model))
         return moved, point.whitened.misfit - moved.whitened.misfit
 
     def settled(self, point: _Point) -> float:
-        """Return the nats that do not count."""
         return self._settled
 
     def done(self, point: _Point, promise: float, taken: int) -> bool:
-        """Tell whether the misfit will not come below its limit."""
         return point.whitened.misfit - promise > self._limit
 
     def result(self, point: _Point | None) -> FittedProcess:
-        """Return the fitted model."""
         if point is None:
             count = len(self._begun.values)
             return FittedProcess(self._begun.model, math.inf, lambda: np.zeros((count, count)))

@@ -1,4 +1,4 @@
-"""Ensembles of paths of a fitted process, and the density that they settle into, beside the measurements."""
+"""Ensembles of paths of a fitted process, and their stationary density next to the measured one."""
 
 from typing import Final
 

@@ -1,13 +1,13 @@
-"""Which equations together are the law of a process: one after another exchanged, the shortest description wins.
+"""Which equations together are the law of a process: one after another is exchanged, the shortest description wins.
 
-The description length is that of systems along trajectories (`criteria.system_length`): minus the log-likelihood of
+The description length is the one of systems along trajectories (`criteria.system_length`): minus the log-likelihood of
 all steps, the prices of the programs, and half the logarithm of the number of steps for each constant. Candidates come
-from regression by the model so far, and are fitted by the likelihood, the other equations as they are; then all
-together, and so on until none is exchanged. A covariance of two noises may be zero, and so may a variance: such a
-state follows others without noise of its own, and its equation is an ordinary one.
+from regression by the present model, and are fitted by the likelihood, the other equations as they are; then all are
+fitted together, and so on until none is exchanged. A covariance of two noises may be zero, and so may a variance: such
+a state follows others without noise of its own, and its equation is an ordinary one.
 
-At the end equations are fitted to the rows as steps of Euler and Maruyama's method, as which many tables are made, and
-stand where that is the shorter description.
+At the end equations are fitted to the rows as steps of Euler and Maruyama's method, by which many tables were computed,
+and stand where that is the shorter description.
 """
 
 import math
@@ -33,14 +33,14 @@ from atoll_core.expression.restrictions import Restrictions, restrictions_of
 from atoll_core.expression.writing.expansion import form_of
 
 _ZERO: Final = b"zero"
-"""By what rivals keep the equation that is zero."""
+"""Key of the alternative that is zero."""
 _MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
 """Programs are reduced whose description is longer than the best by at most so many nats (odds of 400)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A program in the place of one equation of a model, its constants fitted, and its description length in nats."""
+    """An alternative for one equation of a model: a program with fitted constants, its description length in nats."""
 
     program: Program
     nats: float
@@ -48,12 +48,12 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class ChosenProcess:
-    """The law of a process: `fitted`, all constants free but those of known equations.
+    """The law of a process: `fitted`, all constants free except in known equations.
 
-    `variables` are the names of the equations in their order, `sought` the numbers of those that were sought, `free` of
-    those that have constants to fit: a covariance of noises may be zero. Each has its `rivals` and keeps to its
-    `restrictions`. With the other discretisation the description is longer by `discretisation_nats`. It
-    `is_stopped` where a limit of time ended the choice.
+    `variables` are the names of the equations in their order; `sought` are the numbers of the equations that were
+    sought, `free` of those with constants to fit: a covariance of noises may be zero. Each equation has its
+    alternatives (`rivals`) and keeps to its `restrictions`. With the other discretisation the description is longer by
+    `discretisation_nats`. The choice `is_stopped` where a limit of time ended it.
     """
 
     process: ProcessRecording
@@ -91,26 +91,18 @@ class ProcessChoice:
         """Return the law of the process."""
         fitted = self._settled(self._with_first_diffusion(self._first_model()), looks_around=True)
         fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._discretised(fitted)
-        rivals = tuple(_of_other_forms(by_structure.values()) for by_structure in self._rivals)
+        rivals = tuple(_of_each_form(by_structure.values()) for by_structure in self._rivals)
         free = self._free(fitted.model)
         return ChosenProcess(
-            self._process,
-            self._variables,
-            self._sought,
-            free,
-            self._likelihood,
-            fitted,
-            rivals,
-            self._restrictions,
-            apart,
-            self._deadline.has_cut_short,
-        )
+            self._process, self._variables, self._sought, free, self._likelihood, fitted, rivals, self._restrictions,
+            apart, self._deadline.has_cut_short,
+        )  # fmt: skip
 
     def _discretised(self, fitted: FittedProcess) -> tuple[FittedProcess, float]:
-        """Return the law by the discretisation with the shorter description, and by how many nats it is that.
+        """Return the law by the discretisation with the shorter description, and by how many nats it is shorter.
 
-        What one discretisation takes for a term of the diffusion, the other may not need: equations are exchanged for
-        both unless the likelihood of the same ones has decided.
+        One discretisation may need a term of the diffusion that the other does not need: equations are exchanged for
+        both unless the likelihood of the same equations has decided.
         """
         stepped = self._as_euler_maruyama(fitted.model)
         if stepped.misfit - fitted.misfit > SETTINGS.inference.distinct_nats:
@@ -130,7 +122,7 @@ class ProcessChoice:
         return system_length(fitted.misfit, programs, constants, constant_nats_of(len(self._steps.lengths)))
 
     def _settled(self, model: ProcessModel, *, looks_around: bool) -> FittedProcess:
-        """Return the model with its equations exchanged until none is; at first also for what is beside the best."""
+        """Return the model with its equations exchanged until none is; neighbours of the best are tried at first."""
         length = math.inf
         for number_of_round in range(SETTINGS.process.rounds):
             before = length
@@ -145,21 +137,20 @@ class ProcessChoice:
     def _as_euler_maruyama(self, model: ProcessModel) -> FittedProcess:
         """Return the same equations, fitted to rows as steps of Euler and Maruyama's method.
 
-        By that a state without noise of its own is moved by the drift alone, whatever variance the model has for it.
+        By this method a state without noise of its own is moved by the drift alone, whatever variance the model has for
+        it.
         """
         model = replace(model, discretisation="Euler-Maruyama")
-        for place, (i, j) in enumerate(model.pairs):
-            if i == j and len(model.drift) + place in self._sought:
-                without, length = self._without(model, len(model.drift) + place)
-                is_better = (
-                    math.isfinite(length)
-                    and self._likelihood.whitened(without).misfit < self._likelihood.whitened(model).misfit
-                )
-                model = without if is_better else model
+        for place, (i, j) in enumerate(model.pairs, start=len(model.drift)):
+            if i == j and place in self._sought:
+                without, length = self._without(model, place)
+                misfits = (self._likelihood.whitened(one).misfit for one in (without, model))
+                if math.isfinite(length) and next(misfits) < next(misfits):
+                    model = without
         return self._likelihood.fit(model, self._free(model))
 
     def _free(self, model: ProcessModel) -> tuple[int, ...]:
-        """Return the numbers of the equations whose constants are fitted: those sought, but for one that is zero."""
+        """Return the numbers of the equations whose constants are fitted: those that are sought and not zero."""
         return tuple(number for number in self._sought if not is_zero(model.programs[number]))
 
     def _first_model(self) -> ProcessModel:
@@ -180,9 +171,9 @@ class ProcessChoice:
         )
 
     def _with_first_diffusion(self, model: ProcessModel) -> ProcessModel:
-        """Return the model with the diffusion that high differences of paths tell whatever the drift is.
+        """Return the model with the diffusion that high differences of paths show whatever the drift is.
 
-        Without it steps would weigh the same wherever they are, and the drift be what the largest of them say.
+        Without it all steps would have the same weight, and the largest steps would decide the drift.
         """
         if any(model.noise):
             return model
@@ -209,9 +200,9 @@ class ProcessChoice:
         return fitted
 
     def _exchanged(self, model: ProcessModel, number: int, *, looks_around: bool) -> tuple[ProcessModel, float]:
-        """Return the model with the best candidate for one equation, itself when there is none better, and its length.
+        """Return the model with the best candidate for one equation, itself when no other is better, and its length.
 
-        That is the length of the steps and of this equation.
+        The length is the one of the steps and of this equation.
         """
         rivals = self._rivals[number] = {}
         name = self._variables[number]
@@ -245,8 +236,8 @@ class ProcessChoice:
     def _without(self, model: ProcessModel, number: int) -> tuple[ProcessModel, float]:
         """Return the model with one component of the diffusion zero, and its length, infinite where it may not be.
 
-        Of a variance, all components of that state are, and its drift is fitted again: where it follows states with
-        noise, their noise is then all that it is uncertain by.
+        With a variance, all components of its state become zero, and the drift is fitted again: where the state follows
+        states with noise, it is then uncertain by their noise alone.
         """
         states = len(model.drift)
         i, j = model.pairs[number - states]
@@ -256,9 +247,11 @@ class ProcessChoice:
                 without = without.with_program(states + place, _constant(0.0)) if i in pair else without
             free = tuple(state for state in (i,) if state in self._sought)
             without = self._likelihood.fit(without, free, SETTINGS.selection.least_gain).model
-        made = [component for component, program in enumerate(without.programs[states:], states)
-                if is_zero(program) and not is_zero(model.programs[component])]  # fmt: skip
-        is_kept = all(self._may_be_zero(component) for component in made)
+        is_kept = all(
+            self._may_be_zero(component)
+            for component, program in enumerate(without.programs[states:], states)
+            if is_zero(program) and not is_zero(model.programs[component])
+        )
         misfit = self._likelihood.whitened(without).misfit if is_kept else math.inf
         return without, self._length(misfit, without.programs[number], 0)
 
@@ -269,7 +262,7 @@ class ProcessChoice:
         return number in self._sought and restrictions.are_kept(zero) and is_within
 
     def _is_of_no_noise(self, model: ProcessModel, number: int) -> bool:
-        """Tell whether an equation is the covariance of noises of which one is none."""
+        """Tell whether an equation is the covariance of two noises of which one is zero."""
         states = len(model.drift)
         if number < states:
             return False
@@ -295,13 +288,15 @@ class ProcessChoice:
     def _taken_in(
         self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, least: float = math.inf
     ) -> tuple[ProcessModel, float]:
-        """Return the model with one equation fitted, and its description length, which the rivals keep.
+        """Return the model with one equation fitted, and its description length, which is kept with the alternatives.
 
-        It is fitted less well when it is not going to come near the length `least`.
+        It is fitted less well when it will not come near the length `least`.
         """
-        program = self._admitted(model.programs[number], number)
+        restrictions = self._restrictions[number]
+        program = restrictions.admitted(model.programs[number])
         if program is None:
             return model, math.inf
+        program = program if restrictions.bounds is None else restrictions.bounds.clipped(program)
         model = model.with_program(number, program)
         limit = least + 2.0 * _MARGIN - self._length(0.0, program, len(constant_places(program)))
         fitted = self._likelihood.fit(model, (number,), SETTINGS.selection.least_gain, limit)
@@ -309,12 +304,6 @@ class ProcessChoice:
         nats = self._length(fitted.misfit, program, len(constant_places(program)))
         rivals[structure(program)] = Rival(program, nats)
         return fitted.model, nats
-
-    def _admitted(self, program: Program, number: int) -> Program | None:
-        """Return a program as the restrictions of an equation admit it, constants within their bounds; None: not."""
-        restrictions = self._restrictions[number]
-        admitted = restrictions.admitted(program)
-        return admitted if admitted is None or restrictions.bounds is None else restrictions.bounds.clipped(admitted)
 
     def _length(self, misfit: float, program: Program, constants: int) -> float:
         return system_length(misfit, [program], constants, constant_nats_of(len(self._steps.lengths)))
@@ -330,8 +319,8 @@ def _constant(value: float) -> Program:
     return builder.program(builder.build(value))
 
 
-def _of_other_forms(rivals: Iterable[Rival]) -> list[Rival]:
-    """Return the best of each form: the same equation with other constants is no rival."""
+def _of_each_form(rivals: Iterable[Rival]) -> list[Rival]:
+    """Return the best of each form: the same equation with other constants is no alternative."""
     best: dict[Hashable, Rival] = {}
     for rival in sorted(rivals, key=lambda rival: rival.nats):
         best.setdefault(form_of(rival.program), rival)

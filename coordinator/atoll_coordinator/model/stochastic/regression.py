@@ -22,8 +22,8 @@ import numpy as np
 from atoll_coordinator.data.increments import Steps, all_windows, lagged, products, split_into_bins
 from atoll_coordinator.model.criteria import constant_nats_of, structure_length, system_length
 from atoll_coordinator.model.deadline import Deadline
+from atoll_coordinator.model.regression.equation import FrontCandidate, Shortening
 from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.shortening import Candidate, Shortening
 from atoll_coordinator.model.sparse.elimination import eliminated
 from atoll_coordinator.model.sparse.products import libraries, sum_of_products, values_of_products
 from atoll_coordinator.model.stochastic.likelihood import ProcessModel
@@ -95,12 +95,10 @@ class CandidateFinder:
         sums = _sparse_sums(weighted, columns) if {ADD, MULTIPLY} <= operators else []
         restrictions = restrictions_of(self.config, self.variables[number], self.names)
         least_squares = LeastSquares(weighted.problem, weighted.weights, restrictions)
-        shortening = Shortening(
-            weighted.problem, operators, columns, least_squares, self.deadline, has_simple_numbers=False
-        )
+        shortening = Shortening(weighted.problem, operators, columns, least_squares, self.deadline)
         nats = constant_nats_of(len(self.steps.lengths))
 
-        def length(candidate: Candidate) -> float:
+        def length(candidate: FrontCandidate) -> float:
             """Return the description length as the likelihood would have it, but for the misfit."""
             program, misfit = candidate.fitted.program, shortening.criterion.misfit(candidate.fitted.mse)
             return system_length(misfit, [program], len(constant_places(program)), nats)

@@ -146,8 +146,8 @@ def test_a_program_costs_its_nodes_and_each_further_use():
     assert program_length(parsed("x + y")) == pytest.approx(3 * math.log(8.0))
     assert program_length(parsed("x + x*y")) == pytest.approx(4 * math.log(8.0) + SETTINGS.criterion.common)
     criterion = RegressionCriterion(100, 0.04)
-    expected = criterion.misfit(0.09) + 3 * math.log(8.0) + 7.5
-    assert criterion.length(0.09, parsed("x + y"), 7.5) == pytest.approx(expected)
+    expected = criterion.misfit(0.09) + 5 * math.log(8.0) + constant_nats_of(100)
+    assert criterion.length(0.09, parsed("x + 2.5*y")) == pytest.approx(expected)
 
 
 def test_the_misfit_of_a_regression_is_that_of_gaussian_errors_of_the_least_variance_or_more():

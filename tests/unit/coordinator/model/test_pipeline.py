@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.criteria import RegressionCriterion
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool, decode_members
 from atoll_coordinator.model.refinement import Refined
-from atoll_coordinator.model.regression import shortening as shorten
-from atoll_coordinator.model.regression.covariance import description_length, student_95
+from atoll_coordinator.model.regression import equation as shorten
+from atoll_coordinator.model.regression.covariance import student_95
 from atoll_coordinator.model.regression.equation import fit_equation
-from atoll_coordinator.model.regression.fit import LeastSquares
-from atoll_coordinator.model.regression.rounding import round_constants
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, SpaceConfig
 from atoll_core.expression.program import Program
 from atoll_core.expression.writing.expansion import form_of
@@ -238,13 +235,6 @@ def test_the_work_is_bounded(monkeypatch):
         assert shortening.candidates([Program.from_bytes(entry.program, 2) for entry in front])
         spent.append(shortening.least_squares.evaluations)
     assert spent[0] < 0.5 * spent[1]
-
-
-def test_a_snapped_model_is_never_longer():
-    sought = problem(lotka, 0.1)
-    criterion, least_squares = RegressionCriterion.of(sought.target), LeastSquares(sought)
-    fitted = least_squares.fit(parsed("2.9*x - 2.0*x*y - x*x"))
-    assert round_constants(fitted, criterion, least_squares).length <= description_length(fitted, criterion)
 
 
 def test_operators_and_variables_of_one_equation_hold_for_its_refinement():

@@ -46,7 +46,7 @@ def innovate(segments: Ints, steps: FloatArray, residuals: FloatArray, weights: 
         residuals: of one state, (N,).
         weights: inverse variances of its rows, (N,), up to sigma; of zero: the row is left out.
         share: of the variance that goes together, in [0, 1].
-        decay: correlation of that of rows one median step apart, in [0, 1).
+        decay: correlation of this share between rows one median step apart, in [0, 1).
         sums: what is written.
         whitened: what is written, too, unless it is empty: the innovations (N,) over the roots of their variance, as
             residuals of these weights, 0 in rows that are left out.

@@ -1,4 +1,4 @@
-"""Integrate a system of equations with its sensitivities, and sum up what a fit to measured states needs.
+"""Integrate a system of equations with its sensitivities, along segments of rows.
 
 A system stands on a tape, see `kernels.rates`. Letters: D states with an equation, U inputs, Z = D + U numbers of a
 point, P fitted constants, Q = P + D columns of sensitivities (constants, then the initial state), N rows of all

@@ -1,4 +1,4 @@
-"""Sum up what a fit needs of sensitivities and residuals, and solve for its step, block by block.
+"""The normal equations of a fit, summed up from sensitivities and residuals, and their solution, block by block.
 
 Letters as in `kernels.integrate`: P fitted constants, D states, G segments, N rows, O measured states; L = D + K
 numbers belong to one segment alone, its initial state and K offsets. The matrix of the normal equations has an arrow's

@@ -94,11 +94,11 @@ def _base_log(a: float, v: float) -> float:
 
 
 _OPERATORS: Final = definitions(Functions(_sin, _cos, _exp, _log, _sqrt, abs, _tanh, _power, _sign, _base_log))
-"""The operators by the C library's functions, which take less time than those of the search."""
+"""The operators by the C library's functions, which take less time than the search's."""
 
 
 def _pulled(partial: Partial) -> Any:
-    """Return what an adjoint `g` adds to that of an argument: a function of g, both arguments and the value."""
+    """Return the share of an adjoint `g` that goes to an argument: a function of g, both arguments and the value."""
     sign = partial.sign
     carried = inlined(lambda g, a, b, v: sign * g)
     for factor in partial.factors:

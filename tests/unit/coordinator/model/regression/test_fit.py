@@ -7,8 +7,8 @@ import pytest
 
 from atoll_coordinator.model.criteria import RegressionCriterion, program_length
 from atoll_coordinator.model.pools import decode_members
-from atoll_coordinator.model.regression.covariance import description_length, estimate_constants, standard_errors
-from atoll_coordinator.model.regression.equation import _spread, _spread_weights, fit_equation
+from atoll_coordinator.model.regression.covariance import estimate_constants, standard_errors
+from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_core.config import JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
@@ -76,7 +76,7 @@ def test_a_hopeless_fit_is_given_up_early():
 def test_a_program_without_a_finite_value_stays_and_has_infinite_error():
     fitted = LeastSquares(problem(truth)).fit(parsed("2.0*log(y)"))
     assert fitted.mse == math.inf
-    assert description_length(fitted, RegressionCriterion.of(problem(truth).target)) == math.inf
+    assert RegressionCriterion.of(problem(truth).target).length(fitted.mse, fitted.program) == math.inf
 
 
 def test_constants_that_the_data_cannot_tell_apart_have_large_errors():
@@ -158,8 +158,9 @@ def test_an_equation_of_given_targets_keeps_its_bounds():
 def test_rows_that_are_compared_are_not_in_step_with_a_period():
     """Of 6,000 rows with three to a period, every third one would be the same point."""
     phases = np.tile([1.0, 2.0, 4.0], 2000)
-    sought = _spread(Problem(("x",), phases[None], Target("y", "y", 3.0 * phases, 0.0, 1.0)), 2000)
+    problem = Problem(("x",), phases[None], Target("y", "y", 3.0 * phases, 0.0, 1.0))
+    spread = WeighedRows(problem, phases).spread(2000)
+    sought = spread.problem
     assert set(sought.inputs[0]) == {1.0, 2.0, 4.0}
     assert sought.target.values.tolist() == (3.0 * sought.inputs[0]).tolist()
-    weights = _spread_weights(phases, 2000)
-    np.testing.assert_allclose(weights, sought.inputs[0] / sought.inputs[0].mean())
+    np.testing.assert_allclose(spread.weights, sought.inputs[0] / sought.inputs[0].mean())

@@ -5,15 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.criteria import RegressionCriterion
-from atoll_coordinator.model.regression import rounding
-from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.rounding import Estimates, decisions, round_constants
-from atoll_coordinator.model.regression.simple_numbers import continuum_density, simple_numbers
+from atoll_coordinator.model.regression.rounding import Estimates, continuum_density, decisions, simple_numbers
 from atoll_coordinator.settings import SETTINGS
-from atoll_core.data.dataset import Problem, Target
-from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.text.parsing import from_infix
 
 ODDS = math.exp(SETTINGS.inference.distinct_nats)
 
@@ -108,14 +101,6 @@ def test_the_probability_of_any_number_is_that_of_the_simple_ones_of_its_decade(
         assert continuum == pytest.approx(simple, rel=0.25)
 
 
-def test_a_simple_number_with_which_there_is_no_finite_value_is_not_taken():
-    program = from_infix("1.2*exp(709.0*x)", ("x",))
-    problem = Problem(("x",), np.linspace(0.0, 1.0, 5)[None], Target("x", "dx/dt", np.zeros(5), 0.0, 1.0))
-    fitted = Fitted(program, 1.0, np.diag([1e9, 4.0]), np.zeros(2))
-    kept = round_constants(fitted, RegressionCriterion(5, 1e-12), LeastSquares(problem))
-    assert np.all(np.isfinite(values_of(kept.program, problem.inputs)))
-
-
 def test_simple_numbers_speak_for_each_other_and_estimates_against_one_that_is_alone():
     """Any share of simple constants is as likely before the data: of 0.5 alone the odds are those of the data."""
     others = [(4.0003, 5e-4), (1.0002, 3e-4), (3.001, 2e-3)], [(4.1357, 5e-4), (1.0283, 3e-4), (3.0713, 2e-3)]
@@ -181,16 +166,6 @@ def test_no_number_is_near_an_estimate_that_overflows(mean):
     with np.errstate(all="ignore"):  # as in the processes that refine
         considered = decisions(np.array([2.0, mean]), np.diag([1e-6, 1.0]))
     assert {index for decision in considered for index, _ in decision.numbers} == {0}
-
-
-def test_what_is_considered_of_constants_is_weighed_once_for_all_digits(monkeypatch):
-    weighed = []
-    monkeypatch.setattr(rounding, "decisions", lambda *given, **how: weighed.append(given) or decisions(*given, **how))
-    estimates = Estimates(np.array([0.79314, 3.0012]), np.diag([0.0031, 0.003]) ** 2)
-    values = [estimates.rounded(digits).values.tolist() for digits in (2, 3, 5)]
-    assert values == [[0.7931, 3.0], [0.79314, 3.0], [0.79314, 3.0]]
-    assert estimates.rounded(2, estimates=(1,)).values.tolist() == [0.7931, 3.0012]
-    assert len(weighed) == 1
 
 
 def test_decisions_that_go_on_are_those_of_most_nats_whatever_their_order():

@@ -5,16 +5,15 @@ import sys
 
 import pytest
 
-from atoll_coordinator.model.regression.simple_numbers import (
+from atoll_coordinator.model.regression.rounding import (
     continuum_density,
-    fitted_length,
     number_length,
     simple_numbers,
 )
 
 
 def nearest(value: float, error: float) -> float:
-    """The number that an error of so much would be round_constants to."""
+    """Return the most probable number near a value with this error."""
     priced = {
         number: length + 0.5 * ((number - value) / error) ** 2
         for number, length in simple_numbers(value, error).items()
@@ -62,20 +61,29 @@ def test_fewer_digits_are_shorter():
     assert lengths == sorted(lengths)
 
 
-def test_a_fitted_constant_is_longer_the_better_it_is_known_and_than_the_decimal_it_needs():
-    lengths = [fitted_length(3.14159, 10.0**-digits) for digits in range(1, 12)]
-    assert lengths == sorted(lengths)
-    assert all(fitted_length(3.14159, error) > number_length(314) for error in (0.01, 0.006))
-
-
-def test_an_error_larger_than_the_constant_leaves_its_sign_only():
-    assert fitted_length(0.5, 100.0) == fitted_length(0.5, 0.5)
-    assert fitted_length(0.0, 0.0) == 0.0
-
-
 @pytest.mark.parametrize("value", [sys.float_info.max, 1e308, -3e307, 1e-307, -5e-324])
 def test_the_largest_and_the_smallest_numbers_have_lengths_and_densities(value):
     error = max(1e-3 * abs(value), 5e-324)
     assert all(math.isfinite(value) for number in simple_numbers(value, error).items() for value in number)
-    assert math.isfinite(fitted_length(value, error))
     assert continuum_density(value) > 0.0
+
+
+def shortest(value: float, error: float) -> float:
+    simple = simple_numbers(value, error)
+    return min(simple, key=simple.__getitem__)
+
+
+@pytest.mark.parametrize("multiple", [math.pi, math.pi / 2.0, -math.pi / 6.0, 2.0 * math.pi, 4.0 * math.pi / 3.0])
+def test_what_is_known_to_three_digits_may_be_a_multiple_of_pi(multiple: float) -> None:
+    assert shortest(multiple * 1.0001, abs(multiple) * 2e-4) == pytest.approx(multiple, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "simple"), [(3.0, 0.1, 3.0), (3.1, 0.02, 3.1), (1.5, 0.05, 1.5), (0.5, 0.02, 0.5)]
+)
+def test_short_decimals_stay_what_they_are(value: float, error: float, simple: float) -> None:
+    assert shortest(value, error) == simple
+
+
+def test_a_number_far_from_every_multiple_is_none() -> None:
+    assert all(number / math.pi * 12.0 % 1.0 > 1e-9 for number in simple_numbers(2.0, 1e-3))

@@ -5,11 +5,11 @@ import pytest
 
 from atoll_coordinator.model.pools import Member
 from atoll_coordinator.model.regression.equation import fit_equation
-from atoll_coordinator.model.regression.simple_numbers import continuum_density, fitted_length, simple_numbers
+from atoll_coordinator.model.regression.rounding import continuum_density, simple_numbers
 from atoll_core.config import JobConfig, SpaceConfig
 from atoll_core.data.dataset import Problem, Target
-from atoll_core.expression.program import structure
 from atoll_core.expression.text.parsing import from_infix
+from atoll_core.expression.writing.expansion import form_of
 
 UNITS = [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-6)]
 SUMS = JobConfig(space=SpaceConfig(operators=("+", "-", "*")))
@@ -25,12 +25,12 @@ def chosen(of_x, of_y):
     slope, bend, offset = 0.7 * of_y / of_x, 0.03 * of_y / of_x**2, 0.2 * of_y
     texts = (f"{slope!r}*x", f"{slope!r}*x + {offset!r}", f"{slope!r}*x + {offset!r} + {bend!r}*x*x")
     front = [Member(from_infix(text, ("x",)), of_y, of_y * of_y) for text in texts]
-    return structure(fit_equation(problem, SUMS, front).program)
+    return form_of(fit_equation(problem, SUMS, front).program)
 
 
 @pytest.mark.slow
 def test_the_same_equation_is_chosen_in_other_units():
-    """Before, x in other units had its square left out: each constant was longer by 6 ln 3."""
+    """It may be written in another way: its writings are equally long."""
     here = chosen(1.0, 1.0)
     assert all(chosen(*units) == here for units in UNITS)
 
@@ -38,7 +38,6 @@ def test_the_same_equation_is_chosen_in_other_units():
 @pytest.mark.parametrize("unit", [1e-6, 1e-3, 1e6, 1e12])
 @pytest.mark.parametrize(("value", "error"), [(0.3312, 0.003), (12.0001, 1.1e-4), (2.5, 0.3), (1.5707963, 1e-6)])
 def test_numbers_are_as_long_in_any_unit(value, error, unit):
-    assert fitted_length(value * unit, error * unit) == pytest.approx(fitted_length(value, error))
     assert continuum_density(value * unit) * unit == pytest.approx(continuum_density(value))
     here, there = simple_numbers(value, error), simple_numbers(value * unit, error * unit)
     assert sorted(here.values()) == pytest.approx(sorted(there.values()))
