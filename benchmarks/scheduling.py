@@ -206,7 +206,7 @@ class Play:
             self.queue.validate()
         except AssertionError as error:
             self.wrong.append(f"{error} at {self.now:.1f} s")
-        served = {entry.principal for entry in self.queue._holders()}
+        served = {entry.user for entry in self.queue._holders()}
         for user, own in self._own.items():
             if user in served or all(job in self._paused for job in own):
                 self._wants_since.pop(user, None)

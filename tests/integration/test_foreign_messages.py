@@ -10,7 +10,7 @@ import pytest
 from atoll.client.client import Client
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.service.tasks.background import Dependencies
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.wire import topics
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router

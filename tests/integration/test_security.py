@@ -14,7 +14,7 @@ from atoll.cli.verbs.serve import upstream_settings
 from atoll.client.client import Client, connected
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.service.tasks.background import Dependencies
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.errors import RefusedError, UnreachableError
 from atoll_core.wire import topics

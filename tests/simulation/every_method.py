@@ -8,58 +8,26 @@ minute each. `test_breakages.py` has those that matter most.
 """
 
 import argparse
-import importlib
-import inspect
 import logging
-import pkgutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-import atoll_coordinator.service
+import pytest
+
 from atoll.terminal.output import say
-from atoll_coordinator.service.job_controller import JobController
-from atoll_coordinator.service.monitoring.breakages import Breakages
-from atoll_coordinator.service.requests.dispatch import RequestDispatcher
-from atoll_coordinator.service.service_loop import Service
-from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.workers.channel import WorkerChannel
-from atoll_coordinator.service.workers.scheduling import Scheduler
 from atoll_core.errors import AtollError
 from tests.simulation.harness import stub_islands
 from tests.simulation.harness.schedule_run import hurried
 from tests.simulation.harness.simulated_cluster import World
-from tests.simulation.test_breakages import assert_it_goes_on, assert_others_go_on, broken_for, broken_once
-
-LEFT_OUT = {
-    (Breakages, "tolerated"),  # it is what holds the others
-    (Service, "start"),  # before the loop begins
-    (Service, "step"),
-    (WorkerChannel, "take_pull"),  # one look into a dict; without it nobody knows whose answer came
-}
-LEFT_OUT_ALWAYS = {
-    (JobController, "guarded"),  # what ends a job over which something breaks, and what does nothing but call that
-    (JobController, "_change"),
-    (JobController, "_advance_checkpoint"),
-    (RequestDispatcher, "_answer"),
-    (RequestDispatcher, "_tell_worker"),
-    (JobController, "_end_broken"),
-    (JobController, "_end_without_job"),
-    (Scheduler, "plan"),  # is called with all jobs
-    (Store, "job"),
-    (Store, "commit_result"),
-}
-
-
-def methods() -> Iterator[tuple[type, str]]:
-    """Yield every method of the service but `validate`, which only the simulation calls."""
-    room = atoll_coordinator.service
-    for module in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
-        if module.name.endswith("child_main"):  # the main program of another process
-            continue
-        for owner in vars(importlib.import_module(module.name)).values():
-            if inspect.isclass(owner) and owner.__module__ == module.name:
-                names = [name for name, method in vars(owner).items() if inspect.isfunction(method)]
-                yield from ((owner, name) for name in names if not name.startswith("__") and name != "validate")
+from tests.simulation.test_breakages import (
+    LEFT_OUT,
+    LEFT_OUT_ALWAYS,
+    assert_it_goes_on,
+    assert_others_go_on,
+    broken_for,
+    broken_once,
+    methods,
+)
 
 
 def why_wrong(owner: type, name: str, is_always: bool) -> str | None:
@@ -68,7 +36,7 @@ def why_wrong(owner: type, name: str, is_always: bool) -> str | None:
     try:
         with broken_for(owner, name, "first") if is_always else broken_once(owner, name) as calls:
             (assert_others_go_on if is_always else assert_it_goes_on)(world, calls)
-    except (AssertionError, AtollError, ZeroDivisionError) as error:
+    except (AssertionError, AtollError, ZeroDivisionError, pytest.skip.Exception) as error:
         return f"{type(error).__name__}: {error}"[:300] if calls else None
     finally:
         world.close()

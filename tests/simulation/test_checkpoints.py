@@ -14,7 +14,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Event, Message, Query
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.workers import Close, Control, Placements, WorkerStatus
-from tests.simulation.bus.fault_plan import Partition, Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import StubIsland
@@ -109,52 +109,12 @@ def test_after_the_loss_of_a_worker_the_search_goes_on_from_the_last_commit(epoc
         assert all(epoch > 0 for _, epoch in restored(world))
 
 
-@pytest.mark.slow
-def test_a_worker_that_dies_while_its_states_are_pulled_does_not_change_the_answer() -> None:
-    """Among so many moments there are those between snapshot, question, answer and commit."""
-    for step in range(6):
-        world = world_of(workers=2, seed=3, plan=Plan(delay_s=(0.005, 0.02)))
-        when(
-            world,
-            lambda world=world: any(
-                equation.snapshots for equation in world.workers["w1"].session.assignment_statuses()
-            ),  # type: ignore[misc]
-            lambda world=world, step=step: world.at(world.network.now + 0.004 * step, lambda: world.crash("w1")),  # type: ignore[misc]
-        )
-        assert comparable(world.run(config(3))) == undisturbed(3)
-
-
-@pytest.mark.slow
-def test_lost_and_late_answers_with_states_do_not_change_the_answer() -> None:
-    plan = Plan(drop=0.1, duplicate=0.1, late=0.1, partitions=(Partition("w2", 2.0, 3.5),))
-    for seed in range(3):
-        world = world_of(workers=3, seed=seed, plan=plan)
-        world.at(2.5 + 0.2 * seed, lambda world=world: world.crash("w0"))  # type: ignore[misc]
-        world.at(3.0, lambda world=world: world.start_worker("w3", slowness=9.0))  # type: ignore[misc]
-        assert comparable(world.run(config(seed))) == undisturbed(seed)
-
-
 def test_states_that_are_larger_than_a_message_come_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("atoll_core.wire.state_pieces.split_states.__defaults__", (25,))  # a state has 40 bytes
     world = world_of(workers=3, seed=2)
     when(world, lambda: last_commit(world) > 0, lambda: crash_one(world))
     assert comparable(world.run(config(2))) == undisturbed(2)
     assert restored(world)
-
-
-def test_a_worker_killed_again_and_again_never_brings_the_search_back_to_the_start() -> None:
-    world = world_of(workers=2, seed=2)
-
-    def kill(number: int) -> None:
-        world.crash(f"w{number}")
-        world.at(world.network.now + 0.3, lambda: world.start_worker(f"w{number + 1}", slowness=5.0))
-        if number < 5:
-            world.at(world.network.now + 2.5, lambda: kill(number + 1))
-
-    world.at(2.0, lambda: kill(1))
-    assert comparable(world.run(config(2))) == undisturbed(2)
-    epochs = [epoch for _, epoch in sorted(world.computes["w0"].restored[i][:2] for i in range(2))]
-    assert all(epoch > 0 for epoch in epochs)
 
 
 def test_no_checkpoint_is_taken_of_a_search_that_ends_before_it() -> None:
@@ -174,55 +134,6 @@ def test_a_checkpoint_is_taken_of_a_search_that_goes_on_after_it() -> None:
 
 
 # --------------------------------------------------------------------------------- coordinator and store
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("at_s", [1.4, 2.2])
-def test_a_restarted_coordinator_goes_on_from_the_last_commit(lasting: World, tmp_path: Path, at_s: float) -> None:
-    lasting.submit(config())
-    lasting.at(lasting.network.now + at_s, lambda: restart(lasting, tmp_path))
-    assert lasting.finish().state == "done"
-    assert comparable(lasting.result()) == undisturbed()
-    assert restored(lasting)
-    assert all(epoch > 0 for _, epoch in restored(lasting))
-    assert lasting.store.checkpoints("job") == {}
-
-
-@pytest.mark.slow
-def test_coordinator_and_a_worker_may_die_together(lasting: World, tmp_path: Path) -> None:
-    lasting.submit(config())
-
-    def both() -> None:
-        lasting.crash("w0")
-        restart(lasting, tmp_path)
-
-    lasting.at(lasting.network.now + 2.5, both)
-    assert lasting.finish().state == "done"
-    assert comparable(lasting.result()) == undisturbed()
-    assert len({epoch for _, epoch in restored(lasting)}) <= 2
-
-
-@pytest.mark.parametrize("side", ["before", "after"])
-def test_a_coordinator_may_die_on_either_side_of_a_commit(lasting: World, tmp_path: Path, side: str) -> None:
-    lasting.submit(config())
-    store, commit = lasting.store, lasting.store.commit_checkpoint
-    dead: list[int] = []
-
-    def dies(*arguments: object, **more: object) -> bool:
-        epoch = arguments[2]
-        if dead or epoch == 8:
-            return commit(*arguments, **more)  # type: ignore[arg-type]
-        if side == "after":
-            commit(*arguments, **more)  # type: ignore[arg-type]
-        dead.append(epoch)  # type: ignore[arg-type]
-        lasting.network.crash("coordinator")
-        lasting.at(lasting.network.now + 0.5, lambda: restart(lasting, tmp_path))
-        return True
-
-    store.commit_checkpoint = dies  # type: ignore[method-assign, assignment]
-    assert lasting.finish().state == "done"
-    assert comparable(lasting.result()) == undisturbed()
-    assert {epoch for _, epoch in restored(lasting)} >= {dead[0]} if side == "after" else {8}
 
 
 @pytest.mark.slow
@@ -411,14 +322,6 @@ def test_only_the_workers_of_a_held_archipelago_are_told_to_close_it() -> None:
     assert not any(isinstance(body, Close) for body in told)
 
 
-def test_a_worker_with_nothing_to_hand_over_is_let_go_at_once() -> None:
-    world = world_of(workers=1)
-    world.network.run(2.0)
-    world.workers["w0"].leave()
-    world.network.run(3.0)
-    assert world.workers["w0"].exit_code == 0
-
-
 def test_a_worker_that_is_not_let_go_ends_when_its_grace_is_over() -> None:
     world = world_of(workers=1)
     world.submit(config(max_epochs=10_000))
@@ -444,35 +347,12 @@ def test_a_worker_that_leaves_does_not_wait_long_for_a_coordinator_that_has_gone
 
 
 @pytest.mark.slow
-def test_a_worker_that_comes_later_takes_part_from_a_checkpoint_on() -> None:
-    world = world_of(workers=1, seed=1)
-    world.at(6.5, lambda: world.start_worker("late", slowness=5.0))
-    calm = world_of(workers=1, seed=1).run(config(max_epochs=80))
-    assert comparable(world.run(config(max_epochs=80))) == comparable(calm)
-    assert world.computes["late"].turns > 0
-    assert turns(world) == 2 * SLICES + HELD
-    assert {term for term, _ in restored(world)} == {2}
-
-
-@pytest.mark.slow
 def test_planned_changes_are_rare() -> None:
     world = World(workers=1, seed=1, slowness=20.0)
     for number in range(2):
         world.at(6.5 + 4.0 * number, lambda number=number: world.start_worker(f"late{number}", slowness=20.0))  # type: ignore[misc]
     world.run(config(max_epochs=200), "x")
     assert {term for term, _ in restored(world)} == {2, 3}
-
-
-@pytest.mark.slow
-def test_workers_that_come_and_go_do_not_change_the_answer() -> None:
-    for seed in range(3):
-        world = world_of(workers=2, seed=seed, plan=Plan(drop=0.03, late=0.05))
-        world.at(2.0 + 0.1 * seed, lambda world=world: world.workers["w0"].leave())  # type: ignore[misc]
-        world.at(2.5, lambda world=world: world.start_worker("w2", slowness=5.0))  # type: ignore[misc]
-        world.at(4.0, lambda world=world: world.workers["w1"].leave())  # type: ignore[misc]
-        world.at(4.2, lambda world=world: world.crash("w2"))  # type: ignore[misc]
-        world.at(4.4, lambda world=world: world.start_worker("w3", slowness=5.0))  # type: ignore[misc]
-        assert comparable(world.run(config(seed))) == undisturbed(seed)
 
 
 # ---------------------------------------------------------------------------------------------- damage

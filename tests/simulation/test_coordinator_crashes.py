@@ -8,7 +8,7 @@ import pytest
 
 from atoll_coordinator.service.jobs.job import Job, JobAction
 from atoll_coordinator.service.service_loop import Service
-from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.service.tasks.background import Dependencies
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Query

@@ -11,13 +11,12 @@ from atoll.client.follower import Subscription
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.result.result import Account, build_result
 from atoll_coordinator.service.jobs.job import Job
-from atoll_coordinator.service.monitoring.drafts import Draft
-from atoll_coordinator.service.monitoring.views import ended_view, outcomes_of
-from atoll_coordinator.service.requests import deferred
+from atoll_coordinator.service.monitoring.job_views import Draft, ended_view, outcomes_of
+from atoll_coordinator.service.requests import waiting
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.service.tasks.background import Dependencies
 from atoll_core.errors import AtollError, RefusedError
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, comparable
@@ -116,16 +115,8 @@ def test_whoever_cancels_is_answered_when_that_lasts(world: Held) -> None:
     asked_at = world.network.now
     world.at(asked_at + 1.0, world.release)
     assert world.client.cancel("job").state == "cancelled"
-    assert 1.0 <= world.network.now - asked_at < deferred.PATIENCE_S
+    assert 1.0 <= world.network.now - asked_at < waiting.PATIENCE_S
     assert len(world.service._deferred) == 0
-
-
-def test_the_result_of_a_job_that_ends_is_waited_for(world: Held) -> None:
-    world.search()
-    world.is_held = True
-    world.client.cancel("job")
-    world.at(world.network.now + 1.0, world.release)
-    assert world.client.result("job")["state"] == "cancelled"
 
 
 def test_while_its_result_is_composed_a_job_is_neither_changed_nor_deleted(world: Held) -> None:
@@ -165,23 +156,6 @@ def test_who_follows_is_told_of_the_end_once_it_lasts(world: Held) -> None:
         change = following.wait(1.0)
         assert change is not None
         states += [change.view.state] if change.view is not None else []
-
-
-def test_a_coordinator_that_is_killed_before_goes_on_with_the_job(world: Held) -> None:
-    world.search()
-    world.is_held = True
-    assert world.client.cancel("job").state == "running"
-    world.restart()
-    assert world.client.status("job").state == "running"
-    assert world.client.cancel_and_wait("job").state == "cancelled"
-    assert all(equation["expression"] for equation in world.result()["equations"])
-
-
-def test_who_waits_for_the_end_has_it_from_the_coordinator_after_that(world: Held) -> None:
-    world.search()
-    world.is_held = True
-    world.at(world.network.now + 4.0, world.restart)
-    assert world.client.cancel_and_wait("job").state == "cancelled"
 
 
 @pytest.mark.parametrize("is_killed", [False, True])
@@ -300,10 +274,10 @@ def test_the_result_of_a_job_that_is_searched_is_composed_once_for_all_who_ask(
 
 
 def test_no_more_questions_wait_than_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(deferred, "MAX_DEFERRED", 1)
-    questions: deferred.DeferredQuestions[int] = deferred.DeferredQuestions()
-    assert questions.add(1, deferred.NotYetError("job", is_final=True), 0.0)
-    assert not questions.add(2, deferred.NotYetError("job", is_final=True), 0.0)
+    monkeypatch.setattr(waiting, "MAX_DEFERRED", 1)
+    questions: waiting.DeferredQuestions[int] = waiting.DeferredQuestions()
+    assert questions.add(1, waiting.NotYetError("job", is_final=True), 0.0)
+    assert not questions.add(2, waiting.NotYetError("job", is_final=True), 0.0)
     assert questions.take_overdue(1e9) == []
     assert questions.take("job", is_final=False) == []
     assert questions.take("job", is_final=True) == [1]

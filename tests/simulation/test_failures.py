@@ -11,19 +11,14 @@ from atoll_core.errors import DataError, RefusedError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Reply
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import Submit
 from atoll_core.wire.messages.epochs import Block, EpochReport, IslandFinished, IslandReport, Mail, Migrants
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.workers import (
     AssignmentStatus,
-    Control,
     IslandFailure,
-    Shutdown,
     WorkerStatus,
 )
-from tests.placements import placements_in
-from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import OURS
@@ -41,19 +36,6 @@ def undisturbed(seed: int = 1) -> str:
 # -------------------------------------------------------------------------------------------- workers
 
 
-def test_a_job_without_workers_waits_and_says_so() -> None:
-    world = World(workers=0)
-    world.submit(config())
-    world.client.pause(5.0)
-    view = world.client.status("job")
-    assert view.state == "preparing"
-    assert view.reason is not None
-    assert "waits for a worker" in view.reason
-    world.start_worker("late")
-    assert world.finish().state == "done"
-    assert comparable(world.result()) == undisturbed()
-
-
 def test_a_job_whose_workers_all_die_waits_for_another_and_says_so() -> None:
     world = World(workers=2)
     world.at(1.2, lambda: [world.crash(name) for name in ("w0", "w1")])
@@ -63,14 +45,6 @@ def test_a_job_whose_workers_all_die_waits_for_another_and_says_so() -> None:
     assert {view.state for view in world.client.workers()} == {"lost"}
     world.start_worker("late")
     world.finish()
-    assert comparable(world.result()) == undisturbed()
-
-
-def test_a_worker_that_hangs_is_lost_although_its_presence_is_still_shown() -> None:
-    world = World(workers=2)
-    world.at(1.2, lambda: world.network._buses["w1"].handle_with(lambda event: None))
-    world.submit(config())
-    assert world.finish().state == "done"
     assert comparable(world.result()) == undisturbed()
 
 
@@ -93,13 +67,6 @@ def test_two_workers_that_disagree_fail_the_job_as_diverged_and_are_both_named()
     assert (view.state, view.fault) == ("failed", "diverged")
     assert "w0" in (view.reason or "")
     assert "liar" in (view.reason or "")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("warm_up_s", [0.0, 0.002, 0.004, 30.0])
-def test_kernels_may_be_ready_at_any_time(warm_up_s: float) -> None:
-    world = World(workers=2, warm_up_s=warm_up_s)
-    assert comparable(world.run(config())) == undisturbed()
 
 
 def test_a_second_worker_of_the_same_name_is_refused_and_told_which_option_to_use() -> None:
@@ -184,38 +151,7 @@ def test_a_worker_without_work_stays_as_long_as_the_coordinator_behind_a_router(
     assert world.finish().state == "done"
 
 
-def test_a_worker_ends_with_0_when_the_coordinator_says_it_ends() -> None:
-    world = World(workers=2)
-    world.network.run(2.0)
-    workers = list(world.workers.values())
-    bus = world.network._buses["coordinator"]
-    bus.put(topics.control(world.store.cluster), encode(Control(body=Shutdown(sentence="over"))))
-    world.network.run(3.0)
-    assert [worker.exit_code for worker in workers] == [0, 0]
-
-
 # ----------------------------------------------------------------------------------------- coordinator
-
-
-def test_a_coordinator_that_dies_and_returns_gives_the_same_answer(tmp_path: Path) -> None:
-    world = World(workers=2)
-    world.network.crash("coordinator")
-    world.store = Store.open(tmp_path)
-    world.service = world.start_service()
-    world.submit(config())
-
-    def restart() -> None:
-        world.network.crash("coordinator")
-        world.store.close()
-        world.store = Store.open(tmp_path)
-        world.service = world.start_service()
-
-    world.at(world.network.now + 1.0, restart)
-    assert world.finish().state == "done"
-    assert comparable(world.result()) == undisturbed()
-    terms = {term for term, _ in placements_in(world.store, "job").values()}
-    assert min(terms) >= 2
-    world.close()
 
 
 def test_ended_jobs_are_still_known_after_a_restart(tmp_path: Path) -> None:
@@ -266,13 +202,6 @@ def test_a_job_whose_table_has_gone_fails_and_the_others_go_on(monkeypatch: pyte
     view = world.finish("first")
     assert (view.state, view.reason) == ("failed", "its table is missing or damaged in the store; submit it again")
     assert world.finish("second").state == "done"
-
-
-def test_unknown_jobs_are_refused() -> None:
-    world = World(workers=0)
-    for question in (world.client.status, world.client.result, world.client.cancel):
-        with pytest.raises(RefusedError, match="no job"):
-            question("nothing")
 
 
 def test_epochs_for_a_variable_that_is_not_sought_fail_the_job_as_a_data_error() -> None:
@@ -385,16 +314,3 @@ def test_a_worker_of_another_version_is_refused_with_both_versions_named(changes
     for said in (f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}", str(*changes.values())):
         assert said in refusal.sentence
     assert not world.client.workers()
-
-
-def test_a_submission_lost_on_the_way_is_repeated_without_harm() -> None:
-    world = World(workers=2, seed=7, plan=Plan(drop=0.12))
-    assert comparable(world.run(config())) == undisturbed()
-    assert len(world.client.jobs()) == 1
-
-
-def test_submit_by_hand_answers_with_the_job() -> None:
-    world = World(workers=1)
-    table = world.client.upload(b"x")
-    submit = Submit(job="j-1", name="by hand", config=config(), table=table)
-    assert world.client.submit(submit.job, submit.name, submit.config, submit.table).name == "by hand"

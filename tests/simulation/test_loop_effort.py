@@ -19,11 +19,10 @@ import pytest
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.model.regression import errors
-from atoll_coordinator.service.monitoring.views import ended_view
+from atoll_coordinator.service.monitoring.job_views import ended_view
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.jobs import JobRecord
-from atoll_coordinator.service.tasks.dependencies import Dependencies
-from atoll_coordinator.service.tasks.outcomes import PreparationFailed
+from atoll_coordinator.service.tasks.background import Dependencies, PreparationFailed
 from atoll_coordinator.tasks.refining import Refiner
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, FloatArray, Target

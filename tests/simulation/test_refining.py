@@ -4,7 +4,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.pools import Pools
 from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.result.equations import Constant
-from atoll_coordinator.service.monitoring.views import ended_view
+from atoll_coordinator.service.monitoring.job_views import ended_view
 from atoll_core.config import BudgetConfig, JobConfig
 from atoll_core.expression.text.parsing import from_infix
 from tests.simulation.harness.simulated_cluster import World

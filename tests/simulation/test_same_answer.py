@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from atoll_coordinator.model.sparse import laws
-from tests.placements import placements_in
-from tests.simulation.bus.fault_plan import Partition, Plan
+from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, comparable
 
@@ -56,66 +55,6 @@ def test_a_job_of_many_variables_has_one_answer_on_any_number_of_workers() -> No
 
 
 @pytest.mark.slow
-def test_waiting_for_the_expected_workers_does_not_change_the_answer() -> None:
-    for seed in SEEDS:
-        world = World(workers=3, seed=seed, expected=3)
-        assert answer(world, seed) == undisturbed(seed)
-        assert {term for term, _ in placements_in(world.store, "job").values()} == {1}
-
-
-@pytest.mark.slow
-def test_late_messages_do_not_change_the_answer() -> None:
-    plan = Plan(delay_s=(0.0002, 0.05), late=0.2, late_s=(0.1, 3.0))
-    for seed in SEEDS:
-        assert answer(World(workers=3, seed=seed, plan=plan), seed) == undisturbed(seed)
-
-
-@pytest.mark.slow
-def test_lost_and_doubled_messages_do_not_change_the_answer() -> None:
-    plan = Plan(drop=0.08, duplicate=0.2, late=0.05)
-    for seed in SEEDS:
-        assert answer(World(workers=3, seed=seed, plan=plan), seed) == undisturbed(seed)
-
-
-@pytest.mark.parametrize("at_s", [0.9, 1.8, *(pytest.param(at_s, marks=pytest.mark.slow) for at_s in (0.3, 1.3))])
-def test_a_worker_that_dies_does_not_change_the_answer(at_s: float) -> None:
-    for seed in FEW_SEEDS:
-        world = World(workers=3, seed=seed)
-        world.at(at_s, lambda world=world: world.crash("w1"))  # type: ignore[misc]
-        assert answer(world, seed) == undisturbed(seed)
-
-
-@pytest.mark.slow
-def test_a_worker_that_dies_and_comes_back_at_once_under_its_name_does_not_change_the_answer() -> None:
-    def restart(world: World) -> None:
-        world.crash("w1")
-        world.at(world.network.now + 0.1, lambda: world.start_worker("w1"))
-
-    for seed in SEEDS:
-        world = World(workers=2, seed=seed)
-        world.at(1.2, lambda world=world: restart(world))  # type: ignore[misc]
-        assert answer(world, seed) == undisturbed(seed)
-
-
-@pytest.mark.slow
-def test_a_worker_that_joins_late_does_not_change_the_answer() -> None:
-    for seed in SEEDS:
-        world = World(workers=1, seed=seed)
-        world.at(0.8, lambda world=world: world.start_worker("late"))  # type: ignore[misc]
-        assert answer(world, seed) == undisturbed(seed)
-
-
-@pytest.mark.slow
-def test_all_of_it_together_does_not_change_the_answer() -> None:
-    for seed in range(12):
-        plan = Plan(drop=0.03, duplicate=0.05, late=0.05, partitions=(Partition("w2", 1.0, 4.0),))
-        world = World(workers=3, seed=seed, plan=plan)
-        world.at(1.0 + 0.04 * seed, lambda world=world: world.crash("w0"))  # type: ignore[misc]
-        world.at(1.5, lambda world=world: world.start_worker("w3", slowness=3.0))  # type: ignore[misc]
-        assert answer(world, seed % 8) == undisturbed(seed % 8)
-
-
-@pytest.mark.slow
 def test_settled_equations_leave_the_workers_to_the_others_whatever_happens(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -154,15 +93,6 @@ def test_max_time_cuts_at_complete_epochs_and_can_be_repeated() -> None:
     epochs = {equation["variable"]: equation["epoch"] for equation in timed["equations"]}
     again = World(workers=1, seed=9).run(config(4, max_epochs_of=epochs))
     assert again["digest"] == timed["digest"]
-
-
-def test_two_jobs_at_once_do_not_disturb_each_other() -> None:
-    world = World(workers=3, seed=3)
-    world.submit(config(1), job="first")
-    world.submit(config(2), job="second")
-    assert world.finish("first").state == world.finish("second").state == "done"
-    assert comparable(world.result("first")) == undisturbed(1)
-    assert comparable(world.result("second")) == undisturbed(2)
 
 
 @pytest.mark.slow

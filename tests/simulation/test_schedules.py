@@ -160,7 +160,7 @@ def test_a_task_that_meets_something_is_done_all_the_same(
 ) -> None:
     """That of preparing, of which a second failure would be the job's; and helpers of refining get batches."""
     # Else a thread would take the place of the only helper.
-    monkeypatch.setattr("atoll_coordinator.service.tasks.dispatch.MOST_THREADS", 1)
+    monkeypatch.setattr("atoll_coordinator.service.tasks.task_table.MOST_THREADS", 1)
     run = ScheduleRun(disturbed(Fault(0.0, kind, "", 15.0, 1.0)))
     outcome = run.play()
     assert not outcome.wrong, told(outcome)

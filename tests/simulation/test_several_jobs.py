@@ -48,18 +48,6 @@ def raise_the_dead(world: World, **options: object) -> None:
 
 
 @pytest.mark.slow
-def test_eight_jobs_at_once_on_two_workers_all_end_as_they_do_alone() -> None:
-    world = World(workers=2)
-    for seed in range(8):
-        world.submit(config(seed), job=f"job{seed}", priority=seed % 3 - 1)
-    waiting = [view.reason or "" for view in world.client.jobs() if view.state == "queued"]
-    assert any("jobs before it" in reason for reason in waiting)
-    assert [world.finish(f"job{seed}").state for seed in range(8)] == ["done"] * 8
-    for seed in range(8):
-        assert comparable(world.result(f"job{seed}")) == alone(seed)
-
-
-@pytest.mark.slow
 def test_a_job_of_higher_priority_is_taken_up_first_and_gets_the_larger_share() -> None:
     def evaluations(priority: int) -> tuple[int, int]:
         world = World(workers=1)
@@ -124,16 +112,6 @@ def test_workers_that_only_lost_their_connection_make_nobody_suspect() -> None:
     assert "isolated" not in kinds(world, "job")
 
 
-@pytest.mark.slow
-def test_many_workers_that_die_at_once_count_as_one_death() -> None:
-    world = World(workers=6)
-    world.submit(config(1, max_epochs=40))
-    for name in [f"w{index}" for index in range(5)]:
-        world.at(1.2, partial(world.crash, name))
-    assert world.finish().state == "done"
-    assert "isolated" not in kinds(world, "job")
-
-
 def test_a_worker_whose_computation_hangs_is_lost_although_its_heartbeats_come() -> None:
     world = World(workers=1)
     world.start_worker("stuck", hangs=("job", 3))
@@ -187,20 +165,6 @@ def test_work_that_is_slower_than_the_lease_gets_on_and_is_not_taken_for_poison(
     assert world.finish(limit_s=20_000.0).state == "done"
     assert 1 <= kinds(world).count("worker-lost") <= 3
     assert "isolated" not in kinds(world)
-
-
-def test_a_worker_that_leaves_on_request_makes_nobody_suspect() -> None:
-    world = World(workers=1)
-    world.submit(config(1, max_epochs=30), variables=ENDLESS)
-    for number in range(4):
-        world.start_worker(f"next{number}")
-        world.client.pause(1.0)
-        leaver = ("w0", "next0", "next1", "next2")[number]
-        world.workers[leaver].leave()
-        world.client.pause(1.0)
-    assert world.finish().state == "done"
-    assert {"isolated", "pardoned"}.isdisjoint(kinds(world, "job"))
-    assert world.client.status("job").counters.deaths == 0
 
 
 def test_a_stranger_who_makes_up_what_it_holds_fills_no_memory() -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from atoll_core.errors import LocalProtocolError
-from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
+from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Presence, Query, Reply, Timer
 from tests.simulation.bus.fault_plan import Crash, Partition, Plan
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
@@ -52,29 +52,6 @@ def test_the_same_seed_is_the_same_history_and_another_seed_another() -> None:
     assert history(3) != history(4)
 
 
-def test_handlers_are_called_in_the_order_of_virtual_time() -> None:
-    times = [time for time, _, _ in history(0)]
-    assert times == sorted(times)
-    assert len(times) > 100
-
-
-@pytest.mark.parametrize(("drop", "low", "high"), [(0.0, 1000, 1000), (0.3, 620, 780), (1.0, 0, 0)])
-def test_puts_are_dropped_as_often_as_planned(drop: float, low: int, high: int) -> None:
-    _, one, two = pair(Plan(drop=drop))
-    two.subscribe("x")
-    for _ in range(1000):
-        one.put("x", b"")
-    assert low <= len(everything(two)) <= high
-
-
-def test_puts_are_duplicated_as_often_as_planned() -> None:
-    _, one, two = pair(Plan(duplicate=0.5))
-    two.subscribe("x")
-    for _ in range(1000):
-        one.put("x", b"")
-    assert 1400 <= len(everything(two)) <= 1600
-
-
 def test_puts_on_one_key_stay_in_order_however_late_some_are() -> None:
     _, one, two = pair(Plan(late=0.3))
     two.subscribe("*")
@@ -84,13 +61,6 @@ def test_puts_on_one_key_stay_in_order_however_late_some_are() -> None:
     for parity, key in enumerate("xy"):
         assert [int(event.payload) for event in events if event.key == key] == list(range(parity, 300, 2))
     assert [int(event.payload) for event in events] != list(range(300))
-
-
-def test_a_lost_question_ends_at_its_timeout() -> None:
-    _, one, two = pair(Plan(drop=1.0))
-    two.serve("x")
-    token = one.get("x", timeout_s=3.0)
-    assert everything(one, until_s=3.0) == [Reply(token, None)]
 
 
 def test_who_is_cut_off_neither_sends_nor_receives_and_both_sides_are_told() -> None:
@@ -141,57 +111,6 @@ def test_when_the_router_crashes_every_client_is_told_and_told_again_when_it_is_
         network.disconnect("router")
 
 
-def test_a_handler_gets_first_what_was_waiting() -> None:
-    network, one, _ = pair(Plan())
-    one.post("a")
-    network.run(1.0)
-    heard: list[Event] = []
-    one.handle_with(heard.append)
-    one.post("b")
-    network.run(2.0)
-    assert heard == [Posted("a"), Posted("b")]
-    with pytest.raises(LocalProtocolError, match="cannot receive"):
-        one.receive(1.0)
-
-
-def test_run_stops_when_done() -> None:
-    network, one, _ = pair(Plan())
-    heard: list[Event] = []
-    one.handle_with(heard.append)
-    for delay in (1.0, 2.0, 3.0):
-        one.call_later(delay, f"{delay}")
-    assert network.run(10.0, done=lambda: len(heard) == 2)
-    assert network.now == 2.0
-    assert not network.run(10.0, done=lambda: len(heard) == 4)
-    assert network.now == 10.0
-
-
-def test_participants_that_never_come_to_rest_are_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.simulation.bus.network._MOST_AT_ONE_INSTANT", 100)
-    network, one, _ = pair(Plan())
-    one.handle_with(lambda event: one.post("again"))
-    one.post("begin")
-    with pytest.raises(LocalProtocolError, match="busy without end"):
-        network.run(1.0)
-
-
-def test_two_participants_cannot_bear_one_name() -> None:
-    network, _, _ = pair(Plan())
-    with pytest.raises(LocalProtocolError, match="already has"):
-        network.bus("one")
-
-
-def test_an_answer_given_twice_comes_once() -> None:
-    _, one, two = pair(Plan())
-    two.serve("q")
-    token = one.get("q", b"?", timeout_s=1.0)
-    query = two.receive(1.0)
-    assert isinstance(query, Query)
-    two.reply(query, b"1")
-    two.reply(query, b"2")
-    assert everything(one) == [Reply(token, b"1")]
-
-
 def test_it_is_a_bus() -> None:
     bus: Bus = SimulatedNetwork().bus("one")
     assert bus.now() == 0.0
@@ -218,22 +137,6 @@ def test_who_hangs_takes_in_later_what_has_come_and_a_line_that_is_given_up_carr
     ]  # fmt: skip
     assert heard_two[-1][1] == Message("x", b"heard")
     assert heard_one == [Presence("alive/two", present) for present in (True, False, True)]
-
-
-def test_a_short_hang_costs_nothing_but_time() -> None:
-    network, one, two = pair(Plan(lease_s=2.0))
-    two.subscribe("x")
-    heard: list[tuple[float, Event]] = []
-    two.handle_with(lambda event: heard.append((network.now, event)))
-    network.hang("two")
-    network.hang("two")
-    one.put("x", b"1")
-    network.at(1.0, lambda: network.resume("two"))
-    network.at(1.0, lambda: network.resume("two"))
-    network.at(1.5, lambda: network.hang("two"))
-    network.at(3.0, lambda: network.resume("two"))
-    network.run(8.0)
-    assert heard == [(1.0, Message("x", b"1"))]
 
 
 def test_a_router_that_hangs_holds_what_passes_it_and_is_given_up_by_all() -> None:
@@ -269,25 +172,6 @@ def test_a_router_that_dies_takes_all_links_with_it_until_another_comes() -> Non
     network.run(3.0)
     assert heard == [Link(False), Link(True), Message("x", b"heard")]
     assert network.participants == ("one", "two", "router")
-
-
-def test_who_is_busy_answers_later_and_in_order() -> None:
-    network, one, two = pair(Plan(delay_s=(0.0, 0.0)))
-    two.subscribe("x")
-    one.subscribe("y")
-    heard: list[tuple[float, bytes]] = []
-
-    def work(event: Event) -> None:
-        assert isinstance(event, Message)
-        two.spend(1.0)
-        two.put("y", event.payload)
-
-    two.handle_with(work)
-    one.handle_with(lambda event: heard.append((network.now, event.payload)))  # type: ignore[union-attr]
-    for number in b"123":
-        one.put("x", bytes([number]))
-    network.run(5.0)
-    assert heard == [(1.0, b"1"), (2.0, b"2"), (3.0, b"3")]
 
 
 def test_what_a_participant_said_in_its_last_moments_may_be_lost() -> None:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from atoll_coordinator.service.workers.worker_logs import BURST
+from atoll_coordinator.service.monitoring.event_log import BURST
 from atoll_core.wire import topics
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.views import EventView
@@ -80,7 +80,7 @@ def test_a_flood_of_lines_is_bounded_and_said(world: World) -> None:
     world.client.pause(1.0)
     told = lines(world, "job")
     assert len(told) - before <= BURST + 20
-    assert any("were too many" in event.text for event in world.client.events(None, 0, 1000, of_workers=True))
+    assert any("exceeded the limit" in event.text for event in world.client.events(None, 0, 1000, of_workers=True))
     assert world.service._worker_logs.dropped >= 20 * MAX_LINES - BURST - 100
     kinds = {event.event for event in world.client.events("job", 0, 1000)}
     assert {"submitted", "done"} <= kinds

@@ -15,9 +15,9 @@ WALL_CLOCKS = {
 
 FOR_PEOPLE = {
     "common/atoll_core/logs.py": {"_time"},
-    "common/atoll_core/wire/security/credentials.py": {"_check_dates"},
+    "common/atoll_core/wire/security/credentials.py": {"load"},
     "coordinator/atoll/cli/doctor.py": {"_greeted", "check_certificates"},
-    "coordinator/atoll_coordinator/service/tasks/dependencies.py": {"iso_now"},
+    "coordinator/atoll_coordinator/service/tasks/background.py": {"iso_now"},
     "island_worker/atoll_island_worker/job_logs.py": {"line_of"},
 }
 """Functions that ask for the time of day, by file: what they return is shown and stored, and decides about no job. The

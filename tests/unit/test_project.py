@@ -15,7 +15,7 @@ import pytest
 import atoll
 from atoll.cli import exit_codes as exits
 from atoll.cli import options as arguments
-from atoll_coordinator.service.jobs.stagnation import STAGNATION_CLEAN, STAGNATION_GIVEN, STAGNATION_NOISY
+from atoll_coordinator.service.jobs.job import STAGNATION_CLEAN, STAGNATION_GIVEN, STAGNATION_NOISY
 from atoll_core.config import PRESETS
 from atoll_island_worker import cli as worker_cli
 from tests.unit import documents

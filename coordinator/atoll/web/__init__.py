@@ -1,15 +1,9 @@
-"""The service in a browser, and over HTTP: a client of a coordinator like any other, in a process of its own.
+"""The service in a browser, and over HTTP: a client of a coordinator, in a process of its own that can end at any time.
 
-- `server`: addresses, tokens, TLS, uvicorn; `application`: what is answered where, and the middleware
-- `access`: who may look and who may change something; `problems`: errors as RFC 9457 has them
-- `gateway`: questions to the coordinator from threads; `feed`: what happens, told to all pages from one subscription
-- `connections`: limits of time and number that uvicorn lacks
-- `api`: the resources; `options`: those of a job
-- `temporary`: folders of what was sent, also those that a killed process has left
-- `reading`: files, read by `reading_process` in forks with limits; there `submission`: what is made of a file
-- `description`: the API as OpenAPI describes it, in ``openapi.json``
-- `progress`: equations, fronts and convergence as pages draw them; `simulation`: curves beside what was measured
-- ``static``: the page
-
-Nothing here is needed by a search: this process can end at any time.
+- `server`: the application, addresses, users, TLS, uvicorn; `access`: hosts, origins and tokens
+- `api`: the operations; `operations`: how they are declared; `description`: OpenAPI made of the declarations
+- `problems`: errors as RFC 9457 has them; `connections`: limits of time and number that uvicorn lacks
+- `gateway`: questions to the coordinator from threads; `feed`: events and changes for all pages
+- `reading`: files that are sent, read by `reading_process` in forks with limits; there `submission`
+- `options`: options of a job as pages send them; `pictures`: what pages draw; ``static``: the page
 """

@@ -1,8 +1,8 @@
-"""Who may ask: allowed hosts, origins of pages, bearer tokens. One ASGI middleware before everything else.
+"""Access to the web process: allowed hosts, origins of pages, bearer tokens. One ASGI middleware before all others.
 
-Nothing of any job is answered without a token, unless programs of this machine may look (``--look-without-token``).
-Cookies are not used, so that no other page can act with a browser's credentials; what comes from another site is
-refused all the same, questions too, which may cost the coordinator seconds.
+Requests about jobs need a token, unless programs of this machine may look (``--look-without-token``). Cookies are not
+used, so that no other page can act with a browser's credentials. Requests from pages of other sites are refused all
+the same, also those that change nothing, which may cost the coordinator seconds.
 """
 
 import hashlib
@@ -28,10 +28,10 @@ SAFE: Final = ("GET", "HEAD")
 LOCAL_HOSTS: Final = ("localhost", "127.0.0.1", "[::1]")
 
 _OPEN: Final = ("/", "/static/", "/api/v1/openapi.json", "/api/v1/version", "/api/v1/session", "/api/v1/health")
-"""What is answered to everybody: nothing of any job."""
+"""Paths without any information on jobs, which need no token."""
 
 _ONCE: Final = ("authorization", "host", "origin", "sec-fetch-site")
-"""Headers that decide what may be asked."""
+"""Headers that decide on access, allowed once each."""
 
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -50,10 +50,10 @@ _HEADERS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Access:
-    """What may be asked, and as whom.
+    """Which requests are allowed, and as which user.
 
-    `gateways` are those of the tokens, by their SHA-256, each as one user of the coordinator; `viewer` is whose jobs
-    are shown without a token, None: nobody's. `hosts` are names under which the process may be addressed.
+    `gateways` has a gateway (one user of the coordinator) for the SHA-256 of each token; `viewer` is the one whose jobs
+    are shown without a token (None: no jobs are). `hosts` are the names under which the process may be addressed.
     """
 
     gateways: Mapping[str, Gateway]
@@ -61,7 +61,7 @@ class Access:
     hosts: Sequence[str]
 
     def gateway_of(self, authorization: str) -> Gateway | None:
-        """Return the gateway of a bearer token; None where there is no such token."""
+        """Return the gateway of a bearer token; None for an unknown one."""
         scheme, _, token = authorization.partition(" ")
         if scheme.lower() != "bearer":
             return None
@@ -73,8 +73,8 @@ class Access:
         """Return why a request is refused; None: it is not."""
         twice = next((name for name in _ONCE if len(headers.getlist(name)) > 1), None)
         if twice is not None or ("transfer-encoding" in headers and "content-length" in headers):
-            sentence = f"a request has one {twice}" if twice else "a body has one length, told or in chunks"
-            return Problem(400, sentence + "; what is between us may have read another", {"connection": "close"})
+            sentence = f"a request has one {twice}" if twice else "a body has one length, announced or in chunks"
+            return Problem(400, sentence + "; a proxy may have read another one", {"connection": "close"})
         host = _name(headers.get("host", ""))
         if host not in self.hosts:
             return Problem(421, f"this process is not called {host!r}; start it with --allow-host {host or 'NAME'}")
@@ -83,7 +83,9 @@ class Access:
         authorization = headers.get("authorization")
         if authorization is not None and self.gateway_of(authorization) is None:
             return _unauthorized_problem("the token is not known; take the address that coordinator web has printed")
-        if authorization is None and (method not in SAFE or (self.viewer is None and not _is_open(path))):
+        if authorization is None and (
+            method not in SAFE or (self.viewer is None and not (path in _OPEN or path.startswith("/static/")))
+        ):
             return _unauthorized_problem("this needs a token; take the address that coordinator web has printed")
         return None
 
@@ -94,10 +96,7 @@ def digest_of(token: str) -> str:
 
 
 def token_of(environment: Mapping[str, str] = os.environ) -> str:
-    """Return the token that the environment gives, or one that is made up.
-
-    Raises UsageError for one that is short, or has characters that no header takes.
-    """
+    """Return the token of the environment, or a random one; raises UsageError for one unfit for a header, or short."""
     token = environment.get(TOKEN)
     if token is None:
         return secrets.token_urlsafe(24)
@@ -108,13 +107,13 @@ def token_of(environment: Mapping[str, str] = os.environ) -> str:
 
 
 def gateway_of(request: Request) -> Gateway:
-    """Return the gateway of whoever asks; requests without one have been refused."""
+    """Return the gateway of the user who sent a request; requests without one have been refused."""
     gateway: Gateway = request.scope["gateway"]
     return gateway
 
 
 class AccessMiddleware:
-    """Refuses what may not be asked, and gives every answer the headers that browsers are told to be strict by."""
+    """Refuses requests that are not allowed, and adds headers that make browsers strict to every answer."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app = app
@@ -141,10 +140,6 @@ class AccessMiddleware:
         await (problem or self._app)(scope, receive, send_with_headers)
 
 
-def _is_open(path: str) -> bool:
-    return path in _OPEN or path.startswith("/static/")
-
-
 def _name(host: str) -> str:
     """Return the name in a Host header, without the port."""
     name, colon, port = host.lower().rpartition(":")
@@ -152,9 +147,9 @@ def _name(host: str) -> str:
 
 
 def _is_foreign(headers: Headers) -> bool:
-    """Tell whether a browser says that a page of another origin asks.
+    """Return whether the headers name a page of another origin.
 
-    Where it says nothing of sites, names are compared without ports, which proxies may change.
+    Without `sec-fetch-site`, names are compared without ports, which proxies may change.
     """
     site = headers.get("sec-fetch-site")
     if site is not None:

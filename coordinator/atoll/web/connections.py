@@ -1,7 +1,7 @@
-"""Connections of uvicorn with limits of time and number, so that clients that are slow, or many, cost others nothing.
+"""Connections of uvicorn with limits of time and number, so that slow or many clients do not hold up others.
 
-A connection on which no whole request comes, or whose answer is not read, is closed in time. Where there are too many,
-the one goes that has waited longest for a request; where all are at work, the newest is told to come later.
+A connection without a complete request, or whose answer is not read, is closed after a time. When there are too many,
+the one is closed that has waited longest for a request; when all are busy, the newest is refused.
 """
 
 import asyncio
@@ -13,10 +13,10 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from atoll.web.problems import Problem
 
 WAIT_S: Final = 30.0
-"""How long a request may take to begin and to have all its headers, on a new connection or one that is kept."""
+"""How long a request may take to begin and to send all headers, on a new or a kept connection."""
 
 STALLED_S: Final = 30.0
-"""How long a client may take nothing of what waits for it: at least 64 kB, and what the system keeps."""
+"""How long a client may read nothing while at least 64 kB wait for it."""
 
 MOST: Final = 4_096
 """Connections at most: a browser opens six for a page."""
@@ -29,13 +29,13 @@ _FULL: Final = Problem(
 
 
 def most_connections() -> int:
-    """Return how many connections there may be: half of the files that may be open; questions need others."""
+    """Return the limit of connections: at most half of the open files allowed, as requests need others."""
     soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return MOST if soft == resource.RLIM_INFINITY else min(MOST, soft // 2)
 
 
 def allow_open_files() -> None:
-    """Let this process open as many files as its connections need, where the system does."""
+    """Raise the limit of open files as far as connections need it and the system allows it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = 2 * MOST if hard == resource.RLIM_INFINITY else min(2 * MOST, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
@@ -46,13 +46,13 @@ class Connection(H11Protocol):
     """One connection."""
 
     idle: ClassVar[dict["Connection", None]] = {}
-    """Those that wait for a request, the longest first."""
+    """Connections that wait for a request, the longest first."""
 
     _timer: asyncio.TimerHandle | None = None
     _stall: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take in a new connection, and let another one go where there are too many."""
+        """Register a new connection; close another one if there are too many."""
         super().connection_made(transport)
         if len(self.connections) > most_connections():
             if not self.idle:
@@ -62,25 +62,25 @@ class Connection(H11Protocol):
         self._wait()
 
     def data_received(self, data: bytes) -> None:
-        """Take in what has come."""
+        """Process received bytes."""
         super().data_received(data)
         if self.cycle is not None and not self.cycle.response_complete:
             self._wait_no_more()
 
     def on_response_complete(self) -> None:
-        """Wait for the next request, which may be there already."""
+        """Wait for the next request, which may have arrived already."""
         self._wait()
         super().on_response_complete()
         if not self.cycle.response_complete:
             self._wait_no_more()
 
     def pause_writing(self) -> None:
-        """Have a client that takes nothing end."""
+        """Start the time limit of a client that reads nothing."""
         super().pause_writing()
         self._stall = self.loop.call_later(STALLED_S, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """Go on."""
+        """Stop the time limit."""
         super().resume_writing()
         if self._stall is not None:
             self._stall.cancel()
@@ -104,11 +104,11 @@ class Connection(H11Protocol):
             self._timer = None
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse what is no request; where an answer is under way, nothing can be said."""
+        """Refuse an invalid request; while an answer is being sent, without a sentence."""
         self._refuse(_INVALID if self.cycle is None or self.cycle.response_complete else None)
 
     def _end(self) -> None:
-        """Close the connection, with an answer where a request has begun."""
+        """Close the connection, with an answer if a request has begun."""
         self._refuse(_LATE if self.conn.trailing_data[0] else None)
 
     def _refuse(self, problem: Problem | None) -> None:
@@ -117,5 +117,5 @@ class Connection(H11Protocol):
             head = "".join(f"{name.decode()}: {value.decode()}\r\n" for name, value in problem.raw_headers)
             self.transport.write(f"HTTP/1.1 {problem.status_code} \r\n{head}\r\n".encode() + bytes(problem.body))
         self.transport.close()
-        if self._stall is None:  # what is not taken shall not keep it open
+        if self._stall is None:  # an answer that is not read must not keep it open
             self._stall = self.loop.call_later(STALLED_S, self.transport.abort)

@@ -1,7 +1,7 @@
-"""What happens at a coordinator, sent to any number of pages: one subscription, and one look a second at open jobs.
+"""Sends the events and job views of a coordinator to any number of pages, as server-sent events.
 
-Events come from the subscription and have numbers, by which a page resumes. How jobs stand is looked up, once for all
-pages, while a page listens: messages say what has changed of a view.
+Events come from one subscription and have numbers, by which a page resumes. Views of open jobs are requested once a
+second for all pages, while a page listens; messages hold the fields that have changed.
 """
 
 import asyncio
@@ -26,19 +26,19 @@ from atoll_core.wire.messages.views import FINAL_STATES, EventView, JobView
 _LOG = logging.getLogger("coordinator.web")
 
 LOOK_S: Final = 1.0
-"""How often open jobs are looked at, while somebody listens."""
+"""Interval of requests for the views of open jobs, while a page listens."""
 
 KEEP_ALIVE_S: Final = 10.0
-"""A proxy shall not take a quiet stream for a dead one."""
+"""Interval of comments on a quiet stream, so that no proxy closes it."""
 
 MAX_BEHIND: Final = 2_000
-"""Messages that wait for a slow page; beyond it the stream ends, and the page resumes where it was."""
+"""Messages that wait for a slow page; with more the stream ends, and the page resumes where it was."""
 
 MAX_LISTENERS: Final = 2_000
-"""Pages that listen, of all users; one user has at most half of what others leave."""
+"""Pages that listen, of all users; one user has at most half of the remaining number."""
 
 PAGE: Final = 200
-"""Events that are asked for at a time."""
+"""Events per request."""
 
 _WAIT_S: Final = 0.5
 _AGAIN_S: Final = 1.0
@@ -46,7 +46,7 @@ _AGAIN_S: Final = 1.0
 
 @dataclass(frozen=True)
 class Message:
-    """A message of the stream; `number` is that of the event, if it is one, `job` whose it is."""
+    """A message of the stream, about `job`; `number` is the number of the event, if it is one."""
 
     kind: str
     data: str
@@ -55,20 +55,20 @@ class Message:
 
     @cached_property
     def text(self) -> str:
-        """It as server-sent events have it, made once for all pages; JSON has no line breaks."""
+        """The server-sent event, made once for all pages; JSON has no line breaks."""
         identifier = f"id: {self.number}\n" if self.number is not None else ""
         return f"event: {self.kind}\n{identifier}data: {self.data}\n\n"
 
 
 @dataclass(eq=False)
 class _Listener:
-    """A page that listens to these `jobs`, None: to all."""
+    """A page that listens to `jobs` (None: to all)."""
 
     jobs: frozenset[str] | None
     queue: asyncio.Queue[Message] = field(default_factory=lambda: asyncio.Queue(MAX_BEHIND))
     is_behind: bool = False
 
-    def tell(self, message: Message) -> None:
+    def put(self, message: Message) -> None:
         if self.jobs is not None and message.kind != "connection" and message.job not in self.jobs:
             return
         try:
@@ -78,10 +78,10 @@ class _Listener:
 
 
 class Feed:
-    """All pages of one principal. Its thread and its task run while somebody listens, and a little longer."""
+    """All pages of one user. Its thread and its task start with the first page."""
 
     def __init__(self, gateway: Gateway, changed: Callable[[str], object] = lambda job: None) -> None:
-        """`changed` is called with each job whose state is another."""
+        """`changed` is called with each job whose state has changed."""
         self._gateway = gateway
         self._changed = changed
         self._listeners: set[_Listener] = set()
@@ -89,7 +89,7 @@ class Feed:
         self._touched: set[str] = set()
         self._connection = Message("connection", _encode({"connected": True, "reason": ""}))
         self._last: int | None = None
-        self._told: int | None = None
+        self._newest: int | None = None
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._looking: asyncio.Task[None] | None = None
@@ -100,9 +100,9 @@ class Feed:
         return len(self._listeners)
 
     async def listen(self, jobs: Collection[str] | None, after: int | None) -> AsyncIterator[str]:
-        """Yield what happens to these jobs, or to all (None), from behind the event of that number on, or from now on.
+        """Yield server-sent events of these jobs, or of all (None): after event number `after`, or from now on.
 
-        How the jobs stand comes first. It ends when the page cannot keep up.
+        The views of the jobs come first. The stream ends when the page cannot keep up.
         """
         listener = _Listener(None if jobs is None else frozenset(jobs))
         self._listeners.add(listener)
@@ -117,7 +117,7 @@ class Feed:
             if jobs is not None:
                 self._touched.update(jobs)
             for view in [*self._views.values()]:
-                listener.tell(_changes(view["job"], view))
+                listener.put(_changes(view["job"], view))
             while not listener.is_behind:
                 try:
                     async with asyncio.timeout(KEEP_ALIVE_S):
@@ -132,7 +132,7 @@ class Feed:
             self._listeners.discard(listener)
 
     async def _missed_events(self, after: int, listener: _Listener) -> AsyncIterator[Message]:
-        """Yield the events after that number that are in the coordinator's store."""
+        """Yield the stored events after number `after`."""
         while True:
             events = await self._gateway.ask(lambda client, after=after: client.events(None, max(after, 1), PAGE))  # type: ignore[misc]
             for event in events:
@@ -148,17 +148,17 @@ class Feed:
         if self._looking is not None:
             self._looking.cancel()
 
-    # ------------------------------------------------------------------------------------------- happenings
+    # ------------------------------------------------------------------------------------------- events
 
     def _start(self) -> None:
         if self._thread is None:
             loop = asyncio.get_running_loop()
             self._thread = threading.Thread(target=self._follow, args=(loop,), name="feed", daemon=True)
             self._thread.start()
-            self._looking = loop.create_task(self._look_again_and_again())
+            self._looking = loop.create_task(self._look_regularly())
 
     def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Hand on what the subscription tells, until the process ends; in a thread of its own."""
+        """Pass on what the subscription receives, until the process ends; in a thread of its own."""
         while not self._stop.is_set():
             connection = Connection(self._gateway.destination)
             try:
@@ -166,7 +166,7 @@ class Feed:
             except AtollError as error:
                 self._post(loop, self._take_connection, str(error))
                 self._stop.wait(_AGAIN_S)
-            except Exception:  # pages shall hear what happens next all the same
+            except Exception:  # pages still receive later events
                 _LOG.exception("following the coordinator broke")
                 self._stop.wait(_AGAIN_S)
             finally:
@@ -176,7 +176,7 @@ class Feed:
         if self._last is None:
             newest = client.events(None, 0, 1)
             self._last = newest[-1].number if newest else 0
-            self._post(loop, self._take_start, self._last)
+            self._post(loop, self._take_number, self._last)
         subscription = Subscription(client, None, self._last)
         self._post(loop, self._take_connection, None)
         while not self._stop.is_set():
@@ -191,35 +191,35 @@ class Feed:
             loop.call_soon_threadsafe(take, *values)
 
     def _greeting(self) -> Message:
-        """Return how the connection is, and how far things have come: whoever hears nothing yet can resume, too."""
-        return replace(self._connection, number=self._told)
+        """Return the state of the connection with the newest number, so that a page without events can resume, too."""
+        return replace(self._connection, number=self._newest)
 
-    def _take_start(self, last: int) -> None:
-        self._told = last
-        self._tell(self._greeting())
+    def _take_number(self, last: int) -> None:
+        self._newest = last
+        self._publish(self._greeting())
 
     def _take_events(self, events: tuple[EventView, ...]) -> None:
         for event in events:
-            self._told = event.number
+            self._newest = event.number
             if event.job is not None:
                 self._touched.add(event.job)
-            if event.event == "deleted":  # which names no job, since nothing of it is kept
+            if event.event == "deleted":  # it names no job, since nothing of the job is kept
                 self._touched |= self._watched_jobs()
-            self._tell(_event_message(event))
+            self._publish(_event_message(event))
 
     def _take_connection(self, reason: str | None) -> None:
         message = Message("connection", _encode({"connected": reason is None, "reason": reason or ""}))
         if message != self._connection:
             self._connection = message
-            self._tell(message)
+            self._publish(message)
 
-    def _tell(self, message: Message) -> None:
+    def _publish(self, message: Message) -> None:
         for listener in self._listeners:
-            listener.tell(message)
+            listener.put(message)
 
     # ------------------------------------------------------------------------------------------------ views
 
-    async def _look_again_and_again(self) -> None:
+    async def _look_regularly(self) -> None:
         while True:
             began = time.monotonic()
             if self._listeners:
@@ -232,9 +232,12 @@ class Feed:
             await asyncio.sleep(max(0.1, LOOK_S - (time.monotonic() - began)))
 
     async def _look(self) -> None:
-        """Look at open jobs, and at those to which something has happened."""
+        """Request the views of open jobs, and of jobs with events."""
         touched, self._touched = self._touched, set()
-        views = {view.job: view for view in await self._gateway.ask(_open_jobs)}
+        views = {
+            view.job: view
+            for view in await self._gateway.ask(lambda client: client.jobs(is_open=True, last=MAX_PAGE_JOBS))
+        }
         watched = self._watched_jobs()
         gone = [job for job, view in self._views.items() if view["state"] not in FINAL_STATES and job not in views]
         for job in (touched | {*gone} | (watched - self._views.keys())) - views.keys():
@@ -242,7 +245,7 @@ class Feed:
                 views[job] = await self._gateway.ask(lambda client, job=job: client.status(job))  # type: ignore[misc]
             except UnknownJobError:
                 if self._views.pop(job, None) is not None:
-                    self._tell(Message("job", _encode({"job": job, "changes": {}, "deleted": True}), job))
+                    self._publish(Message("job", _encode({"job": job, "changes": {}, "deleted": True}), job))
         self._take_connection(None)
         for view in views.values():
             self._take_view(view)
@@ -262,7 +265,7 @@ class Feed:
         self._views[view.job] = fields
         if "state" in changes:
             self._changed(view.job)
-        self._tell(_changes(view.job, changes))
+        self._publish(_changes(view.job, changes))
 
 
 _NOTHING: Final = object()
@@ -273,10 +276,6 @@ _AGEING: Final = {"elapsed", "point_evaluations_per_second"}
 
 def _encode(value: object) -> str:
     return json.dumps(value, separators=(",", ":"))  # without blanks it is a tenth shorter
-
-
-def _open_jobs(client: Client) -> tuple[JobView, ...]:
-    return client.jobs(is_open=True, last=MAX_PAGE_JOBS)
 
 
 def _changes(job: str, changes: Mapping[str, Any]) -> Message:

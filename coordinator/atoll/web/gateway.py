@@ -1,4 +1,4 @@
-"""Questions to the coordinator: clients of the bus in threads of their own, since each has one owner thread."""
+"""Requests to the coordinator: clients of the bus in threads, since each client belongs to one thread."""
 
 import asyncio
 import contextlib
@@ -12,20 +12,20 @@ from atoll_core.errors import UnreachableError
 from atoll_core.wire.addresses import Destination
 
 THREADS: Final = 4
-"""Questions at the same time: they take milliseconds, and an upload shall not keep others waiting."""
+"""Simultaneous requests: they take milliseconds, and an upload must not hold up others."""
 
 MAX_WAITING: Final = 256
-"""Questions that wait for a thread; more are refused, so that memory stays bounded."""
+"""Requests that wait for a thread; more are refused, so that memory stays bounded."""
 
 A = TypeVar("A")
 
 
 class BusyError(Exception):
-    """Raised when too many questions wait already."""
+    """Raised when too many requests wait."""
 
 
 class Gateway:
-    """Asks one coordinator as one principal, that of the certificate in `destination` if there is one."""
+    """Sends requests to one coordinator as one user, named by the certificate in `destination` if there is one."""
 
     def __init__(self, destination: Destination) -> None:
         self.destination: Final = destination
@@ -57,14 +57,14 @@ class Gateway:
         return connection.ask(question)
 
     def close(self) -> None:
-        """Close all clients; what is under way ends first, within its limit."""
+        """Close all clients after their current requests."""
         self._pool.shutdown(cancel_futures=True)
         for connection in self._open:
             connection.close()
 
 
 class Connection:
-    """A client that is opened when it is needed, and anew after a silence; for one thread."""
+    """A client for one thread, opened when it is needed, and again after a silence."""
 
     def __init__(self, destination: Destination) -> None:
         self._destination = destination
@@ -77,7 +77,7 @@ class Connection:
             self._client = self._stack.enter_context(connected(self._destination))
         try:
             return question(self._client)
-        except UnreachableError:  # the next one finds a coordinator that has another store
+        except UnreachableError:  # the next request finds a coordinator with another store
             self.close()
             raise
 

@@ -1,4 +1,4 @@
-"""Options of a job as a page sends them, those of the command line by name; light to import."""
+"""Options of a job as a page sends them: the options of the command line by name. Light to import."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ LABELS: Final[Mapping[str, str]] = {
     "max_epochs": "Limit of epochs",
     "target_error": "Error that counts as found",
 }
-"""What each option is called on a page, by name."""
+"""Labels of options on a page, by name."""
 
 
 def options_by_heading() -> dict[str, Any]:
@@ -71,43 +71,34 @@ def options_by_heading() -> dict[str, Any]:
 
 
 def read_options(text: str) -> tuple[dict[str, Any], JobConfig]:
-    """Return options that were sent as JSON by name, and the configuration that they describe; raises UsageError."""
-    given = _options(text)
-    return given, configure(
-        {name: Repeated(value) if isinstance(value, list) else value for name, value in given.items()}
-    )
-
-
-def _options(text: str) -> dict[str, Any]:
+    """Return options (by name) that were sent as JSON, and the configuration they describe; raises UsageError."""
     try:
-        given = json.loads(text or "{}")
+        sent = json.loads(text or "{}")
     except (ValueError, RecursionError):
-        raise UsageError('options must be a JSON object, such as {"seed": "3"}') from None
-    if not isinstance(given, dict):
+        sent = None
+    if not isinstance(sent, dict):
         raise UsageError('options must be a JSON object, such as {"seed": "3"}')
-    for name, value in given.items():
+    for name, value in sent.items():
         if name not in OPTIONS:
             raise UsageError("%s is no option of a job", name[:64])
         texts = value if isinstance(value, list) else [value]
         if not all(isinstance(part, (str, bool, int, float)) for part in texts):
             raise UsageError("the option %s must be a text, true, or a list of texts", name)
-    return {name: value for name, value in given.items() if value not in (False, "", [])}
+    options = {name: value for name, value in sent.items() if value not in (False, "", [])}
+    return options, configure(
+        {name: Repeated(value) if isinstance(value, list) else value for name, value in options.items()}
+    )
 
 
 def sizes_by_name(names: Sequence[str], sizes: Sequence[str]) -> dict[str, int | None]:
-    """Return how many bytes of a body belong to which file, in order; None: all. Raises UsageError."""
-    plain = [_name_of_file(name) for name in names or ["data.csv"]]
+    """Return the bytes of a body that belong to each file, in order (None: all); raises UsageError."""
+    plain = [PurePath(name.replace("\\", "/")).name for name in names or ["data.csv"]]
+    for name in plain:
+        if not name or name in (".", "..") or len(name.encode("utf-8", "replace")) > 200 or not name.isprintable():
+            raise UsageError("the name of a file must be printable and have at most 200 bytes, such as data.csv")
     known = [int(size) if size.isdecimal() and len(size) < 16 else None for size in sizes]
     if len(plain) == 1 and not sizes:
         return {plain[0]: None}
     if len(known) != len(plain) or None in known or len({*plain}) < len(plain):
         raise UsageError("each of several files needs a filename of its own, and bytes, a whole number")
     return dict(zip(plain, known, strict=True))
-
-
-def _name_of_file(sent: str) -> str:
-    """Return the last part of a file's name; raises UsageError for one that is none."""
-    name = PurePath(sent.replace("\\", "/")).name
-    if not name or name in (".", "..") or len(name.encode("utf-8", "replace")) > 200 or not name.isprintable():
-        raise UsageError("the name of a file must be printable and have at most 200 bytes, such as data.csv")
-    return name

@@ -1,4 +1,4 @@
-"""Errors of the API as problem details (RFC 9457), with the sentences of the command line."""
+"""Errors of the API as problem details (RFC 9457), with the same sentences as on the command line."""
 
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
@@ -17,7 +17,7 @@ _STATUS: Final[Mapping[type[AtollError], int]] = {
 
 
 class Problem(JSONResponse):
-    """An answer that says what is wrong."""
+    """An error as the answer to a request."""
 
     media_type = "application/problem+json"
 
@@ -27,7 +27,7 @@ class Problem(JSONResponse):
 
 
 class UnreadableError(HTTPException):
-    """Raised where a file is refused; `columns` are those of its table, none where it could not be read at all."""
+    """A file is refused; `columns` are the columns of its table, none when it could not be read at all."""
 
     def __init__(self, status_code: int, detail: str, columns: Sequence[Mapping[str, object]] = ()) -> None:
         super().__init__(status_code, detail)
@@ -35,25 +35,17 @@ class UnreadableError(HTTPException):
 
 
 def status_of(error: AtollError) -> int:
-    """Return the status of an answer that has the sentence of an error."""
+    """Return the HTTP status for an error."""
     return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), 500)
 
 
-def of_error(request: Request, error: Exception) -> Response:
-    """Return what is answered where an error that is meant for a person has ended a request."""
-    assert isinstance(error, AtollError)
-    status = status_of(error)
-    return Problem(status, str(error), {"retry-after": "1"} if status == 503 else None)
-
-
-def of_refusal(request: Request, error: Exception) -> Response:
-    """Return what is answered to what HTTP alone refuses, such as a path that is not there."""
-    assert isinstance(error, HTTPException)
-    members = {"columns": list(error.columns)} if isinstance(error, UnreadableError) and error.columns else {}
-    return Problem(error.status_code, error.detail, error.headers, **members)
-
-
-def of_too_many(request: Request, error: Exception) -> Response:
-    """Return what is answered where too many questions wait."""
+def problem_of(request: Request, error: Exception) -> Response:
+    """Return the answer to a request that ended with an error: the handler of all exceptions of the application."""
+    if isinstance(error, HTTPException):
+        members = {"columns": list(error.columns)} if isinstance(error, UnreadableError) and error.columns else {}
+        return Problem(error.status_code, error.detail, error.headers, **members)
+    if isinstance(error, AtollError):
+        status = status_of(error)
+        return Problem(status, str(error), {"retry-after": "1"} if status == 503 else None)
     assert isinstance(error, BusyError)
     return Problem(503, "too many requests wait already; ask again in a moment", {"retry-after": "1"})

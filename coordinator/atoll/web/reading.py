@@ -1,16 +1,24 @@
-"""Files that are read for pages, outside of this process and within limits: see `reading_process`."""
+"""Files that pages send: their temporary folders, and their reading in another process, within limits.
+
+See `reading_process`. A web process that is killed leaves its folders; the next one of the same user removes them.
+"""
 
 import asyncio
+import contextlib
+import fcntl
 import json
+import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
+from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
 from atoll.client.local_processes import start_apart
@@ -19,28 +27,30 @@ from atoll.web.problems import UnreadableError
 from atoll_core.machine import total_memory_bytes
 
 TABLE: Final = "application/vnd.atoll.table"
-"""Content of a table that was read already, as clients of the bus upload it."""
+"""Media type of a table that has been read already, as clients of the bus upload it."""
+
+PREFIX: Final = "atoll-web-"
+_LOCK: Final = "lock"
 
 MAX_BODY: Final = 256 * 1024**2
-"""Bytes of a file that is sent; larger ones are submitted on the command line."""
+"""Bytes of the files that are sent; larger ones are submitted on the command line."""
 
 READERS: Final = 2
-"""Files that are read at the same time; others wait."""
+"""Files that are read at the same time."""
 
 REFUSED: Final = 3
 """Exit code of a reader whose answer is JSON: status, sentence and columns of an `UnreadableError`."""
 
 LATE: Final = -int(signal.SIGALRM)
-"""What is told in place of the exit code of a reader that took too long in all."""
+"""Stands for the exit code of a reader that took too long in all."""
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What reading one file may take.
+class Limits(BaseModel):
+    """Limits on reading one file.
 
-    `memory` is in bytes: CSV takes 16 times its size (measured: 4.3 GB for 262 MB), and all that are read shall not
-    take more than half of the machine. `processor_s` are seconds of a processor: the largest CSV takes 80. `total_s`
-    are seconds in all, where the machine is busy or a reader waits for something.
+    `memory` is in bytes: CSV takes 16 times its size (measured: 4.3 GB for 262 MB), and all readers together may take
+    half of the machine. `processor_s` are seconds of a processor: the largest CSV takes 80. `total_s` are seconds in
+    all, for a busy machine or a reader that waits for something.
     """
 
     memory: int = min(20 * MAX_BODY, total_memory_bytes() // (2 * READERS) or 20 * MAX_BODY)
@@ -52,7 +62,7 @@ class Limits:
         return 413, f"{name} takes more than {self.memory // 10**6:,} MB when it is read; send fewer rows or columns"
 
     def of_code(self, code: int, name: str) -> tuple[int, str]:
-        """Return status and sentence for a reader that ended so; libraries in C and Rust abort without memory."""
+        """Return status and sentence for the exit code of a reader; libraries in C and Rust abort without memory."""
         if code in (-signal.SIGKILL, -signal.SIGABRT):
             return self.too_much_memory(name)
         if code in (-signal.SIGXCPU, LATE):
@@ -63,33 +73,52 @@ class Limits:
         return 422, f"{name} broke the program that reads it; save it anew, or as CSV"
 
 
-@dataclass(frozen=True)
-class Asked:
-    """What is asked of a reader: what is `made` ("table", "outline" or "preview") of files, and written to `answer`.
+class Reading(BaseModel):
+    """What a reader is to do: write what is `wanted` of files into the file `answer`.
 
-    `options` are JSON, `media_type` says whether the file is a table already.
+    `options` are JSON; `media_type` says whether the file is a table that has been read already.
     """
 
     files: tuple[str, ...]
     answer: str
-    made: str
+    wanted: Literal["table", "outline", "preview"]
     options: str
     media_type: str
     limits: Limits
 
-    @classmethod
-    def of(cls, line: bytes) -> "Asked":
-        """Return what `to_line` wrote."""
-        values = json.loads(line)
-        return cls(**values | {"limits": Limits(**values["limits"])})
 
-    def to_line(self) -> bytes:
-        """Return it as a line of JSON."""
-        return json.dumps(asdict(self)).encode() + b"\n"
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a lock on a folder during the block; the system releases it however this process ends."""
+    made = folder / f"{_LOCK}.new"
+    descriptor = os.open(made, os.O_CREAT | os.O_RDWR, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        made.rename(folder / _LOCK)  # only now can `remove_left` find it, so that it is never found unlocked
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def remove_left() -> None:
+    """Remove the folders of this user whose lock no process holds.
+
+    A folder without a lock is just being made; a process that is killed then leaves it, empty.
+    """
+    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError):
+            if folder.is_symlink() or folder.stat().st_uid != os.getuid():
+                continue
+            descriptor = os.open(folder / _LOCK, os.O_RDWR)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(descriptor)
 
 
 def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
-    """Return files by name that are one after the other in a body, in a folder beside it; raises HTTPException."""
+    """Split a body into its files, which follow each other, in a folder next to it; raises HTTPException."""
     folder, there = body.parent / "sent", body.stat().st_size
     folder.mkdir()
     paths = [folder / name for name in sizes]
@@ -106,7 +135,7 @@ def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
 
 
 class Readers:
-    """Has files read, a few at a time, by a process that is started anew where it has died."""
+    """Has files read, a few at a time, by a process that is started again after its death."""
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.limits = limits or Limits()
@@ -119,15 +148,20 @@ class Readers:
         """The number of the process, if there is one."""
         return None if self._process is None else self._process.pid
 
-    async def read(self, files: Sequence[Path], options: str, media_type: str, made: str) -> Path:
-        """Return the file in which is what is made of files in one folder, beside that folder; see `Asked`.
+    async def read(
+        self, files: Sequence[Path], options: str, media_type: str, wanted: Literal["table", "outline", "preview"]
+    ) -> Path:
+        """Return the file with what is `wanted` of files in one folder; it is next to that folder. See `Reading`.
 
-        Raises HTTPException: a file or the options are refused, or reading takes more than it may.
+        Raises HTTPException: a file or the options are refused, or reading exceeds its limits.
         """
         answer = files[0].parent.parent / "answer"
-        asked = Asked(tuple(map(str, files)), str(answer), made, options, media_type, self.limits)
+        task = Reading(
+            files=tuple(map(str, files)), answer=str(answer), wanted=wanted, options=options, media_type=media_type,
+            limits=self.limits,
+        )  # fmt: skip
         async with self._slots:
-            code = await self._ask_reader(asked.to_line())
+            code = await self._ask_reader(task.model_dump_json().encode() + b"\n")
         if code == REFUSED:
             raise UnreadableError(**json.loads(answer.read_bytes()))
         if code is None:
@@ -137,19 +171,19 @@ class Readers:
         return answer
 
     async def _ask_reader(self, line: bytes) -> int | None:
-        """Return the exit code of a reader; None where there was none, and no process to start it."""
+        """Return the exit code of a reader; None when none could be started."""
         ours, theirs = socket.socketpair()
         with theirs:
             is_sent = self._send(theirs) or self._send(theirs)
         reader, writer = await asyncio.open_connection(sock=ours)
         try:
             writer.write(line)
-            said = await reader.readline() if is_sent else b""
+            code = await reader.readline() if is_sent else b""
         except OSError:
             return None
         finally:
             writer.close()
-        return int(said) if said else None
+        return int(code) if code else None
 
     def _send(self, theirs: socket.socket) -> bool:
         try:
@@ -162,7 +196,7 @@ class Readers:
         return True
 
     def start(self) -> None:
-        """Start the process, if there is none; raises OSError."""
+        """Start the process, unless it is running; raises OSError."""
         if self._control is not None:
             return
         self._control, theirs = socket.socketpair()
@@ -174,7 +208,7 @@ class Readers:
             )
 
     def close(self) -> None:
-        """End the process; what is being read ends, too, since nobody waits for it."""
+        """End the process, and with it what is being read."""
         if self._control is not None:
             self._control.close()
         if self._process is not None:

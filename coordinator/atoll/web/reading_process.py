@@ -1,8 +1,8 @@
 """The process that reads and smooths files for the web process, each file in a fork of its own, within limits.
 
 ``python -m atoll.web.reading_process SOCKET`` has everything loaded, so that a fork costs milliseconds. Through the
-socket comes one descriptor for each file: a socket with a line of JSON, on which the exit code is answered. Whatever a
-file does to the fork (memory, time, a crash in a library), nothing else notices.
+socket it receives one descriptor for each file: a socket with a line of JSON, on which the exit code is answered.
+Memory, time and crashes of one file's fork affect nothing else.
 """
 
 import importlib
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from atoll.web.problems import status_of
-from atoll.web.reading import LATE, REFUSED, Asked, Limits
+from atoll.web.reading import LATE, REFUSED, Limits, Reading
 from atoll.web.submission import Submission
 from atoll_core.errors import AtollError
 from atoll_core.wire.messages.limits import MAX_UPLOAD
@@ -29,52 +29,51 @@ from atoll_core.wire.messages.limits import MAX_UPLOAD
 T = TypeVar("T")
 
 MAX_ANSWER: Final = 4 * 1024**2
-"""Bytes of an outline or preview: with `submission.VALUES` values, it has ten thousand columns."""
+"""Bytes of an outline or preview: enough for `submission.VALUES` values in ten thousand columns."""
 
 MAX_COLUMNS: Final = 1_000
-"""Columns of a table that are named where it is refused, for a page that lets one of them be chosen."""
+"""Columns named in the refusal of a table, for a page on which one of them can be chosen."""
 
 
 class TooLargeError(AtollError):
-    """Raised where an answer is too large for a page."""
+    """Raised when an answer is too large for a page."""
 
 
-def _table(submission: Submission) -> bytes:
-    return submission.table.to_bytes()
-
-
-def _json(made: Mapping[str, object]) -> bytes:
-    packed = json.dumps(made).encode()
+def _json(content: Mapping[str, object]) -> bytes:
+    packed = json.dumps(content).encode()
     if len(packed) > MAX_ANSWER:
         raise TooLargeError("the table has too many columns to be shown; submit it, or send fewer columns")
     return packed
 
 
-MADE: Final[Mapping[str, Callable[[Submission], bytes]]] = {
-    "table": _table,
+ANSWERS: Final[Mapping[str, Callable[[Submission], bytes]]] = {
+    "table": lambda submission: submission.table.to_bytes(),
     "outline": lambda submission: _json(submission.outline()),
     "preview": lambda submission: _json(submission.preview()),
 }
-"""What can be asked for."""
+"""Kinds of answers."""
 
 
 def main() -> None:
-    """Fork for each socket that comes, until the web process is gone."""
+    """Fork for each received socket, until the web process has ended."""
     control = socket.socket(fileno=int(sys.argv[1]))
     _load_ahead()
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system takes up those that have ended
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system removes ended processes
     while True:
         sent, descriptors, _, _ = socket.recv_fds(control, 1, 1)
         if not sent:
             return
-        with socket.socket(fileno=descriptors[0]) as connection, suppress(OSError):  # no further process: it is closed
+        with (
+            socket.socket(fileno=descriptors[0]) as connection,
+            suppress(OSError),
+        ):  # without a fork it is closed
             _fork(_watch_over, connection)
 
 
 def _load_ahead() -> None:
-    """Load what reading and smoothing need, kernels too; what is broken here breaks again where it is answered.
+    """Load the modules and kernels of reading and smoothing; an error here occurs again where it is answered.
 
-    Not polars, which starts threads: they would be missing after a fork.
+    Not polars: its threads would be missing after a fork.
     """
     for name in ("openpyxl", "h5py"):
         with suppress(Exception):
@@ -85,7 +84,7 @@ def _load_ahead() -> None:
 
 
 def _fork(work: Callable[[T], int], given: T) -> int:
-    """Return the process id of a fork that does this work, from which nothing returns into the code of its parent."""
+    """Return the process id of a fork that does `work` and then exits, without returning into its parent's code."""
     pid = os.fork()
     if pid:
         return pid
@@ -99,50 +98,50 @@ def _fork(work: Callable[[T], int], given: T) -> int:
 
 
 def _watch_over(connection: socket.socket) -> int:
-    """Fork once more, wait for the end of that, and tell its exit code; kill it where it is late or nobody waits."""
+    """Fork again, and report the exit code of that fork; kill it when it is late or no longer waited for."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    asked = Asked.of(connection.makefile("rb").readline())
+    task = Reading.model_validate_json(connection.makefile("rb").readline())
     ended, held = os.pipe()
-    pid = _fork(_answer, asked)
+    pid = _fork(_answer, task)
     os.close(held)
     with suppress(OSError):
         os.setpgid(pid, pid)
-    is_late = not select.select([ended, connection.fileno()], [], [], asked.limits.total_s)[0]
-    for kill in (os.killpg, os.kill):  # also what it has started
+    is_late = not select.select([ended, connection.fileno()], [], [], task.limits.total_s)[0]
+    for kill in (os.killpg, os.kill):  # also its own children
         with suppress(OSError):
             kill(pid, signal.SIGKILL)
     code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    with suppress(OSError):  # nobody waits any more
+    with suppress(OSError):  # the web process no longer waits
         connection.sendall(b"%d\n" % (LATE if is_late else code))
     return 0
 
 
-def _answer(asked: Asked) -> int:
-    """Write the answer into its file, and the name that the data have beside it; return the exit code."""
+def _answer(task: Reading) -> int:
+    """Write the answer and, next to it, the name of the data; return the exit code."""
     with suppress(OSError):
         os.setpgid(0, 0)
-    _limit(asked.limits)
-    paths, answer, code = [Path(file) for file in asked.files], Path(asked.answer), 0
+    _limit(task.limits)
+    paths, answer, code = [Path(file) for file in task.files], Path(task.answer), 0
     submission = None
     try:
-        submission = Submission.of(paths, asked.options, asked.media_type)
+        submission = Submission.of(paths, task.options, task.media_type)
         answer.with_name("name").write_text(submission.filenames[0], "utf-8")
-        made = MADE[asked.made](submission)
-    except BaseException as error:  # also the panics of polars
-        status, sentence = _refusal(error, ", ".join(path.name for path in paths), asked.limits)
+        content = ANSWERS[task.wanted](submission)
+    except BaseException as error:  # also panics of polars
+        status, sentence = _refusal(error, ", ".join(path.name for path in paths), task.limits)
         columns = [] if submission is None else submission.columns()[:MAX_COLUMNS]
         refusal = {"status_code": status, "detail": sentence, "columns": columns}
-        made, code = json.dumps(refusal).encode(), REFUSED
-    answer.write_bytes(made)
+        content, code = json.dumps(refusal).encode(), REFUSED
+    answer.write_bytes(content)
     return code
 
 
 def _limit(limits: Limits) -> None:
-    """Bound memory, time and files of this process; where memory runs out in the machine, it is to go first."""
+    """Limit memory, time and file sizes of this process; the system kills it first when memory runs out."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (limits.processor_s, limits.processor_s + 1))
     resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_UPLOAD, MAX_UPLOAD))
-    if sys.platform == "linux":  # elsewhere address space is not counted
+    if sys.platform == "linux":  # elsewhere address space cannot be limited
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
         most = pages * os.sysconf("SC_PAGE_SIZE") + limits.memory
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
@@ -150,7 +149,6 @@ def _limit(limits: Limits) -> None:
 
 
 def _refusal(error: BaseException, name: str, limits: Limits) -> tuple[int, str]:
-    """Return status and sentence."""
     causes, cause = [error], error
     while (cause := cause.__cause__ or cause.__context__) is not None and len(causes) < 10:  # type: ignore[assignment]
         causes.append(cause)

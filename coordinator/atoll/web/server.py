@@ -1,37 +1,51 @@
-"""Serving the application: who may reach it and how, by TLS beyond this machine, until it is told to end."""
+"""The ASGI application, and serving it: addresses, users and their tokens, TLS beyond this machine, uvicorn."""
 
+import contextlib
 import ipaddress
 import re
 import socket
 import stat
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
 import uvicorn
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Mount, Route, Router
+from starlette.staticfiles import StaticFiles
 
-from atoll.web.access import LOCAL_HOSTS, Access, digest_of
-from atoll.web.application import build_application
+from atoll.web.access import LOCAL_HOSTS, Access, AccessMiddleware, digest_of
+from atoll.web.api import Api
 from atoll.web.connections import WAIT_S, Connection, allow_open_files
-from atoll.web.gateway import Gateway
-from atoll_core.errors import NotNowError, UsageError, may_pass
+from atoll.web.gateway import BusyError, Gateway
+from atoll.web.problems import problem_of
+from atoll.web.reading import Readers, remove_left
+from atoll_core.errors import AtollError, NotNowError, UsageError, may_pass
 from atoll_core.wire.addresses import Destination, destination
 from atoll_core.wire.security.credentials import credentials_of
+
+_STATIC: Final = files("atoll.web").joinpath("static")
 
 _STOP_LIMIT_S: Final = 2
 
 _ENTRY: Final = {"token_sha256", "tls_ca", "tls_cert", "tls_key"}
-"""What there is of each user in a file of users."""
+"""Keys of each user in a file of users."""
 
 _OTHERS: Final = stat.S_IRWXO | stat.S_IWGRP
-"""Rights by which others could guess at tokens or add one. A group may read the file, as that of a service."""
+"""File modes by which others could guess tokens or add one. A group may read the file, such as a service's."""
 
 
 @dataclass(frozen=True)
 class Listener:
-    """Where the process listens, under which further names it may be addressed, and its files for TLS."""
+    """Address, port, further host names, and the files for TLS."""
 
     host: str
     port: int
@@ -60,11 +74,11 @@ class Listener:
 def access_of(
     listener: Listener, at: Destination, token: str, users: Path | None, *, look_without_token: bool = False
 ) -> Access:
-    """Return who may ask what; with `look_without_token` programs of this machine may look at all jobs.
+    """Return who may ask what; with `look_without_token` programs on this machine may look at all jobs.
 
     Raises:
-        UsageError: the file of users cannot be used, what listens beyond this machine has no certificate, or others
-            than programs of this machine, or than may see all jobs, could look.
+        UsageError: the file of users cannot be used, there is no certificate for connections from other machines, or
+            `look_without_token` would show jobs beyond this machine or to users who may not see all of them.
     """
     is_own = listener.is_local and not listener.names and at.credentials is None and users is None
     if look_without_token and not is_own:
@@ -86,7 +100,7 @@ def access_of(
 
 
 def _hosts(name: str) -> tuple[str, ...]:
-    """Return how a Host header may have a name: an IPv6 address in brackets, as given and as browsers write it."""
+    """Return the forms of a name in a Host header: an IPv6 address in brackets, as given and as browsers write it."""
     name = name.lower().removeprefix("[").removesuffix("]")
     try:
         address = ipaddress.ip_address(name)
@@ -137,8 +151,8 @@ def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> N
     """Answer until SIGTERM or Ctrl-C.
 
     Raises:
-        NotNowError: nobody can listen there for a reason that may pass, as where the address is in use.
-        UsageError: nobody can listen there, or the certificate cannot be used.
+        NotNowError: listening is impossible for a reason that may pass, such as an address in use.
+        UsageError: listening is impossible, or the certificate cannot be used.
     """
     allow_open_files()
     config = configure(build_application(access), listener)
@@ -163,7 +177,7 @@ def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> N
 
 
 def configure(application: Any, listener: Listener) -> uvicorn.Config:
-    """Return how uvicorn answers. It logs no requests, which may hold a token, and no complaints about clients."""
+    """Return the configuration of uvicorn. It logs no requests, which may hold a token, and no errors of clients."""
     return uvicorn.Config(
         application, log_level="error", access_log=False, server_header=False, date_header=False,
         timeout_graceful_shutdown=_STOP_LIMIT_S, timeout_keep_alive=int(WAIT_S), proxy_headers=False,
@@ -171,3 +185,36 @@ def configure(application: Any, listener: Listener) -> uvicorn.Config:
         ssl_certfile=listener.certificate, ssl_keyfile=listener.key,
         ssl_keyfile_password="-",  # else OpenSSL would ask for one on the terminal
     )  # fmt: skip
+
+
+def build_application(access: Access, readers: Readers | None = None) -> Starlette:
+    """Return the application, which closes its gateways and the process that reads files at its end."""
+    readers = readers or Readers()
+    api = Api(readers)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        remove_left()
+        with contextlib.suppress(OSError):  # whoever sends a file gets the error
+            readers.start()
+        yield
+        await api.close()
+        for gateway in {*access.gateways.values(), *([access.viewer] if access.viewer is not None else [])}:
+            gateway.close()
+
+    application = Starlette(
+        routes=[
+            Route("/", _page),
+            Mount("/api/v1", Router(api.routes(), redirect_slashes=False)),
+            Mount("/static", StaticFiles(directory=str(_STATIC))),
+        ],
+        middleware=[Middleware(AccessMiddleware, access=access), Middleware(GZipMiddleware, minimum_size=1_000)],
+        exception_handlers=dict.fromkeys((AtollError, HTTPException, BusyError), problem_of),
+        lifespan=lifespan,
+    )
+    application.router.redirect_slashes = False  # a redirect would name an address that a proxy may not have
+    return application
+
+
+async def _page(request: Request) -> Response:
+    return Response(_STATIC.joinpath("index.html").read_bytes(), media_type="text/html")

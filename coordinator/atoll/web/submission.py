@@ -1,4 +1,4 @@
-"""Files and options as a page sends them: read, outlined, prepared for a look. Only `reading_process` does that."""
+"""Files and options as a page sends them: reading, outline and preview. Used by `reading_process` only."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 
 from atoll.client.options import OPTIONS
 from atoll.web.options import read_options
-from atoll.web.progress import some
+from atoll.web.pictures import some
 from atoll.web.reading import TABLE
 from atoll_coordinator.data.outline import Outline, describe, outline
 from atoll_coordinator.data.prepare import prepare
@@ -22,20 +22,20 @@ from atoll_core.config import JobConfig
 from atoll_core.data.table import Table
 
 PREVIEWED: Final = 500
-"""Rows that are drawn of a trajectory at most."""
+"""Rows of a trajectory in a preview."""
 
 VALUES: Final = 50_000
-"""Values that are drawn of a table at most, about a megabyte."""
+"""Values of a table in a preview, about a megabyte."""
 
 SHOWN: Final = 5
 
 TRAJECTORIES: Final = 20
-"""Of so many trajectories curves are drawn: with more a page would be longer than most tables."""
+"""Trajectories in a preview: with more the page would be longer than most tables."""
 
 
 @dataclass(frozen=True)
 class Submission:
-    """Data and configuration of a job; `options` are as they were given."""
+    """Data and configuration of a job; `options` are as sent."""
 
     filenames: tuple[str, ...]
     table: Table
@@ -44,21 +44,21 @@ class Submission:
 
     @classmethod
     def of(cls, paths: Sequence[Path], options: str, media_type: str = "") -> "Submission":
-        """Return what was sent, as files whose names say how they are read.
+        """Read the files that were sent; their names say how.
 
         Raises:
             UsageError: an option is unknown or does not fit.
             DataError: a file cannot be read.
         """
-        given, config = read_options(options)
+        sent, config = read_options(options)
         if media_type != TABLE:
             check_sheet(paths, config.data.sheet)
-            return cls(tuple(path.name for path in paths), read_table(paths, config.data), config, given)
+            return cls(tuple(path.name for path in paths), read_table(paths, config.data), config, sent)
         table = Table.from_bytes(paths[0].read_bytes())
-        return cls(table.files, table, config, given)
+        return cls(table.files, table, config, sent)
 
     def outline(self) -> dict[str, Any]:
-        """Return how the file was read and what would be searched, as plain data."""
+        """Return how the file was read and which equations would be searched, as plain data."""
         planned = outline(self.table, self.config)
         return {
             **planned.as_dict(),
@@ -91,7 +91,7 @@ class Submission:
         ]
 
     def command(self) -> str:
-        """Return the command line that submits the same."""
+        """Return the command line of the same job."""
         words = ["coordinator", "submit", *self.filenames]
         for name, value in self.options.items():
             flag = OPTIONS[name].flag
@@ -103,20 +103,20 @@ class Submission:
         return shlex.join(words)
 
     def python(self) -> str:
-        """Return the lines of Python that submit the same."""
+        """Return the Python code of the same job."""
         given = "".join(f", {name}={value!r}" for name, value in self.options.items())
         files = repr(self.filenames[0] if len(self.filenames) == 1 else [*self.filenames])
         return f"import atoll\n\nmodel = atoll.discover({files}{given})\nprint(model)"
 
     def preview(self) -> dict[str, Any]:
-        """Return what is measured, smoothed and differentiated, with standard errors; takes seconds."""
+        """Return measured and smoothed values and derivatives with standard errors; takes seconds."""
         return preview_of(prepare(self.table, self.config))
 
 
 def preview_of(preparation: Preparation) -> dict[str, Any]:
-    """Return the curves of the first trajectories of a preparation, decimated; none where nothing was differentiated.
+    """Return decimated curves of the first trajectories of a preparation; none if nothing was differentiated.
 
-    `sigma` and `derivative_sigma` are standard errors: of one measurement, and of the derivative, None where unknown.
+    `sigma` and `derivative_sigma` are the standard errors of a measurement and of the derivative; None: unknown.
     """
     recording, source = preparation.recording, preparation.source
     trajectories = recording.trajectories[:TRAJECTORIES] if recording is not None else ()
@@ -155,7 +155,7 @@ def _role(name: str, roles: Roles) -> str:
 
 
 def _cell(table: Table, name: str, value: float) -> str:
-    """Return a value as the file has it: a text, a date, or a number in six digits."""
+    """Return a value as in the file: a text, a date, or a number with six digits."""
     text = table.label(name, value)
     if text is not None:
         return text

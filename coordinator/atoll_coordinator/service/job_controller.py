@@ -1,10 +1,34 @@
-"""What becomes of jobs: takes in what happens, and has the rooms below decide, store, send and compute.
+"""Job controller: turns events (requests, reports, outcomes, timers) into state changes, stores and sends them.
 
-Knows no bus and no thread. What is sent has been stored before. Where something of ours breaks, the job that it
-concerns ends (`JobController.guarded`), and nothing else.
+It knows no bus and no thread. What is sent has been stored before. An error of this program ends the job that it
+concerns (`JobController.guarded`), and nothing else.
 
-One module, since every change of a job goes through `JobController._change`, be it a request, a report, a checkpoint or
-the time: whoever reads one of them reads what ends a job and what follows from its end.
+**How the state machines go together.** Each is a table in the module of its class; a step that is not in the table is
+an error. Time comes in as an argument, and none of them does I/O: they return actions, which this module carries out.
+
+    job (`jobs.job.JOB_TRANSITIONS`)
+      queued --prepare--> preparing --prepared--> running --searched--> refining --refined--> done
+                 <--put-back--                          (and from each: fail -> failed, cancel -> cancelled)
+
+    place (`scheduling.job_queue.Stage`)     waiting -> preparing -> searching <-> held, then no place is needed
+    task (`tasks.task_table.TASK_TRANSITIONS`)      waiting -> leased -> running -> ended, back to waiting when lost
+    worker (`workers.membership.MEMBER_TRANSITIONS`)  here <-> absent, here <-> hung, each -> lost -> here
+    archipelago (`workers.crash_loops`)      healthy -> suspicious -> quarantined -> failed, healthy by a commit
+
+A job is *queued* until `JobQueue.decide` gives it a place. In *preparing* it has a task "prepare", in *refining* a task
+"refine"; in *running* it has no task but archipelagos, whose placements the worker controller chooses. A place is taken
+from a running job by `Job.hold`: its archipelagos stop at a barrier, and its state stays *running*. A lost worker sends
+its tasks back to waiting and its archipelagos to another placement; neither changes the state of the job, unless the
+losses are too many: then the task or the archipelago fails the job. On the worker's side, `worker_session` has the jobs
+and islands, and `task_runner` the tasks, with tables of their own. Both sides are compared at each heartbeat, so that
+the worker's tables need not be reliable: what they have too much or too little is corrected by a message.
+
+A job whose end is decided stays in `ending` until its result is composed, in which it is neither live nor ended.
+
+*Doubts.* `ending` is a state of a job that is not in its table: it is kept apart because the coordinator must be able
+to die at any time before the end is stored, and the job goes on then. `is_paused` (by a user), `is_held` (no place) and
+`had_begun` (before a restart) are three flags that a fifth state of the queue could replace. And all changes of a job
+go through `_change`, in one long module: whoever reads one of them reads what ends a job and what follows from it.
 """
 
 import contextlib
@@ -15,7 +39,6 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.result.result import timed
 from atoll_coordinator.service.jobs import checks
 from atoll_coordinator.service.jobs.job import (
@@ -28,25 +51,26 @@ from atoll_coordinator.service.jobs.job import (
     Refine,
 )
 from atoll_coordinator.service.monitoring.breakages import Breakages
-from atoll_coordinator.service.monitoring.drafts import Draft, Ending, draft_of
 from atoll_coordinator.service.monitoring.event_log import EventLog
-from atoll_coordinator.service.monitoring.job_views import JobViews
-from atoll_coordinator.service.monitoring.queue_depth import queue_depth
-from atoll_coordinator.service.monitoring.views import outcomes_of
+from atoll_coordinator.service.monitoring.job_views import (
+    Draft,
+    Ending,
+    JobViews,
+    draft_of,
+    outcomes_of,
+    queue_depth,
+)
+from atoll_coordinator.service.scheduling.fair_share import TaskTurns, Turn
 from atoll_coordinator.service.scheduling.job_queue import NO_TIME, JobQueue, pause_reason
-from atoll_coordinator.service.scheduling.limits import DAY_S, Limits
-from atoll_coordinator.service.scheduling.task_time import TaskTime
-from atoll_coordinator.service.scheduling.task_turns import TaskTurns
+from atoll_coordinator.service.scheduling.limits import DAY_S, TaskTime
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
-from atoll_coordinator.service.search.cut import Cut
+from atoll_coordinator.service.search.checkpoints import StoredSearchState
+from atoll_coordinator.service.search.ending import Cut
 from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.tasks import background
 from atoll_coordinator.service.tasks.analyses import Analysis
-from atoll_coordinator.service.tasks.background import Background
-from atoll_coordinator.service.tasks.outcomes import JobPrepared, ResultComposed
-from atoll_coordinator.service.tasks.results import ResultRead
 from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.worker_controller import WorkerController
@@ -63,32 +87,32 @@ from atoll_core.wire.messages.views import TaskView, WorkerService
 from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
 
 _SAVE_S: Final = 10.0
-"""Task time is stored so often: a commit takes milliseconds, and a coordinator that is killed loses no more."""
+"""Interval of storing task time: a commit takes milliseconds, and a killed coordinator loses no more."""
 
 _HAD_BEGUN_S: Final = -1e9
-"""Second from which on a job counts as waiting that had begun before a restart: it comes before all others."""
+"""Time since which a job that had begun before a restart counts as waiting: it comes before all others."""
 
 
 class JobController:
-    """All live jobs, and the workers that compute them; `shown` are the views of these jobs and of those that ended."""
+    """All live jobs, and the workers that compute them; `shown` has the views of live and ended jobs."""
 
     def __init__(
-        self, store: Store, channel: WorkerChannel, background: Background, post: Callable[[object], None],
+        self, store: Store, channel: WorkerChannel, background: background.Background, post: Callable[[object], None],
         clock: Callable[[], str], expected_workers: int = 1,
     ) -> None:  # fmt: skip
-        """Set up the jobs of a store; no island is placed before the expected workers are ready.
+        """Set up the controller; no island is placed before the expected workers are ready.
 
-        `background` works on large values, `post` hands outcomes to the loop, `clock` gives the time of day as text.
+        `background` works on large values, `post` hands outcomes to the loop, `clock` returns the time of day as text.
         """
         self.jobs: dict[str, Job] = {}
         self.begun: Final[dict[str, Job]] = {}
-        """Those that do not wait to be prepared: what is done for all jobs again and again is done for these alone."""
+        """Jobs that are not queued: only these are visited at each tick."""
         self.ending: Final[dict[str, Ending]] = {}
-        """Those that are live no more and whose ends take effect when their results are composed: until then the store
-        has them as they were, and a coordinator that starts again goes on with them."""
+        """Jobs whose ends take effect when their results are composed. Until then they are stored as they were, and a
+        restarted coordinator goes on with them."""
         self.queue: Final = JobQueue()
         self.live_of: Final[Counter[str | None]] = Counter()
-        """How many jobs of each user have not ended."""
+        """Number of jobs of each user that have not ended."""
         self._task_time = TaskTime(_day_of(store), store.usage(_day_of(store)))
         self._saved_at = 0.0
         self._rested_at: float | None = None
@@ -99,7 +123,7 @@ class JobController:
         self.shown: Final = JobViews(self.jobs, self.ending, self.queue, self, store, self.breakages)
         self.checkpoints: Final = PullBudget()
         self.changed: Callable[[str], object] = lambda job: None
-        """Called with the id of a job to which something has happened."""
+        """Called with the id of each job that has changed."""
         self._store = store
         self._turns: Final = TaskTurns()
         self._composing: Final[set[str]] = set()
@@ -120,14 +144,11 @@ class JobController:
     # ------------------------------------------------------------------------------------------- jobs
 
     def recover(self, now: float) -> None:
-        """Take over the jobs of the store: those that had not ended go on from their checkpoints.
-
-        One that cannot be understood fails, and takes no other with it.
-        """
+        """Continue the stored jobs that have not ended, from their checkpoints; one that cannot be read fails alone."""
         self.queue.is_paused = self._store.is_queue_paused()
         self.workers.membership.set_cordons(self._store.cordons())
         for record in self._store.open_jobs():
-            with self.guarded(record.id, "taking over a job", now):
+            with self.guarded(record.id, "continuing a job", now):
                 if not record.is_sound:
                     self._end_without_job(record.id, checks.DAMAGED_RECORD)
                     continue
@@ -139,7 +160,7 @@ class JobController:
                     self._take_over(record, config, now)
 
     def _take_over(self, record: JobRecord, config: JobConfig, now: float) -> None:
-        """Let a job of the store go on: one whose data are prepared there from what it had found, without a worker."""
+        """Continue a stored job; if its prepared data are stored, from what it had found, without a worker."""
         has_begun = record.state != "queued"
         if record.submitted_s is not None:
             record = replace(record, elapsed=max(record.elapsed, self._store.served_s - record.submitted_s))
@@ -147,18 +168,18 @@ class JobController:
         self.workers.crash_loops.recover(record.id)
         if record.prepared_digest is None or record.dataset_digest is None:
             return
-        if not self._store.is_sound(record.dataset_digest):  # workers would ask for one that is damaged for ever
+        if not self._store.is_sound(record.dataset_digest):  # else workers would ask for the damaged one for ever
             return
         try:
             prepared = self.tasks.take_prepared(
                 record.id, record.prepared_digest, self._store.get_blob(record.prepared_digest)
             )
-        except (KeyError, RemoteProtocolError):  # damaged, or of another version: its data are prepared again
+        except (KeyError, RemoteProtocolError):  # damaged or of another version: the data are prepared again
             return
-        self._change(record.id, "taking over a job", now, lambda job: self._go_on(job, record, prepared, now))
+        self._change(record.id, "continuing a job", now, lambda job: self._go_on(job, record, prepared, now))
 
     def _go_on(self, job: Job, record: JobRecord, prepared: Prepared, now: float) -> Sequence[JobAction]:
-        """Continue a job as it was when the coordinator ended; its next turn is decided with those of the others."""
+        """Continue a job as it was when the coordinator ended, held until its next turn."""
         job.start_preparing()
         self.begun[job.id] = job
         self.queue.take_over(job.id)
@@ -170,11 +191,11 @@ class JobController:
         return actions
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
-        """Take in a job. The same id with the same contents again changes nothing, nor does it whose job it is.
+        """Accept a job. The same id with the same contents again changes nothing, not even the submitter.
 
         Raises:
             RefusedError: The id belongs to another job or to a deleted one.
-            TableMissingError: The table has not been uploaded, or has been deleted since.
+            TableMissingError: The table has not been uploaded, or was deleted.
         """
         spec = body.config.model_dump_json()
         known = self._store.job(body.job)
@@ -182,7 +203,7 @@ class JobController:
             if (known.spec, known.table_digest, known.priority) != (spec, body.table, body.priority):
                 raise RefusedError(f"job {body.job} exists already with other contents; submit under another id")
             return
-        if self._store.is_deleted(body.job):  # workers may still hold its data, and take them for those of this job
+        if self._store.is_deleted(body.job):  # workers may still have its data, and would use them for this job
             raise RefusedError(f"job {body.job} was deleted, and its id is not given again; submit under another id")
         if not self._store.has_blob(body.table):
             raise TableMissingError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
@@ -192,15 +213,15 @@ class JobController:
             priority=body.priority, submitter=submitter, shared=int(body.shared), submitted_s=self._store.served_s,
         )  # fmt: skip
         self._store.add_job(record)
-        with self.guarded(body.job, "taking in a job", now):
+        with self.guarded(body.job, "accepting a job", now):
             self._add(Job(record, body.config, now), now)
-            self.events.record_submission(body)
+            self.events.record("submitted", f"submitted as {body.name!r}", body.job, priority=body.priority)
         self._take_turns(now)
 
     def _add(self, job: Job, asked_at: float, *, has_begun: bool = False) -> None:
-        """Let a job join those that wait; `asked_at` is the bus's second from which on it has.
+        """Add a job to the queue, since `asked_at` (seconds of the bus).
 
-        One that `has_begun` before a restart goes on under a paused queue as well.
+        A job that `has_begun` before a restart goes on even if the queue is paused.
         """
         self.jobs[job.id] = job
         self.live_of[job.submitter] += 1
@@ -208,16 +229,11 @@ class JobController:
             job.id, job.submitter, job.priority, asked_at, is_paused=job.is_paused, had_begun=has_begun
         )  # fmt: skip
 
-    def set_limits(self, limits: Limits, now: float) -> None:
-        """Let other limits hold from now on: jobs beyond them are held, and what is stored already stays."""
-        self.queue.limits = limits
-        self._take_turns(now)
-
     def pause(self, job_id: str, is_paused: bool, now: float) -> None:
-        """Have a job wait until it is resumed, or resume it. It lasts, also when the coordinator is started again.
+        """Pause or resume a job; it lasts over restarts.
 
         Raises:
-            RefusedError: It has ended, or is refined, which nothing interrupts.
+            RefusedError: It has ended, or is being refined, which is not interrupted.
         """
         job = self._live(job_id, "paused or resumed")
         if job.state == "refining" and is_paused and not self.tasks.waits(job_id):
@@ -236,7 +252,7 @@ class JobController:
         self._place(now)
 
     def set_priority(self, job_id: str, priority: int, now: float) -> None:
-        """Change the priority of a job; workers that have it are told. Raises RefusedError when it has ended."""
+        """Change the priority of a job and announce it to workers. Raises RefusedError when it has ended."""
         job = self._live(job_id, "given another priority")
         self._store.update_job(job_id, priority=priority)
         with self.guarded(job_id, "changing a priority", now):
@@ -248,7 +264,7 @@ class JobController:
         self._take_turns(now)
 
     def share(self, job_id: str, is_shared: bool) -> None:
-        """Let everybody see a job, or its submitter and admins only."""
+        """Let all users see a job, or only its submitter and admins."""
         self._store.share_job(job_id, is_shared)
         self.events.record("changed", "everybody may see it" if is_shared else "it is private", job_id)
         ending = self.ending.get(job_id)
@@ -257,7 +273,7 @@ class JobController:
             job.is_shared = is_shared
 
     def again(self, job_id: str, again: str) -> Submit:
-        """Return the submission of what a job was submitted with, under another id.
+        """Return the submission of a job under another id.
 
         Raises:
             RefusedError: It neither failed nor was cancelled, or this version does not understand it.
@@ -275,14 +291,14 @@ class JobController:
         )  # fmt: skip
 
     def pause_queue(self, is_paused: bool, now: float) -> None:
-        """Take up no more jobs, or go on; it lasts."""
+        """Pause or resume the queue; it lasts over restarts."""
         self._store.pause_queue(is_paused)
         self.queue.is_paused = is_paused
         self.events.record("changed", "no more jobs are taken up" if is_paused else "jobs are taken up again")
         self._take_turns(now)
 
     def set_worker(self, worker: str, service: WorkerService, now: float) -> None:
-        """Let a worker have islands, no more of them, or none; it lasts. Raises RefusedError for an unknown worker."""
+        """Open, cordon or drain a worker; it lasts over restarts. Raises RefusedError for an unknown worker."""
         cordons = self._store.cordons()
         if self.workers.membership.member(worker) is None and worker not in cordons:
             raise RefusedError(f"there is no worker {worker!r}; 'coordinator workers' lists all of them")
@@ -298,11 +314,11 @@ class JobController:
         return job
 
     def analyse(self, asked: AskAnalysis, user: str | None, now: float) -> Analysis:
-        """Return a question about the result of a job with what has come of it; the first to ask has it answered.
+        """Return a question about the result of a job, with its answer if there is one; a new one becomes a task.
 
         Raises:
-            RefusedError: The job has no result, or not yet; or the user has asked too much.
-            TableMissingError: The table has been deleted.
+            RefusedError: The job has no result, or not yet; or the user has too many open questions.
+            TableMissingError: The table was deleted.
         """
         known = self.tasks.analyses.ask(asked, now)
         if known is not None:
@@ -330,7 +346,7 @@ class JobController:
         """End a job and keep what it has found; without effect when it has ended or is `ending`.
 
         Raises:
-            RefusedError: What the store has of its search cannot be kept before its data are prepared again.
+            RefusedError: Its stored search could not be kept before its data are prepared again.
         """
         job = self.jobs.get(job_id)
         if job is not None and job.prepared is None and self._store.has_search(job_id):
@@ -340,16 +356,7 @@ class JobController:
             )
         self._change(job_id, "cancelling", now, Job.cancel)
 
-    def begin_preparing(self, job_id: str, now: float) -> None:
-        """Take in that the process that prepares a job is loaded: its time counts from now on."""
-        self._change(job_id, "having a job prepared", now, lambda job: job.start_clock(now))
-
-    def start_search(self, made: JobPrepared, now: float) -> None:
-        """Begin the search of a job whose data are prepared, and in the store: announce it and place its islands."""
-        self._change(made.job, "beginning the search", now, lambda job: self._start(job, made, now))
-        self._place(now)
-
-    def _start(self, job: Job, made: JobPrepared, now: float) -> Sequence[JobAction]:
+    def _start(self, job: Job, made: background.JobPrepared, now: float) -> Sequence[JobAction]:
         if job.state != "preparing":
             return ()
         actions = self._set_up(job, made.former, made.prepared, now)
@@ -358,14 +365,15 @@ class JobController:
         self.queue.search(job.id)
         job.hold(self.queue.is_held(job.id))
         self._store.update_job(job.id, state="running")
-        self.events.record_preparation(job)
+        sought = ", ".join(job.archipelagos)
+        self.events.record("prepared", f"data are prepared; sought: {sought or 'nothing'}", job.id)
         self._channel.publish(job.announcement())
         return actions
 
     def _set_up(self, job: Job, dataset: str | None, prepared: Prepared, now: float) -> Sequence[JobAction]:
-        """Set up the search of a job whose data are prepared, from what the store has of it; it may fail.
+        """Set up the search of a prepared job, from its stored cuts and checkpoints; it may fail.
 
-        `dataset` is the digest of what its data were before, if they were prepared before.
+        `dataset` is the digest of the dataset that was prepared before, if any.
         """
         unknown = checks.epoch_limit_reason(job.config, prepared)
         if unknown is not None:
@@ -374,7 +382,7 @@ class JobController:
             cuts = {name: decode(data, Cut) for name, data in self._store.cuts(job.id).items()}
             stored = self._stored_checkpoints(job, prepared)
             resumed = {name: decode(data, StoredSearchState) for name, (_, data) in stored.items() if name not in cuts}
-        except RemoteProtocolError as error:  # nobody else has written it: it is of another version of ours
+        except RemoteProtocolError as error:  # another version has written it
             return job.fail("internal", checks.stored_search_reason(error))
         reason = checks.resume_reason(prepared, dataset, bool(cuts), resumed)
         if reason is not None:
@@ -384,8 +392,8 @@ class JobController:
     def _stored_checkpoints(self, job: Job, prepared: Prepared) -> dict[str, tuple[int, bytes]]:
         """Return epoch and contents of the checkpoints from which a search goes on, by variable.
 
-        Where states of the last one are damaged that is the one before or, if there is none, the beginning: by purity
-        the answer is the same, and workers would ask for ever for what is not there.
+        If states of the last checkpoint are damaged, the search goes on from the one before, or from the beginning: the
+        result is the same, since epochs are pure functions.
         """
         last = self._store.checkpoints(job.id)
         whole = self._store.whole_checkpoints(job.id, prepared.config.evolution.islands) if last else {}
@@ -397,27 +405,19 @@ class JobController:
         return whole
 
     def has_lost(self, pull: PullStates) -> bool:
-        """Tell whether states that are not in the store are those from which a search goes on now."""
+        """Return whether missing states are the ones from which a search goes on now."""
         job = self.jobs.get(pull.job)
         archipelago = job.open_archipelago(pull.variable) if job is not None else None
         if archipelago is None or archipelago.durable == 0 or pull.epoch != archipelago.durable:
             return False
         return set(pull.islands) <= set(range(archipelago.collector.limits.islands))
 
-    def finish_job(self, job_id: str, text: str, now: float) -> None:
-        """End a job with the result that refining gave, as JSON."""
-        self._change(job_id, "ending", now, lambda job: job.finish(text))
-
-    def finish_unrefined(self, job_id: str, refinement: Refinement, now: float) -> None:
-        """End a job with its equations as found, and a warning in place of what refining gives."""
-        self._change(job_id, "ending", now, lambda job: job.finish_unrefined(refinement))
-
     def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None:
         """Let a job fail; without effect when it has ended."""
         self._change(job_id, "ending", now, lambda job: job.fail(fault, sentence))
 
     def announcement(self, job_id: str) -> JobAnnouncement | None:
-        """Return what workers must know of a job that is being searched."""
+        """Return the announcement of a job that is being searched; None: it is not."""
         job = self.jobs.get(job_id)
         return job.announcement() if job is not None and job.state == "running" else None
 
@@ -434,106 +434,149 @@ class JobController:
         jobs = (job.id for job in self.begun.values() if job.prepared is not None and job.prepared.blob == digest)
         return next(jobs, None)
 
+    # ---------------------------------------------------------------------------------------- outcomes
+
+    def take_outcome(self, item: background.Outcome, now: float) -> None:
+        """Handle an outcome of background work or of a task. It never comes again, so that an error ends its job."""
+        match item:
+            case background.TableChecked():
+                with self.guarded(item.job, "preparing a job", now):
+                    self._prepare_checked(item, now)
+            case background.PreparationBegun():
+                self._change(item.job, "preparing a job", now, lambda job: job.start_clock(now))
+            case background.JobPrepared():
+                self._change(item.job, "beginning the search", now, lambda job: self._start(job, item, now))
+                self._place(now)
+            case background.PreparationFailed():
+                self.fail_job(item.job, item.fault, item.sentence, now)
+            case background.JobRefined():
+                self._change(item.job, "ending", now, lambda job: job.finish(item.text))
+            case background.RefiningFailed():
+                self._change(item.job, "ending", now, lambda job: job.finish_unrefined(item.refinement))
+            case background.CheckpointWritten():
+                self._commit_checkpoint(item, now)
+
+    def _prepare_checked(self, checked: background.TableChecked, now: float) -> None:
+        job = self.jobs.get(checked.job)
+        if job is None or job.state != "preparing":  # it has ended in the meantime
+            return
+        if checked.error is not None:
+            raise checked.error
+        if not checked.is_sound:
+            self.fail_job(job.id, "internal", "its table is missing or damaged in the store; submit it again", now)
+            return
+        self.tasks.prepare(job.id, job.table, self._store.blob_size(job.table), job.config, now)
+        self.changed(job.id)
+
+    def _commit_checkpoint(self, written: background.CheckpointWritten, now: float) -> None:
+        """Publish the commit of a written checkpoint, and place archipelagos that waited for it."""
+        checkpoint = written.checkpoint
+        with self.guarded(checkpoint.job, "committing a checkpoint", now):
+            self.checkpoints.mark_written(checkpoint)
+            if written.error is not None:
+                raise written.error
+            self._mark_durable(checkpoint, now)
+        self._place(now)
+        if self.checkpoints.is_short:
+            self._advance_checkpoints(now)
+
     # --------------------------------------------------------------------------- workers' reports, time
 
     def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Take in a heartbeat: who is there, what it holds, and of which epochs it has snapshots.
+        """Handle a heartbeat: the worker's state, islands, tasks, and epochs of snapshots.
 
         Raises:
-            RemoteProtocolError: The worker has heard of an incarnation that there is not.
-            StoreError: There is: another coordinator has taken over.
+            RemoteProtocolError: The worker names a later incarnation that does not exist.
+            StoreError: It exists: another coordinator has taken over.
         """
         is_known = self.workers.add_heartbeat(worker, status, now)
         if is_known:
             computed = ((amount.submitter, amount.seconds) for amount in status.computed)
             self._task_time.add_heartbeat(worker, status.instance, computed)
-            with self.breakages.tolerated("taking in which tasks a worker has"):
+            with self.breakages.tolerated("comparing the tasks of a worker"):
                 self.tasks.add_heartbeat(worker, status, now)
         for assignment_status in status.holdings if is_known else ():
             self._advance_checkpoint(assignment_status.job, assignment_status.variable, now)
 
     def has_task(self, worker: str) -> bool:
-        """Tell whether a worker has a task that has not ended."""
+        """Return whether a worker has a task."""
         return self.tasks.table.on(worker) is not None
 
     def lose_tasks(self, worker: str, now: float, *, had_left: bool) -> tuple[str, ...]:
-        """Take in that a worker is lost, which `had_left` if it had said that it would: others get its tasks.
-
-        Returns the jobs of these tasks.
-        """
+        """Give the tasks of a lost worker to others; it `had_left` if it had announced its end. Return their jobs."""
         with self.breakages.tolerated("taking tasks from a worker that is lost"):
             return self.tasks.lose(worker, now, had_left=had_left)
         return ()
 
     def stalls(self, job_id: str) -> tuple[str, ...]:
-        """Return why archipelagos of a job stand still, in words, by variable."""
+        """Return in words why archipelagos of a job make no progress, by variable."""
         return self.workers.stalls(job_id)
 
     def task_views(self, job_id: str) -> tuple[TaskView, ...]:
-        """Return the tasks of a job that have not ended, as they are shown."""
+        """Return the views of the tasks of a job."""
         return self.tasks.views(job_id)
 
     def waiting_reason(self, job: Job) -> str | None:
-        """Return in words what the islands or tasks of a job wait for; None: they do not."""
+        """Return in words what the islands or tasks of a job wait for; None: they do not wait."""
         reason = self.workers.waiting_reason(job) or self.tasks.waiting_reason(job.id)
         if reason is None or self._may_run(job) or job.state != "refining":
             return reason
         return pause_reason(job.id) if job.is_paused else NO_TIME
 
     def add_task_report(self, worker: str, report: TaskReport, now: float) -> None:
-        """Take in what came of a task; raises RemoteProtocolError when it cannot be."""
+        """Handle a worker's report on a task; raises RemoteProtocolError when it is impossible."""
         task = self.tasks.table.get(report.body.task)
-        with self.guarded(task.job if task is not None else "", "taking in what came of a task", now, by_peer=True):
+        with self.guarded(task.job if task is not None else "", "handling the result of a task", now, by_peer=True):
             self.tasks.add_report(worker, report, now)
 
-    def take_result(self, read: ResultRead, now: float) -> None:
-        """Take in that the result of a task was read; raises RemoteProtocolError when it was damaged on its way."""
-        with self.guarded(read.result.job, "taking in what came of a task", now, by_peer=True):
+    def take_result(self, read: background.ResultRead, now: float) -> None:
+        """Handle the result of a task; raises RemoteProtocolError when it was damaged on its way."""
+        with self.guarded(read.result.job, "handling the result of a task", now, by_peer=True):
             self.tasks.take_result(read, now)
 
     def _may_follow(self, job_id: str) -> bool:
-        """Tell whether a task of a job may be wanted soon: after a restart its data are prepared first."""
+        """Return whether a task of a job may be created soon: after a restart its data are prepared first."""
         job = self.jobs.get(job_id)
         return job is not None and job.state in ("queued", "preparing")
 
     def _order(self, waiting: Collection[str], running: Collection[str]) -> list[str]:
-        """Return whose tasks that wait may be leased, jobs and questions about them, the next one first."""
+        """Return the jobs and questions whose waiting tasks may be leased, the next one first."""
         ready = [one for one in map(self._of_turn, waiting) if one is not None and self._may_run(one)]
-        return self._turns.order(ready, [one for one in map(self._of_turn, running) if one is not None])
+        served = [one for one in map(self._of_turn, running) if one is not None]
+        return self._turns.order_tasks([*map(_turn, ready)], [*map(_turn, served)])
 
     def _of_turn(self, turn: str) -> Job | Analysis | None:
         return self.jobs.get(turn) or self.tasks.analyses.get(turn)
 
     def _may_run(self, turn: Job | Analysis) -> bool:
-        """Tell whether tasks of a job, or of a question, may be leased; what runs already runs on."""
+        """Return whether tasks of a job, or of a question, may be leased; running ones go on."""
         is_paused = isinstance(turn, Job) and turn.is_paused
         return not (is_paused or self.queue.has_no_time(turn.submitter))
 
     def _charge(self, turn: str, seconds: float) -> None:
-        """Charge the user of a job, or who has asked a question, for what workers have done for it."""
+        """Charge the user of a job, or of a question, for the time of workers."""
         charged = self._of_turn(turn)
         if charged is not None:
             self._task_time.charge(charged.submitter, seconds)
             self._turns.charge(charged.submitter, seconds)
 
     def add_report(self, worker: str, report: EpochReport, now: float) -> None:
-        """Take in a report; raises RemoteProtocolError when it cannot be."""
+        """Handle a report of islands; raises RemoteProtocolError when it is impossible."""
         job = self.jobs.get(report.job)
         if job is None:
             if self._store.job(report.job) is None:
                 raise RemoteProtocolError(f"a report of job {report.job} came, which does not exist")
             return
-        self._change(
-            job.id, "taking in a report", now, lambda job: self._report(job, worker, report, now), by_peer=True
-        )
+
+        def add(job: Job) -> Sequence[JobAction]:
+            self.counters.add(job.id, reports=1)
+            return job.add_report(worker, report, now)
+
+        self._change(job.id, "adding a report", now, add, by_peer=True)
         self._advance_checkpoint(job.id, report.variable, now)
 
-    def _report(self, job: Job, worker: str, report: EpochReport, now: float) -> Sequence[JobAction]:
-        self.counters.add(job.id, reports=1)
-        return job.add_report(worker, report, now)
-
     def tick(self, now: float) -> None:
-        """Let time pass: lost workers, `--max-time`, jobs that wait for their turn."""
+        """Let time pass: lost workers, `--max-time`, turns of waiting jobs, tasks, checkpoints."""
         with self.breakages.tolerated("looking for lost workers"):
             self.workers.expire(now)
         with self.breakages.tolerated("counting task time"):
@@ -546,13 +589,13 @@ class JobController:
             self.tasks.tick(now)
         self._place(now)
         self._advance_checkpoints(now)
-        with self.breakages.tolerated("looking for what stands still"):
+        with self.breakages.tolerated("looking for stalls"):
             self.workers.check_stalls(now)
         with self.breakages.tolerated("writing events"):
             self.events.flush()
 
     def _count_time(self, now: float) -> None:
-        """Hold the jobs of users who have used up their day, and store what all have used."""
+        """Find the users who have used up their task time, and store the task time of all."""
         self.queue.exhausted = self._task_time.exhausted(self.queue.limits)
         self.queue.is_exhausted = self._task_time.is_used_up(self.queue.limits)
         if now - self._saved_at >= _SAVE_S:
@@ -563,15 +606,15 @@ class JobController:
             self._task_time.begin_day(_day_of(self._store))
 
     def _rest(self, now: float) -> None:
-        """Let jobs rest whose tasks wait: no time passes for those to be refined, as for islands without workers.
+        """Leave out the time in which jobs to be refined wait for a worker, as for islands without workers.
 
-        Those to be prepared that may not run give their places back.
+        Jobs to be prepared that may not run give their places back.
         """
         seconds = now - self._rested_at if self._rested_at is not None else 0.0
         self._rested_at = now
         for job in tuple(self.begun.values()):
             if job.state in ("preparing", "refining") and self.tasks.waits(job.id):
-                with self.guarded(job.id, "letting a job rest", now):
+                with self.guarded(job.id, "letting a job wait", now):
                     if job.state == "refining":
                         job.wait_to_be_refined(seconds)
                     elif not self._may_run(job):
@@ -586,37 +629,23 @@ class JobController:
         self.changed(job.id)
 
     def _place(self, now: float) -> None:
-        """Have islands placed, which concerns all jobs: it ends none that happens to be the occasion."""
+        """Have islands placed. That concerns all jobs: an error ends none of them."""
         with self.breakages.tolerated("placing islands"):
             self.workers.place(now)
 
     # ------------------------------------------------------------------------------------- checkpoints
 
     def add_states(self, worker: str, pull: PullStates, body: States | None, now: float) -> None:
-        """Take in the answer to a pull of states; None: there was none, and they are pulled again later.
+        """Handle the answer to a pull of states; None: there was none, and they are pulled again later.
 
         Raises:
             RemoteProtocolError: A state was damaged on its way.
         """
         job = self.jobs.get(pull.job)
         archipelago = job.archipelagos.get(pull.variable) if job is not None else None
-        with self.guarded(pull.job, "taking in states", now, by_peer=True):
+        with self.guarded(pull.job, "adding states", now, by_peer=True):
             self.checkpoints.add_states(archipelago, worker, pull, body)
         if body is not None:
-            self._advance_checkpoints(now)
-
-    def commit_checkpoint(self, checkpoint: Checkpoint, now: float, error: Exception | None = None) -> None:
-        """Take in that a checkpoint is durable: the commit is published, and what waits for it is placed.
-
-        `error` says why it could not be written instead. Raises StoreError when that is the store's.
-        """
-        with self.guarded(checkpoint.job, "committing a checkpoint", now):
-            self.checkpoints.mark_written(checkpoint)
-            if error is not None:
-                raise error
-            self._mark_durable(checkpoint, now)
-        self._place(now)
-        if self.checkpoints.is_short:
             self._advance_checkpoints(now)
 
     def _mark_durable(self, checkpoint: Checkpoint, now: float) -> None:
@@ -639,7 +668,7 @@ class JobController:
             self._advance_checkpoint(archipelago.job, archipelago.variable, now)
 
     def _advance_checkpoint(self, job_id: str, variable: str, now: float) -> None:
-        """Do so for one archipelago, of which something has come; all of them each time would take too long."""
+        """Pull states and write the checkpoint of one archipelago: visiting all at each message would be slow."""
         with self.guarded(job_id, "gathering a checkpoint", now):
             job = self.jobs.get(job_id)
             archipelago = job.open_archipelago(variable) if job is not None else None
@@ -652,12 +681,12 @@ class JobController:
                 search_state = encode(checkpoint.stored_search_state(job.search_seconds(now)))
                 self._background.write_checkpoint(checkpoint, search_state, now - job.submitted_at)
 
-    # --------------------------------------------------------------------------------------- what breaks
+    # ------------------------------------------------------------------------------------ changes and errors
 
     def _change(
         self, job_id: str, task: str, now: float, act: Callable[[Job], Sequence[JobAction]], *, by_peer: bool = False
     ) -> None:
-        """Have something happen to a live job, and carry out what follows; the only way in which that is done."""
+        """Change a live job by `act`, and carry out the actions that follow: all changes go through here."""
         job = self.jobs.get(job_id)
         if job is not None:
             with self.guarded(job_id, task, now, by_peer=by_peer):
@@ -666,10 +695,10 @@ class JobController:
 
     @contextlib.contextmanager
     def guarded(self, job_id: str, task: str, now: float, *, by_peer: bool = False) -> Iterator[None]:
-        """Let what breaks within end this job and nothing else: how much of it was done to the job is not known.
+        """Let an error within the block end this job, which may be half changed, and nothing else.
 
-        `by_peer`: what comes from a peer is taken in, whose RemoteProtocolError changes nothing, and passes. A store
-        that fails is no matter of one job, and passes as well.
+        `by_peer`: the block handles a message of a peer, whose RemoteProtocolError changes nothing, and is raised. A
+        StoreError does not concern one job, and is raised as well.
         """
         try:
             with about(job=job_id or None):
@@ -684,9 +713,9 @@ class JobController:
             self._end_broken(job_id, self.breakages.add(task, error, job.config if job is not None else None), now)
 
     def _end_broken(self, job_id: str, sentence: str, now: float) -> None:
-        """End a job whose state may be half changed: all that ends it is done as far as it can be."""
+        """End a job whose state may be half changed, as completely as possible."""
         job, ending = self.jobs.get(job_id), self.ending.get(job_id)
-        if ending is not None and ending.sentence is not None:  # it ends so already
+        if ending is not None and ending.sentence is not None:  # it is ending with an error already
             return
         self.ending.pop(job_id, None)
         self._remove(job_id)
@@ -700,43 +729,46 @@ class JobController:
             self._compose(broken)
 
     def _close(self, job_id: str) -> None:
-        """Have nobody compute for a job that has ended since something broke, and forget it."""
+        """Close a job that ended with an error on all workers, and forget it."""
         with self.breakages.tolerated("closing a job"):
             self._channel.publish(CloseJob(job=job_id))
         with self.breakages.tolerated("ending the tasks of a job"):
             self.tasks.cancel(job_id)
-        with self.breakages.tolerated("forgetting what a job has cost"):
+        with self.breakages.tolerated("forgetting the counters of a job"):
             self.counters.forget(job_id)
         with self.breakages.tolerated("forgetting a job"):
             self.workers.forget(job_id)
 
     def _compose(self, ending: Ending) -> None:
-        """Have the end of a job take effect when its result is composed."""
+        """Let the end of a job take effect when its result is composed."""
         self.ending[ending.job.id] = ending
         self._background.compose_result(ending.draft)
 
     def compose(self, draft: Draft) -> None:
-        """Have the result of a live job composed as it stands, unless that is under way."""
+        """Have the best result so far of a live job composed, unless that is under way."""
         if draft.job not in self._composing:
             self._composing.add(draft.job)
             self._background.compose_result(draft)
 
-    def finish_composing(self, composed: ResultComposed, now: float) -> str:
-        """Return the result of a job that was live when it was asked for; raises what composing it raised."""
+    def finish_composing(self, composed: background.ResultComposed, now: float) -> str:
+        """Return the composed result of a live job; raises the error of composing it."""
         self._composing.discard(composed.draft.job)
         if composed.error is not None:
             raise composed.error
         return timed(composed.text, now - composed.draft.submitted_at)
 
-    def finish_ending(self, composed: ResultComposed, now: float) -> None:
-        """Let the end of a job take effect whose result is composed; without effect where another end came first."""
+    def finish_ending(self, composed: background.ResultComposed, now: float) -> None:
+        """Let the end of a job take effect whose result is composed; without effect if another end came first."""
         job_id = composed.draft.job
         ending = self.ending.get(job_id)
         if ending is None or ending.draft is not composed.draft:
             return
         with self.guarded(job_id, "ending", now):
             if ending.sentence is not None:
-                self._finish_broken(ending, composed, now)
+                del self.ending[job_id]
+                text = timed(composed.text, now - ending.job.submitted_at) if composed.error is None else None
+                self._end_without_job(job_id, ending.sentence, text)
+                self._close(job_id)
             elif composed.error is not None:
                 raise composed.error
             else:
@@ -745,21 +777,13 @@ class JobController:
                 del self.ending[job_id]
         self.changed(job_id)
 
-    def _finish_broken(self, ending: Ending, composed: ResultComposed, now: float) -> None:
-        """Let a job end over which something broke, without a result where that cannot be composed."""
-        job_id = ending.job.id
-        del self.ending[job_id]
-        text = timed(composed.text, now - ending.job.submitted_at) if composed.error is None else None
-        self._end_without_job(job_id, ending.sentence or "", text)
-        self._close(job_id)
-
     def _end_without_job(self, job_id: str, reason: str, text: str | None = None) -> None:
-        """Let a job of the store fail that is not live, unless it has ended there."""
+        """Fail a stored job that is not live, unless it has ended."""
         if self._store.commit_result(job_id, "failed", text, reason, self._clock()):
-            with self.breakages.tolerated("noting the end of a job"):
+            with self.breakages.tolerated("recording the end of a job"):
                 self.events.record("failed", reason, job_id)
 
-    # ---------------------------------------------------------------------------------------- outcomes
+    # ----------------------------------------------------------------------------------------- actions
 
     def _carry_out(self, job: Job, actions: Sequence[JobAction], now: float) -> None:
         for action in actions:
@@ -772,7 +796,8 @@ class JobController:
                     self.queue.remove(job.id)
                     self._store.update_job(job.id, state="refining")
                     if job.prepared is not None:
-                        self.events.record_refining(job.id)
+                        text = "all searches have ended; its equations are being refined"
+                        self.events.record("refining", text, job.id)
                         searched = Searched(job.id, tuple(outcomes_of(job)))
                         self.tasks.refine(searched, job.prepared.config, action.seconds, now)
                 case CommitResult():
@@ -787,10 +812,10 @@ class JobController:
             self.events.record_cut(job.id, cut)
 
     def _end(self, job: Job, now: float) -> None:
-        """End a job: at once where its result is there or it has none, or else when its result is composed.
+        """End a job: at once if its result is there or it has none, else when its result is composed.
 
-        Nothing of its end is in the store, and nobody is told, before its result is there: whatever kills us in
-        between, it goes on. So workers compute for it until then.
+        Before the result is there, nothing of its end is stored or sent, so that the job goes on if the coordinator
+        dies in between. So workers compute for it until then.
         """
         draft = draft_of(job) if job.result_text is None else None
         if draft is None:
@@ -801,8 +826,8 @@ class JobController:
         self._take_turns(now)
 
     def _commit_result(self, job: Job, now: float) -> None:
-        made = timed(job.result_text, now - job.submitted_at) if job.result_text is not None else None
-        text = self._fitting(job, made)
+        result = timed(job.result_text, now - job.submitted_at) if job.result_text is not None else None
+        text = self._fitting(job, result)
         self._store.update_job(job.id, elapsed=now - job.submitted_at)
         is_crash_loop, finished = job.fault == "poison", self._clock()
         view = self.shown.last_view(job, now).model_dump_json()
@@ -818,9 +843,9 @@ class JobController:
         self._take_turns(now)
 
     def _fitting(self, job: Job, text: str | None) -> str | None:
-        """Return a result as far as its user may store it: the oldest of that user's ended jobs make room for it.
+        """Return a result that its user may store, after deleting the user's oldest ended jobs if necessary.
 
-        Where nothing is left to delete, the job fails: what a user may store holds to the byte.
+        If nothing is left to delete, the job fails: the limit on stored bytes is exact.
         """
         most = self.queue.limits.of(job.submitter).stored
         if text is None or most is None:
@@ -841,7 +866,7 @@ class JobController:
 
     def forget_ended(self, job_id: str, reason: str) -> None:
         """Delete a job that has ended."""
-        self.events.flush()  # or its last events would be written after its end
+        self.events.flush()  # else its last events would be written after its end
         self.tasks.cancel(job_id)
         self._store.delete_job(job_id)
         self.events.record("deleted", f"job {job_id} is deleted: {reason}")
@@ -856,23 +881,23 @@ class JobController:
         self._turns.forget(job_id)
 
     def _take_turns(self, now: float) -> None:
-        """Have those jobs prepared and searched whose turn it is, and others held."""
-        with self.breakages.tolerated("deciding whose turn it is"):
+        """Start, hold and release jobs by the decision of the queue."""
+        with self.breakages.tolerated("deciding about turns"):
             self.queue.charge(now)
             decision = self.queue.decide()
             for job_id in decision.hold:
                 self._change(job_id, "holding a job", now, lambda job: job.hold(True))
             for job_id in decision.release:
-                self._change(job_id, "letting a job go on", now, lambda job: job.hold(False))
+                self._change(job_id, "releasing a job", now, lambda job: job.hold(False))
             for job_id in decision.take_up:
-                with self.guarded(job_id, "having a job prepared", now):
+                with self.guarded(job_id, "preparing a job", now):
                     self._prepare(job_id, now)
 
     def _prepare(self, job_id: str, now: float) -> None:
         waiting = self.jobs.get(job_id)
-        if waiting is None or waiting.state != "queued":  # the end of one before it in the line had this one taken up
+        if waiting is None or waiting.state != "queued":  # the end of a job before it has started this one
             return
-        # What the store refuses, as on a full disk, must leave the job in the line, or nobody would prepare it.
+        # If the store fails, as on a full disk, the job must stay in the queue, or it would never be prepared.
         self._store.update_job(waiting.id, state="preparing")
         waiting.start_preparing()
         self.begun[job_id] = waiting
@@ -880,25 +905,12 @@ class JobController:
         self.changed(waiting.id)
         self._background.check_table(waiting.id, waiting.table)
 
-    def prepare_checked(self, job_id: str, is_sound: bool, error: Exception | None, now: float) -> None:
-        """Have a job prepared whose table was checked; raises the `error` of a store that cannot be read."""
-        job = self.jobs.get(job_id)
-        if job is None or job.state != "preparing":  # it has ended meanwhile
-            return
-        if error is not None:
-            raise error
-        if not is_sound:
-            self.fail_job(job_id, "internal", "its table is missing or damaged in the store; submit it again", now)
-            return
-        self.tasks.prepare(job_id, job.table, self._store.blob_size(job.table), job.config, now)
-        self.changed(job_id)
-
     def _open_archipelagos(self) -> list[Archipelago]:
         return [archipelago for job in self.begun.values() for archipelago in job.open_archipelagos]
 
 
 def _broken(job: Job | None, sentence: str) -> Ending | None:
-    """Return the end of a job over which something broke, with what it has found; None where that cannot be had."""
+    """Return the end of a job by an error, with what it has found; None if that is not possible."""
     with contextlib.suppress(Exception):
         if job is not None and job.prepared is not None:
             was = job.former_state if job.has_ended else job.state
@@ -906,6 +918,10 @@ def _broken(job: Job | None, sentence: str) -> Ending | None:
             draft = draft_of(job)
             return Ending(job, was, draft, sentence) if draft is not None else None
     return None
+
+
+def _turn(one: Job | Analysis) -> Turn:
+    return Turn(one.id, one.submitter, one.priority, one.submitted_at)
 
 
 def _day_of(store: Store) -> int:

@@ -1,6 +1,6 @@
-"""The only loop of the coordinator: bus events go to the controller and the request router, and their messages out.
+"""The only loop of the coordinator: hands events of the bus to the controller and the request dispatcher.
 
-`Service.step` takes one event and never blocks for long; `Service.run` is the thin loop around `Bus.receive`.
+`Service.step` handles one event and never blocks for long; `Service.work` is the loop around `Bus.receive`.
 """
 
 import logging
@@ -11,36 +11,22 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import singledispatchmethod
-from typing import Final
+from typing import Final, cast
 
 from atoll_coordinator.service.job_controller import JobController
+from atoll_coordinator.service.monitoring.event_log import WorkerLogs
 from atoll_coordinator.service.monitoring.followers import Followers
 from atoll_coordinator.service.monitoring.metrics import LAG_S, MAX_USERS, UPDATE_S, Metrics
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
-from atoll_coordinator.service.requests.deferred import DeferredQuestions, NotYetError
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.dispatch import RequestDispatcher
-from atoll_coordinator.service.requests.handshake import Handshake
-from atoll_coordinator.service.requests.question_queue import QuestionQueue
+from atoll_coordinator.service.requests.waiting import QUESTIONS, DeferredQuestions, NotYetError
 from atoll_coordinator.service.scheduling.limits import Limits
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks.background import Background
-from atoll_coordinator.service.tasks.dependencies import Dependencies
-from atoll_coordinator.service.tasks.outcomes import (
-    CheckpointWritten,
-    JobPrepared,
-    JobRefined,
-    PreparationBegun,
-    PreparationFailed,
-    RefiningFailed,
-    ResultComposed,
-    TableChecked,
-)
-from atoll_coordinator.service.tasks.results import ResultRead
+from atoll_coordinator.service.tasks.background import Background, Dependencies, Outcome, ResultComposed, ResultRead
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import ABSENCE_S
-from atoll_coordinator.service.workers.worker_logs import WorkerLogs
 from atoll_core import VERSION
 from atoll_core.errors import RemoteProtocolError, StoreError
 from atoll_core.logs import fields
@@ -48,6 +34,7 @@ from atoll_core.machine import memory_bytes
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Presence, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
+from atoll_core.wire.bus.queues import Turns
 from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.clients import Answer, Failure, ResultText
 from atoll_core.wire.messages.epochs import (
@@ -71,7 +58,7 @@ TICK_S: Final = 0.5
 _TICK: Final = "tick"
 
 LAG_WINDOW_S: Final = 60.0
-"""Of so many seconds people are shown the loop's longest lag."""
+"""The view of the coordinator has the longest lag of the loop in so many seconds."""
 
 _ABSENCE: Final = "absence"
 _CHANGES: Final = "changes"
@@ -80,21 +67,21 @@ _PROBE: Final = "probe"
 
 @dataclass(frozen=True, slots=True)
 class _TimeCheck:
-    """Posted by the timer, behind all events that came before it: only then does silence count."""
+    """Posted by the timer, behind all earlier events: silence counts only after these."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Turn:
-    """Posted while questions of clients wait: it is one's turn."""
+    """Posted while questions of clients wait: one of them is answered."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Probe:
-    """Posted by a timer: how late is the loop?"""
+    """Posted by a timer to measure the lag of the loop."""
 
 
 class Service:
-    """One coordinator on one bus, over one store. Owned by the bus's owner thread."""
+    """One coordinator on one bus, over one store. Used by the bus's owner thread."""
 
     def __init__(  # noqa: PLR0913  # the outside world
         self,
@@ -112,11 +99,11 @@ class Service:
         Args:
             bus: open, with a router that workers and clients reach.
             store: open; decides cluster and incarnation.
-            expected_workers: how many workers the first placement waits for, within limits.
-            dismisses_workers: whether workers are shut down when this ends; otherwise they wait for its return.
-            dependencies: the time of day and so on; the real ones unless given.
-            role_bindings: names and roles, where certificates prove names; None: every name may be anybody.
-            metrics: where what is measured goes; None: nothing is.
+            expected_workers: number of workers that the first placement waits for, for a limited time.
+            dismisses_workers: whether workers are shut down at the end; otherwise they wait for another coordinator.
+            dependencies: clock, retention, background thread; None: the real ones.
+            role_bindings: names and roles, with certificates; None: every client may do everything.
+            metrics: for Prometheus; None: nothing is measured.
         """
         self.rejects: Final = Rejects(_LOG)
         self._bus = MeteredBus(bus)
@@ -125,8 +112,8 @@ class Service:
         self._store = store
         self._dismisses_workers = dismisses_workers
         dependencies = dependencies or Dependencies()
-        self._questions: QuestionQueue[tuple[Query, str]] = QuestionQueue()
-        self._deferred: DeferredQuestions[tuple[Query, str]] = DeferredQuestions()
+        self._questions = Turns[tuple[Query, str]](QUESTIONS)
+        self._deferred = DeferredQuestions[tuple[Query, str]]()
         self._is_linked = True
         self._workers = WorkerChannel(self._bus, store.cluster)
         background = Background(dependencies.background, store, self._bus.post)
@@ -148,13 +135,14 @@ class Service:
             self.controller, store, authorization, self._deletion, bus.now, self.view, self._followers
         )
         self._uploads = clients.uploads
-        handshake = Handshake(self.controller, store, authorization, self.rejects, bus.now, dependencies.clock)
-        self._requests = RequestDispatcher(self.controller, store, handshake, clients, self.rejects, bus.now)
+        self._requests = RequestDispatcher(
+            self.controller, store, authorization, clients, self.rejects, bus.now, dependencies.clock
+        )
 
     # ------------------------------------------------------------------------------------------- life
 
     def start(self) -> None:
-        """Take over what the store holds, then listen."""
+        """Continue the stored jobs, then listen."""
         cluster = self._store.cluster
         self.controller.recover(self._bus.now())
         self._uploads.delete_all()
@@ -167,11 +155,13 @@ class Service:
             self._bus.serve(expression)
         for expression in (topics.HELLO, topics.ALL_GREETINGS):
             self._bus.serve(expression)
-        self._bus.post(_TimeCheck())  # jobs that were taken over are prepared at once
+        self._bus.post(_TimeCheck())  # stored jobs are prepared at once
         self._tick_later()
         if self._metrics is not None:
             self._probe_later()
-        self.controller.events.record_start(cluster, self._store.incarnation)
+        self.controller.events.record(
+            "started", "the coordinator is ready", realm=cluster, incarnation=self._store.incarnation
+        )
 
     def run(self, stop: threading.Event) -> None:
         """Start, and work until `stop` is set."""
@@ -179,9 +169,9 @@ class Service:
         self.work(stop)
 
     def set_policy(self, limits: Limits, role_bindings: RoleBindings | None) -> None:
-        """Let other limits and other roles hold from now on; workers that may not take part any more are sent away.
+        """Apply new limits and roles; workers that may no longer take part are given up.
 
-        A router has its rules from its start: until it is started anew, it lets in no name that is new.
+        A router keeps its rules until it is restarted, and admits no new names before.
         """
         self.controller.queue.limits = limits
         self._authorization.role_bindings = role_bindings
@@ -194,7 +184,7 @@ class Service:
         self._bus.post(_TimeCheck())
 
     def work(self, stop: threading.Event, between: Callable[[], object] = lambda: None) -> None:
-        """Work until `stop` is set; `between` is called several times a second, between two events."""
+        """Work until `stop` is set; `between` is called between events, several times a second."""
         while not stop.is_set():
             between()
             event = self._bus.receive(0.1)
@@ -205,10 +195,10 @@ class Service:
             self._workers.publish(Shutdown(sentence="the coordinator ended"))
 
     def step(self, event: Event) -> None:
-        """Take in one event. Nothing that it brings ends the loop, but a store that fails (StoreError).
+        """Handle one event. Only a StoreError ends the loop.
 
-        What a peer did wrong is counted, logged once and changes nothing. What breaks here is ours: it is counted,
-        logged once, and ends the job that it concerns; who asked is answered.
+        An error of a peer is counted, logged once and changes nothing. An error of this program is counted, logged once
+        and ends the job that it concerns; a client gets an answer.
         """
         began = time.perf_counter()
         with self.controller.breakages.tolerated("counting an event"):
@@ -217,11 +207,13 @@ class Service:
             try:
                 self._on(event)
             except RemoteProtocolError as error:
-                if isinstance(event, Timer | Posted | Link):  # no peer has said anything
+                if isinstance(event, Timer | Posted | Link):  # these are not from a peer
                     raise
                 self.rejects.count(event.key if isinstance(event, Message | Query | Presence) else "answer", error)
-        with self.controller.breakages.tolerated("telling followers"):
-            self._tell_followers()
+        with self.controller.breakages.tolerated("notifying followers"):
+            next_s = self._followers.notify(self._bus.now())
+            if next_s is not None:  # changes that are not due yet
+                self._bus.call_later(next_s, _CHANGES)
         if self._metrics is not None:
             self._metrics.observe_step(time.perf_counter() - began)
 
@@ -242,7 +234,7 @@ class Service:
         self._bus.call_later(TICK_S, _TICK)
 
     def _probe_later(self) -> None:
-        """Have the loop's lag measured: a probe goes through the queue of events like all else."""
+        """Measure the loop's lag: a probe goes through the queue like all other events."""
         self._probe_due = self._bus.now() + LAG_S
         self._bus.call_later(LAG_S, _PROBE)
 
@@ -261,7 +253,7 @@ class Service:
         self._metrics.set_tasks(depth.tasks_ready, states, sum(len(task.helpers) for task in tasks))
 
     def _jobs_by_user(self) -> Tally[tuple[str | None, JobState]]:
-        """Return how many jobs that have not ended there are, by who submitted them and state."""
+        """Return the numbers of jobs that have not ended, by submitter and state."""
         counts: Tally[tuple[str | None, JobState]] = Tally(
             (job.submitter, job.state) for job in self.controller.begun.values()
         )
@@ -269,7 +261,7 @@ class Service:
         return counts
 
     def _user_views(self) -> tuple[UserView, ...]:
-        """Return the users with the most jobs that have not ended, those with the most first."""
+        """Return the users with the most jobs that have not ended, in this order."""
         queued, begun = Tally[str | None](), Tally[str | None]()
         for (user, state), number in self._jobs_by_user().items():
             (queued if state == "queued" else begun)[user] += number
@@ -277,17 +269,11 @@ class Service:
         views = (UserView(user=user, queued=queued[user], begun=begun[user]) for user in users[:MAX_USERS])
         return tuple(view for view in views if view.queued or view.begun)
 
-    def _tell_followers(self) -> None:
-        """Tell what has changed and is due; come back for what is due later."""
-        next_s = self._followers.tell(self._bus.now())
-        if next_s is not None:
-            self._bus.call_later(next_s, _CHANGES)
-
     def _workforce(self, now: float) -> Workforce:
         return Workforce.of(self.controller.workers.membership.views(now))
 
     def view(self) -> CoordinatorView:
-        """Return what people are shown of the coordinator itself."""
+        """Return the view of the coordinator itself."""
         counters = Counters(
             traffic=self._bus.traffic(),
             dropped=self._bus.dropped,
@@ -327,8 +313,7 @@ class Service:
             self._bus.post(_Probe())
 
     @_on.register
-    def _on_posted(self, event: Posted) -> None:  # noqa: C901  # one case for each outcome
-        """Let time pass, or take in an outcome, which never comes again: where that breaks, its job ends."""
+    def _on_posted(self, event: Posted) -> None:
         item, now = event.item, self._bus.now()
         match item:
             case _TimeCheck():
@@ -338,35 +323,22 @@ class Service:
             case _Probe() if self._metrics is not None:
                 self._metrics.observe_lag(now - self._probe_due)
                 self._probe_later()
-            case TableChecked():
-                with self.controller.guarded(item.job, "having a job prepared", now):
-                    self.controller.prepare_checked(item.job, item.is_sound, item.error, now)
+            case _Probe():
+                return
             case ResultRead():
-                self._take_result(item, now)
-            case PreparationBegun():
-                self.controller.begin_preparing(item.job, now)
-            case JobPrepared():
-                with self.controller.guarded(item.job, "beginning the search", now):
-                    self.controller.start_search(item, now)
-            case PreparationFailed():
-                with self.controller.guarded(item.job, "ending", now):
-                    self.controller.fail_job(item.job, item.fault, item.sentence, now)
-            case JobRefined():
-                with self.controller.guarded(item.job, "ending", now):
-                    self.controller.finish_job(item.job, item.text, now)
-            case RefiningFailed():
-                with self.controller.guarded(item.job, "ending", now):
-                    self.controller.finish_unrefined(item.job, item.refinement, now)
+                try:
+                    self.controller.take_result(item, now)
+                except RemoteProtocolError as error:
+                    self.rejects.count("result", error)
             case ResultComposed() if item.draft.is_final:
                 self._finish_ending(item, now)
             case ResultComposed():
-                self._tell_result(item, now)
-            case CheckpointWritten():
-                with self.controller.guarded(item.checkpoint.job, "committing a checkpoint", now):
-                    self.controller.commit_checkpoint(item.checkpoint, now, item.error)
+                self._send_result(item, now)
+            case _:
+                self.controller.take_outcome(cast(Outcome, item), now)
 
     def _finish_ending(self, item: ResultComposed, now: float) -> None:
-        """Let the end of a job take effect, and answer who has asked for that."""
+        """Let the end of a job take effect, and answer the questions that waited for it."""
         job = item.draft.job
         try:
             self.controller.finish_ending(item, now)
@@ -377,8 +349,8 @@ class Service:
             for question, party in self._deferred.take(job, is_final=True):
                 self._answer(question, party)
 
-    def _tell_result(self, item: ResultComposed, now: float) -> None:
-        """Answer who has asked for the result of a job that is live, or was then."""
+    def _send_result(self, item: ResultComposed, now: float) -> None:
+        """Answer the questions for the best result so far of a job."""
         body: ResultText | Failure
         try:
             body = ResultText(json_text=self.controller.finish_composing(item, now))
@@ -392,42 +364,33 @@ class Service:
         for question, party in self._deferred.take(job, is_final=is_final):
             self._bus.reply(question, answer, party)
 
-    def _answer_overdue(self, now: float) -> None:
-        """Tell who does not want to wait how it stands."""
-        for one in self._deferred.take_overdue(now):
-            body = one.meanwhile() if one.meanwhile is not None else None
-            self._bus.reply(one.question[0], encode(Answer(body=body)) if body is not None else None, one.question[1])
-
-    def _take_result(self, item: ResultRead, now: float) -> None:
-        try:
-            self.controller.take_result(item, now)
-        except RemoteProtocolError as error:
-            self.rejects.count("result", error)
-
     def _check_time(self, now: float) -> None:
-        """Let time pass, now that everything has been taken in that had come before."""
+        """Let time pass, after all earlier events have been handled."""
         self._store.beat()
         if self._bus.dropped > self._dropped:
             self._dropped = self._bus.dropped
             _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))
             self.controller.workers.membership.renew_leases(now)
-        if self._is_linked:  # else nobody can be heard, and nobody's silence says anything
+        if self._is_linked:  # else no worker can be heard, and silence means nothing
             self.controller.tick(now)
-        with self.controller.breakages.tolerated("looking after followers"):
+        with self.controller.breakages.tolerated("updating followers"):
             self._followers.expire(now)
             self._followers.look(now)
         with self.controller.breakages.tolerated("setting metrics"):
             self._update_metrics(now)
-        with self.controller.breakages.tolerated("answering who waits for results"):
-            self._answer_overdue(now)
+        with self.controller.breakages.tolerated("answering questions that waited too long"):
+            for one in self._deferred.take_overdue(now):
+                body = one.meanwhile() if one.meanwhile is not None else None
+                answer = encode(Answer(body=body)) if body is not None else None
+                self._bus.reply(one.question[0], answer, one.question[1])
         with self.controller.breakages.tolerated("deleting uploads that were given up"):
             self._uploads.expire()
-        with self.controller.breakages.tolerated("deleting what is not kept"):
+        with self.controller.breakages.tolerated("deleting expired jobs"):
             self._deletion.delete_expired(now)
 
     @_on.register
     def _on_link(self, event: Link) -> None:
-        """The router that this coordinator has joined went away or came back; a router of its own does neither."""
+        """Handle the loss or return of the router; one in this process never goes."""
         _LOG.warning("router link", extra=fields(up=event.up))
         self._is_linked = event.up
         if event.up:
@@ -464,7 +427,7 @@ class Service:
         asked = self._workers.take_pull(event.token)
         match asked:
             case (worker, PullStates() as pull):
-                with self.controller.guarded(pull.job, "taking in states", self._bus.now(), by_peer=True):
+                with self.controller.guarded(pull.job, "adding states", self._bus.now(), by_peer=True):
                     self._add_states(worker, pull, event.payload)
             case (worker, PullReports()) if event.payload is not None:
                 body = decode(event.payload, PullAnswer, MAX_MESSAGE).body
@@ -472,7 +435,7 @@ class Service:
                     self._add_report(worker, report)
 
     def _add_lines(self, worker: str, message: WorkerLog) -> None:
-        """Attach what a worker logs to the jobs that it tells of, live ones and those that have just ended."""
+        """Record a worker's log lines with the jobs that they are about."""
         if self.controller.workers.membership.member(worker) is None:
             raise RemoteProtocolError(f"lines of a log came of the worker {worker}, which has not greeted")
         jobs = {line.job for line in message.lines if line.job is not None}
@@ -480,13 +443,13 @@ class Service:
         self._worker_logs.take(worker, message, known, self._bus.now())
 
     def _add_report(self, worker: str, report: EpochReport) -> None:
-        """Hand on a report: it is sent once, or pulled for ever, so that its job ends where that breaks."""
+        """Hand on a report. It is sent once, or pulled again for ever, so that an error ends its job."""
         now = self._bus.now()
-        with self.controller.guarded(report.job, "taking in a report", now, by_peer=True):
+        with self.controller.guarded(report.job, "adding a report", now, by_peer=True):
             self.controller.add_report(worker, report, now)
 
     def _add_states(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
-        """Hand on what came, also that nothing came: it is asked for again."""
+        """Hand on an answer, or that there was none: the states are pulled again."""
         try:
             body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
         except Exception:
@@ -498,7 +461,7 @@ class Service:
 
     @_on.register
     def _on_query(self, event: Query) -> None:
-        """Answer workers and greetings at once; questions of clients wait, and take turns with all else that comes."""
+        """Answer workers and greetings at once; questions of clients wait for their turn among all other events."""
         try:
             key = topics.parse(event.key)
         except RemoteProtocolError:
@@ -506,21 +469,19 @@ class Service:
             raise
         if not isinstance(key, topics.ClientKey):
             self._answer(event, event.session)
-        elif not self._add_question(key.client, event):
+            return
+        party = self._party(key.client, event)
+        if not self._questions.add(party, key.client, (event, party), len(event.payload)):
             self._bus.reply(event, None)
         elif len(self._questions) == 1:
             self._bus.post(_Turn())
 
-    def _add_question(self, client: str, event: Query) -> bool:
-        party = self._party(client, event)
-        return self._questions.add(party, client, (event, party), len(event.payload))
-
     def _party(self, client: str, event: Query) -> str:
-        """Return who takes turns with others: a user, without certificates a session."""
+        """Return the party that takes turns with others: a user, without certificates a session."""
         return self._authorization.submitter(client) or f"/{event.session}"
 
     def _take_turn(self) -> None:
-        """Answer one question, behind what had come before; the next one goes behind what has come since."""
+        """Answer one question; the next one comes after the events that have arrived since."""
         question = self._questions.take()
         if len(self._questions):
             self._bus.post(_Turn())
@@ -541,5 +502,5 @@ class Service:
                 self._bus.reply(event, None, party)
             return
         self._bus.reply(event, answer, party)
-        if self._requests.store_error is not None:  # the client has its answer; the coordinator ends
+        if self._requests.store_error is not None:  # the client has its answer, and the coordinator ends
             raise self._requests.store_error

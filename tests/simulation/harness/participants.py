@@ -13,7 +13,7 @@ from typing import Any, Final
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.retention import Retention
-from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.service.tasks.background import Dependencies
 from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
 from atoll_core.wire.bus.interface import Event

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from atoll.client.client import Client
 from atoll_coordinator.service.requests import deletion
-from atoll_coordinator.service.search import archipelago, checkpoint_schedule
+from atoll_coordinator.service.search import archipelago, checkpoints
 from atoll_core.config import JobConfig
 from atoll_core.errors import AtollError, RefusedError, UnreachableError
 from atoll_core.wire.messages.views import FINAL_STATES, JobView
@@ -36,8 +36,8 @@ SETTLE_S: Final = 60.0
 
 _HURRIED: Final = (
     (archipelago, "FIRST_INTERVAL", 2), (archipelago, "PLAN_COMMITS", 1), (archipelago, "FORGET_EPOCHS", 2),
-    (checkpoint_schedule, "LEAST_INTERVAL", 1), (checkpoint_schedule, "PAUSE_S", 0.1),
-    (checkpoint_schedule, "COST_S", 0.0), (deletion, "CHECK_INTERVAL_S", 1.0),
+    (checkpoints, "LEAST_INTERVAL", 1), (checkpoints, "PAUSE_S", 0.1),
+    (checkpoints, "COST_S", 0.0), (deletion, "CHECK_INTERVAL_S", 1.0),
 )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from atoll_coordinator.model.pools import LawsByGroup, Pools
 from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks.dependencies import Dependencies
+from atoll_coordinator.service.tasks.background import Dependencies
 from atoll_coordinator.tasks.preparing import Preparer
 from atoll_coordinator.tasks.refining import Refiner
 from atoll_core.config import JobConfig

@@ -235,33 +235,16 @@ class Follow(Frozen):
     sequence: Count = 0
 
 
+RequestBody = (
+    Upload | Submit | ListJobs | FindJob | Status | ListWorkers | GetQueueDepth | GetResult | GetIslands | GetTable
+    | AskAnalysis | Cancel | Delete | GetEvents | Follow | Pause | SetPriority | Share | Retry | SetWorker | SetQueue
+)  # fmt: skip
+
+
 class ClientRequest(Frozen):
     """A request of a client."""
 
-    body: Annotated[
-        Upload
-        | Submit
-        | ListJobs
-        | FindJob
-        | Status
-        | ListWorkers
-        | GetQueueDepth
-        | GetResult
-        | GetIslands
-        | GetTable
-        | AskAnalysis
-        | Cancel
-        | Delete
-        | GetEvents
-        | Follow
-        | Pause
-        | SetPriority
-        | Share
-        | Retry
-        | SetWorker
-        | SetQueue,
-        Field(discriminator="kind"),
-    ]
+    body: Annotated[RequestBody, Field(discriminator="kind")]
 
 
 class Uploaded(Frozen):
@@ -412,23 +395,13 @@ class Failure(Frozen):
     sentence: Sentence
 
 
+AnswerBody = (
+    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | ResultText | IslandList | TableChunk
+    | AnalysisAnswer | Deleted | EventList | Following | Failure
+)  # fmt: skip
+
+
 class Answer(Frozen):
     """Answer to a client."""
 
-    body: Annotated[
-        Uploaded
-        | JobList
-        | JobFound
-        | JobStatus
-        | WorkerList
-        | QueueDepth
-        | ResultText
-        | IslandList
-        | TableChunk
-        | AnalysisAnswer
-        | Deleted
-        | EventList
-        | Following
-        | Failure,
-        Field(discriminator="kind"),
-    ]
+    body: Annotated[AnswerBody, Field(discriminator="kind")]

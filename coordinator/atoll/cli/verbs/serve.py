@@ -307,7 +307,7 @@ def serve(options: argparse.Namespace) -> int:
     from atoll_coordinator.service.service_loop import Service
     from atoll_coordinator.service.store.retention import Retention
     from atoll_coordinator.service.store.store import Store
-    from atoll_coordinator.service.tasks.dependencies import Dependencies
+    from atoll_coordinator.service.tasks.background import Dependencies
 
     behind, stop, reload = options.router is not None, threading.Event(), threading.Event()
 

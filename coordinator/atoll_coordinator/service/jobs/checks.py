@@ -1,11 +1,11 @@
-"""Reasons for which a job of the store, or a prepared one, cannot be searched. Pure; each is a sentence for people."""
+"""Sentences on why a stored job, or a prepared one, cannot be searched. Pure."""
 
 from collections.abc import Mapping
 from typing import Final
 
 from pydantic import ValidationError
 
-from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
+from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core import ENGINE_REVISION, VERSION
 from atoll_core.config import JobConfig
@@ -15,7 +15,7 @@ DAMAGED_RECORD: Final = "its record in the coordinator's store is damaged; submi
 
 
 def settings_reason(error: ValidationError) -> str:
-    """Return why the settings of a stored job cannot be used, from what its validation raised."""
+    """Return why the settings of a stored job cannot be used."""
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"]) or "all of them"
     return (
@@ -25,7 +25,7 @@ def settings_reason(error: ValidationError) -> str:
 
 
 def stored_search_reason(error: RemoteProtocolError) -> str:
-    """Return why a search cannot go on from what is stored of it, from what reading that raised."""
+    """Return why the stored search cannot be continued."""
     return (
         f"what the store keeps of its search is not understood by version {VERSION} ({error}); submit it again under "
         "another id"
@@ -33,7 +33,7 @@ def stored_search_reason(error: RemoteProtocolError) -> str:
 
 
 def lost_states_reason(variable: str) -> str:
-    """Return why a search cannot go on whose states were durable and are not in the store any more."""
+    """Return why a search cannot go on whose durable states are missing in the store."""
     return (
         f"states of the last checkpoint of {variable} are missing or damaged in the coordinator's store; see that its "
         "disk is sound, and submit the job again under another id"
@@ -41,7 +41,7 @@ def lost_states_reason(variable: str) -> str:
 
 
 def epoch_limit_reason(config: JobConfig, prepared: Prepared) -> str | None:
-    """Return why the limits of epochs do not fit the equations that are sought; None: they do."""
+    """Return why `--max-epochs` does not fit the equations that are sought; None: it does."""
     sought = [target.variable for target in prepared.sought]
     unknown = sorted(set(config.budget.max_epochs_of) - set(sought))
     if not unknown:
@@ -53,9 +53,9 @@ def epoch_limit_reason(config: JobConfig, prepared: Prepared) -> str | None:
 def resume_reason(
     prepared: Prepared, dataset_digest: str | None, has_cuts: bool, resumed: Mapping[str, StoredSearchState]
 ) -> str | None:
-    """Return why what was committed earlier does not go together with what is computed now; None: it does.
+    """Return why a stored search does not fit the prepared data; None: it does.
 
-    `dataset_digest` is that of the data as they were prepared then, None if they were not.
+    `dataset_digest` is the digest of the data as they were prepared before, None if they were not.
     """
     if (has_cuts or resumed) and dataset_digest not in (None, prepared.blob):
         return "its data, prepared again after a restart, came out differently; submit it again under another id"

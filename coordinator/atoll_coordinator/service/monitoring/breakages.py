@@ -1,6 +1,6 @@
-"""What broke: errors of ours that the coordinator met while it handled one event, and that end nothing but that.
+"""Breakages: errors of this program while the coordinator handled an event, which end nothing else.
 
-They are counted; the first of each place in the code is logged with its traceback and noted among the events.
+They are counted; the first one at each place in the code is logged with its traceback and recorded as an event.
 """
 
 import contextlib
@@ -18,15 +18,15 @@ from atoll_core.logs import fields
 _LOG = logging.getLogger(__name__)
 
 MAX_PLACES: Final = 1000
-"""Places told apart at most, as in `atoll_core.wire.rejects`; what breaks elsewhere is counted alone."""
+"""Places that are distinguished, as in `atoll_core.wire.rejects`; errors at further places are only counted."""
 
 
 def what_to_send(config: JobConfig, *, is_certain: bool = True) -> str:
-    """Return the end of a sentence: what a report of a job that broke must hold so that it can be repeated to the bit.
+    """Return the end of a sentence: what a bug report about a job must contain so that the error can be reproduced.
 
     Args:
         config: of the job.
-        is_certain: whether a mistake of ours broke it, and not perhaps the machine, which may be short of memory.
+        is_certain: whether this program is certainly to blame, and not perhaps a machine that is short of memory.
     """
     blame = f"this is a mistake of Atoll {VERSION}, not of the data:" if is_certain else "if it does so again,"
     version = "" if is_certain else f"Atoll {VERSION}, "
@@ -37,16 +37,16 @@ def what_to_send(config: JobConfig, *, is_certain: bool = True) -> str:
 
 
 JobGuard = Callable[[str], AbstractContextManager[None]]
-"""Given a job's id, lets what breaks end that job and nothing else."""
+"""Context for the id of a job, in which an error ends that job and nothing else."""
 
 
 def unguarded(job_id: str) -> AbstractContextManager[None]:
-    """Let what breaks over a job pass."""
+    """Let errors pass."""
     return contextlib.nullcontext()
 
 
 class Breakages:
-    """A counter of what broke. `note` is told a sentence of each new place."""
+    """A counter of errors. `note` gets a sentence about the first error at each place."""
 
     def __init__(self, note: Callable[[str], object] = lambda sentence: None) -> None:
         self.total = 0
@@ -54,9 +54,9 @@ class Breakages:
         self._places: set[tuple[str, ...]] = set()
 
     def add(self, task: str, error: Exception, config: JobConfig | None = None) -> str:
-        """Count an error that ended `task`, such as "taking in a report"; return the sentence for people.
+        """Count an error that ended `task`, such as "adding a report"; return a sentence about it.
 
-        `config` is that of the job that ends by it, if one does: the sentence says what a report of that must hold.
+        With the `config` of a job that ends by it, the sentence says what a bug report must contain.
         """
         self.total += 1
         frames = traceback.extract_tb(error.__traceback__)
@@ -70,13 +70,13 @@ class Breakages:
         if place not in self._places and len(self._places) < MAX_PLACES:
             self._places.add(place)
             _LOG.error("broke", extra=fields(task=task), exc_info=error)
-            with contextlib.suppress(Exception):  # a note is good to have, and nothing more may break over it
+            with contextlib.suppress(Exception):  # an error in the note must not end anything
                 self._note(sentence)
         return sentence
 
     @contextlib.contextmanager
     def tolerated(self, task: str) -> Iterator[None]:
-        """Let what breaks in `task` end nothing else, but a store that fails: then nothing can go on."""
+        """Let an error in `task` end nothing else, except a StoreError: without a store nothing can go on."""
         try:
             yield
         except StoreError:

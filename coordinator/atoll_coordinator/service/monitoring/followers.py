@@ -1,9 +1,8 @@
-"""Who follows which job, and what they are told: each change once, encoded once for all of them.
+"""Followers: clients that are notified of changes, each of which is encoded once for all of them.
 
-A topic is a job, or all that happens (None) as far as a viewer sees it. It changes when something happens to it; what
-has changed is told at once where its state is another, and otherwise at most every `INTERVAL_S`: what comes in between
-goes together. A change names the one before it, so that a follower notices what it has missed; what is kept of it are
-the events in the store.
+A topic is a job, or all events (None) that a viewer sees. A change of its state is sent at once, other changes at most
+every `INTERVAL_S`, together. A change names the previous one, so that a follower notices a missed change; missed events
+are in the store.
 """
 
 import itertools
@@ -20,10 +19,10 @@ from atoll_core.wire.messages.clients import Follow, Following, JobChange
 from atoll_core.wire.messages.views import JobView, Workforce
 
 INTERVAL_S: Final = 0.5
-"""As often as a person who looks at a table of numbers can take them in."""
+"""Seconds between two updates of a table of numbers that a person reads."""
 
 LEASE_S: Final = 30.0
-"""How long a follower that says nothing is told; it renews after a third of that."""
+"""How long a silent follower is notified; it renews its lease after a third of that."""
 
 MAX_FOLLOWERS: Final = 10_000
 """As many as sessions of the router."""
@@ -32,16 +31,16 @@ PAGE: Final = 200
 """Events in one change at most."""
 
 _LIVES: Final = 2**32
-"""Sequence numbers of one incarnation: none comes twice in the lives of a store."""
+"""Sequence numbers of one incarnation, so that none is used twice with one store."""
 
 
 _Key = tuple[str | None, Viewer | None]
-"""Of a topic: the job, or None and who looks at all that happens. Whoever follows a job sees all of it."""
+"""Of a topic: the job, or None with the viewer of all events. A follower of a job sees all of its events."""
 
 
 @dataclass
 class _Topic:
-    """One that is followed. `leases`: until when each client is told; `last`: number of the last event told."""
+    """A followed topic. `leases` are the ends of clients' leases, `last` is the number of the last event sent."""
 
     sequence: int
     last: int
@@ -53,13 +52,13 @@ class _Topic:
 
 
 class Followers:
-    """All followers of one coordinator. Its owner calls `tell` after each event, and `expire` now and then."""
+    """All followers of one coordinator. Its owner calls `notify` after each event, and `expire` now and then."""
 
     def __init__(  # what a change is made of, and where it goes
         self, incarnation: int, shown: JobViews, events: EventLog,
         workforce: Callable[[float], Workforce], put: Callable[[str, bytes], None],
     ) -> None:  # fmt: skip
-        """`workforce` returns how many workers are there now; `put` sends bytes to a client by its name."""
+        """`workforce` returns the numbers of workers now; `put` sends bytes to a client by its name."""
         self._sequences = itertools.count(incarnation * _LIVES + 1)
         self._shown = shown
         self._events = events
@@ -78,9 +77,10 @@ class Followers:
     def follow(
         self, client: str, question: Follow, now: float, viewer: Viewer | None = None
     ) -> Following | None:  # fmt: skip
-        """Let a client follow, for another lease; return what it does not have yet. None: there is no such job.
+        """Begin or renew a client's lease; return what it does not have yet. None: there is no such job.
 
-        Of all that happens a `viewer` (None: sees all) is told what it sees. Whether it sees a job is asked before.
+        A follower of all events gets those that its `viewer` (None: sees all) sees. Whether it may see a job is checked
+        before.
 
         Raises:
             RefusedError: There are too many followers.
@@ -95,7 +95,7 @@ class Followers:
         return Following(lease_s=LEASE_S, change=self._missed(question, key, topic, now))
 
     def keep(self, may_follow: Callable[[str, str | None, Viewer | None], bool]) -> None:
-        """Tell those nothing more who may not follow any more, by client, job and as whom they look at all."""
+        """End the leases of clients that may not follow any more: `may_follow` takes client, job and viewer."""
         for (job, viewer), topic in self._topics.items():
             topic.leases = {
                 client: end for client, end in topic.leases.items() if may_follow(client, job, viewer)
@@ -103,13 +103,13 @@ class Followers:
         self._forget_unfollowed()
 
     def touch(self, job: str | None) -> None:
-        """Take notice that something has happened to a job, or to none in particular."""
+        """Mark the topics of a job, or of no particular job, as changed."""
         if (job, None) in self._topics:
             self._changed.add((job, None))
         self._changed.update(self._of_all)
 
     def look(self, now: float) -> None:
-        """Notice what happens by itself: workers come and go, and the line of those that wait gets shorter."""
+        """Mark what changes without an event: the numbers of workers, and positions in the queue."""
         if not self._topics:
             return
         workforce = self._workforce(now)
@@ -117,15 +117,15 @@ class Followers:
             if key[0] is not None and (topic.workforce != workforce or topic.state == "queued"):
                 self._changed.add(key)
 
-    def tell(self, now: float) -> float | None:
-        """Tell the changes that are due; return in how many seconds the next ones are, None when there are none."""
+    def notify(self, now: float) -> float | None:
+        """Send the changes that are due; return in how many seconds the next ones are, None: there are none."""
         for key in [key for key in self._changed if self._is_due(key, now)]:
             self._changed.discard(key)
-            self._tell(key, self._topics[key], now)
+            self._notify(key, self._topics[key], now)
         return min((max(0.0, self._topics[key].due - now) for key in self._changed), default=None)
 
     def expire(self, now: float) -> None:
-        """Forget the followers whose leases are over, and what nobody follows."""
+        """Forget followers whose leases are over, and topics without followers."""
         for topic in self._topics.values():
             topic.leases = {client: end for client, end in topic.leases.items() if end > now}
         self._forget_unfollowed()
@@ -136,15 +136,15 @@ class Followers:
         self._changed &= self._topics.keys()
 
     def _begin(self, key: _Key, now: float) -> _Topic:
-        told = self._events.read(key[0], 0, 1, key[1])
-        last = told[-1].number if told else 0
+        newest = self._events.read(key[0], 0, 1, key[1])
+        last = newest[-1].number if newest else 0
         topic = _Topic(next(self._sequences), last, self._state(key[0]), None, Workforce(), now)
         self._topics[key] = topic
         self._of_all |= {key} if key[0] is None else set()
         return topic
 
     def _missed(self, question: Follow, key: _Key, topic: _Topic, now: float) -> JobChange | None:
-        """Return how it stands and the events that a client does not have; None when it has all."""
+        """Return the status and the events that a client does not have; None when it has all."""
         events = () if question.after is None else self._events.read(question.job, question.after, PAGE, key[1])
         if question.sequence == topic.sequence and not events:
             return None
@@ -166,22 +166,21 @@ class Followers:
     def _state(self, job: str | None) -> str:
         return (self._shown.state(job) or "") if job is not None else ""
 
-    def _tell(self, key: _Key, topic: _Topic, now: float) -> None:
-        """Tell how a topic stands, unless that is as before."""
+    def _notify(self, key: _Key, topic: _Topic, now: float) -> None:
+        """Send the status of a topic to its followers, unless nothing has changed."""
         name, viewer = key
         topic.due = now + INTERVAL_S
         view, workforce = self._view(name, now), self._workforce(now)
         events = self._events.read(name, topic.last, PAGE, viewer)
         topic.state = self._state(name)
-        if not events and workforce == topic.workforce and _timeless(view) == _timeless(topic.view):
+        if not events and workforce == topic.workforce and _without_times(view) == _without_times(topic.view):
             return
         previous, topic.sequence = topic.sequence, next(self._sequences)
         topic.view, topic.workforce = view, workforce
         topic.last = events[-1].number if events else topic.last
-        has_more = len(events) == PAGE
         change = JobChange(
             job=name, sequence=topic.sequence, previous=previous, view=view, workforce=workforce, events=events,
-            last=topic.last, has_more=has_more,
+            last=topic.last, has_more=len(events) == PAGE,
         )  # fmt: skip
         payload = encode(change)
         for client in topic.leases:
@@ -191,6 +190,6 @@ class Followers:
         return self._shown.view(job, now) if job is not None else None
 
 
-def _timeless(view: JobView | None) -> JobView | None:
-    """Return a view without what changes by time alone."""
+def _without_times(view: JobView | None) -> JobView | None:
+    """Return a view without the fields that change with time alone."""
     return view and view.model_copy(update={"elapsed": 0.0, "point_evaluations_per_second": None})

@@ -1,33 +1,349 @@
-"""All jobs as people are shown them: live ones as they stand, those that have ended as they were left.
+"""Jobs as clients see them: views of live and ended jobs, their counters, and what results are composed of.
 
-Views are made by `atoll_coordinator.service.monitoring.views`, when they are asked for. Results of live jobs are
-composed in the background (`atoll_coordinator.service.monitoring.drafts`).
+Views are made when a client asks for them. Results of live jobs are composed in the background, from a `Draft`.
 """
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Protocol
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, cast
 
 from pydantic import ValidationError
 
+from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
+from atoll_coordinator.result.base import finite
+from atoll_coordinator.result.result import UNTIMED
+from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import Breakages
-from atoll_coordinator.service.monitoring.counters import CounterRegistry
-from atoll_coordinator.service.monitoring.drafts import Draft, Ending, draft_of
-from atoll_coordinator.service.monitoring.views import (
-    ended_view,
-    job_view,
-    view_of_record,
-    with_equations,
-)
 from atoll_coordinator.service.scheduling.job_queue import JobQueue
+from atoll_coordinator.service.search.archipelago import Archipelago
+from atoll_coordinator.service.search.ending import Improvement, Why
+from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.tasks.preparing import Prepared
+from atoll_core import VERSION
+from atoll_core.config import JobConfig
 from atoll_core.errors import StoreError
-from atoll_core.wire.messages.views import FINAL_STATES, JobState, JobView, TaskView
+from atoll_core.expression.text.infix import to_infix
+from atoll_core.wire.messages.clients import QueueDepth
+from atoll_core.wire.messages.views import FINAL_STATES, JobCounters, JobState, JobView, TaskView, VariableView
+from atoll_core.wire.messages.workers import AssignmentStatus
+
+# ------------------------------------------------------------------------------------------------- counters and depth
+
+
+class CounterRegistry:
+    """What live jobs have cost, besides their point evaluations."""
+
+    def __init__(self) -> None:
+        self._counters: dict[str, JobCounters] = {}
+        self._waited_s: dict[tuple[str, str, int, str], float] = {}
+
+    def add(self, job: str, **counts: int) -> None:
+        """Add to fields of a job's `JobCounters`."""
+        counters = self._counters.get(job, JobCounters())
+        self._counters[job] = counters.model_copy(
+            update={name: getattr(counters, name) + count for name, count in counts.items()}
+        )
+
+    def set_waited(self, worker: str, assignment_status: AssignmentStatus) -> None:
+        """Set how long the islands of a placement have waited on a worker."""
+        self._waited_s[assignment_status.job, assignment_status.variable, assignment_status.term, worker] = (
+            assignment_status.waited_s
+        )
+
+    def counters(self, job: Job) -> JobCounters:
+        """Return the counters of a job."""
+        duplicates = sum(archipelago.collector.duplicates for archipelago in job.archipelagos.values())
+        waited_s = sum(seconds for key, seconds in self._waited_s.items() if key[0] == job.id)
+        counters = self._counters.get(job.id, JobCounters())
+        return counters.model_copy(update={"duplicates": duplicates, "waited_s": waited_s})
+
+    def forget(self, job: str) -> None:
+        """Forget a job that has ended."""
+        self._counters.pop(job, None)
+        self._waited_s = {key: seconds for key, seconds in self._waited_s.items() if key[0] != job}
+
+
+def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, analyses: int = 0) -> QueueDepth:
+    """Return the numbers of jobs by state, and of what could be computed at once.
+
+    The equations of a job are unknown before its data are prepared: it counts with the islands of one equation, and so
+    does a job that is refined, whose batches occupy about as many workers. Jobs that wait for their turn count only as
+    far as there are `places` left; the others need no worker yet, and neither do held ones.
+
+    Args:
+        begun: the jobs that have begun.
+        queued: number of jobs that wait for their turn.
+        ready: number of these that wait for nothing else: neither they nor the queue are paused.
+        places: number of jobs that may be prepared and searched at once.
+        analyses: number of open questions about results.
+    """
+    jobs = tuple(begun)
+    states = [job.state for job in jobs]
+    searched = [job for job in jobs if not job.is_held]
+    islands = sum(archipelago.collector.limits.islands for job in searched for archipelago in job.open_archipelagos)
+    tasks = states.count("preparing") + states.count("refining")
+    under_way = states.count("preparing") + sum(job.state == "running" for job in searched)
+    soon = min(ready, max(0, places - under_way)) * JobConfig().evolution.islands
+    wanted = sum(job.config.evolution.islands for job in jobs if job.state in ("preparing", "refining"))
+    return QueueDepth(
+        queued=queued,
+        preparing=states.count("preparing"),
+        running=states.count("running"),
+        refining=states.count("refining"),
+        tasks_ready=islands + tasks + analyses,
+        workers_wanted=islands + wanted + soon + analyses,
+    )
+
+
+# ------------------------------------------------------------------------------------------------- results and drafts
+
+
+def outcomes_of(job: Job) -> list[VariableOutcome]:
+    """Return the outcomes of the searches of a job so far, refined where they are, and the known equations.
+
+    They are in the order of the dataset.
+    """
+    if job.prepared is None:
+        return []
+    outcomes = {name: outcome_of(archipelago) for name, archipelago in job.archipelagos.items()}
+    outcomes |= {name: VariableOutcome(name, (entry,), 0, why=KNOWN) for name, entry in job.prepared.known.items()}
+    order = [name for name in job.prepared.dataset.variables if name in outcomes]
+    return [outcomes[name] for name in order]
+
+
+def outcome_of(archipelago: Archipelago) -> VariableOutcome:
+    """Return the outcome of the search of one equation, or its state after the complete epochs."""
+    cut = archipelago.cut
+    if cut is not None:
+        return VariableOutcome(
+            archipelago.variable, cut.front, cut.epochs, cut.generation, cut.evaluations, cut.seconds, cut.why,
+            runners_up=cut.runners_up,
+            convergence={convergence.island: _steps(convergence.improvements) for convergence in cut.convergence},
+        )  # fmt: skip
+    state = archipelago.collector.state
+    return VariableOutcome(
+        archipelago.variable, state.front, state.epochs, None, state.evaluations, state.seconds,
+        runners_up=state.runners_up,
+        convergence={island: _steps(improvements) for island, improvements in state.convergence.items()},
+    )  # fmt: skip
+
+
+def _steps(improvements: Sequence[Improvement]) -> tuple[tuple[int, float], ...]:
+    return tuple((improvement.generation, improvement.error) for improvement in improvements)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draft:
+    """What the result of a prepared job is composed of. It never changes, so that another thread may compose it.
+
+    `submitted_at` is in seconds of the bus.
+    """
+
+    job: str
+    prepared: Prepared
+    outcomes: tuple[VariableOutcome, ...]
+    account: Account
+    refinement: Refinement
+    submitted_at: float
+
+    @property
+    def is_final(self) -> bool:
+        """Whether its job ends; else the job goes on."""
+        return self.account.state in FINAL_STATES
+
+    def compose(self) -> str:
+        """Return the result as JSON, without the seconds that the job took (`result.result.timed`).
+
+        Equations are judged on all rows, which loads kernels and takes seconds for a million rows.
+        """
+        config, preparation = self.prepared.config, self.prepared.preparation
+        result = build_result(self.job, config, preparation, self.outcomes, self.account, self.refinement)
+        return result.to_json()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ending:
+    """A job whose end takes effect when its result is composed; until then clients see the state in which it `was`.
+
+    `sentence` is about the error that ended the job; None: there was none.
+    """
+
+    job: Job
+    was: JobState
+    draft: Draft
+    sentence: str | None = None
+
+
+def draft_of(job: Job) -> Draft | None:
+    """Return what the result of a job is composed of now; None: its data are not prepared."""
+    if job.prepared is None:
+        return None
+    outcomes = tuple(outcomes_of(job))
+    search_seconds = max((outcome.seconds for outcome in outcomes), default=0.0)
+    account = Account(job.state, UNTIMED, search_seconds, job.reason)
+    return Draft(job.id, job.prepared, outcomes, account, job.refinement, job.submitted_at)
+
+
+# -------------------------------------------------------------------------------------------------------------- views
+
+
+def job_view(
+    job: Job, queue: JobQueue, now: float, waiting_reason: str | None, counters: JobCounters,
+    stalls: tuple[str, ...],
+) -> JobView:  # fmt: skip
+    """Return the view of a live job, or of one that ends now.
+
+    Equations are not judged: that reads every row of the data, and is done when the result is composed.
+
+    Args:
+        job: the job.
+        queue: in which it may wait.
+        now: seconds of the bus.
+        waiting_reason: what its archipelagos or tasks without workers wait for, in words.
+        counters: of this job.
+        stalls: why its archipelagos make no progress, in words.
+    """
+    outcomes = outcomes_of(job)
+    evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
+    seconds = job.search_seconds(now)
+    prepared = job.prepared if job.result_text is None else None  # else the result has them
+    variables = tuple(_variable_view(prepared, outcome) for outcome in outcomes) if prepared else ()
+    return JobView(
+        job=job.id,
+        name=job.name,
+        state=job.state,
+        seed=job.config.seed,
+        preset=job.config.preset,
+        reason=job.reason or queue.waiting_reason(job.id) or waiting_reason,
+        fault=job.fault,
+        warnings=job.prepared.dataset.warnings if job.prepared else (),
+        notes=job.prepared.dataset.notes if job.prepared else (),
+        submitted=job.submitted,
+        elapsed=now - job.submitted_at,
+        workers=len({worker for archipelago in job.open_archipelagos for worker in archipelago.workers}),
+        point_evaluations=evaluations,
+        point_evaluations_per_second=evaluations / seconds if seconds > 0.0 and evaluations else None,
+        variables=variables,
+        priority=job.priority,
+        ahead=queue.ahead_of(job.id),
+        stalls=stalls,
+        counters=counters,
+        target_error=job.config.budget.target_error,
+        submitter=job.submitter,
+        shared=job.is_shared,
+        paused=job.is_paused,
+        held=job.is_held,
+    )
+
+
+def ended_view(record: JobRecord, result: str | None) -> JobView:
+    """Return the view of a job that ended before this coordinator started, from its record and result.
+
+    If this version cannot read the result, the view has no equations, and a warning instead.
+    """
+    try:
+        config = JobConfig.model_validate_json(record.spec)
+    except ValidationError:  # of another version
+        config = JobConfig()
+    view = JobView(
+        job=record.id,
+        name=record.name,
+        state=cast(JobState, record.state),
+        seed=config.seed,
+        preset=config.preset,
+        reason=record.reason,
+        submitted=record.submitted,
+        elapsed=record.elapsed,
+        workers=0,
+        point_evaluations=0,
+        variables=(),
+        priority=record.priority,
+        target_error=config.budget.target_error,
+        submitter=record.submitter,
+        shared=bool(record.shared),
+    )
+    return view if result is None else with_equations(view, result)
+
+
+def with_equations(view: JobView, result: str) -> JobView:
+    """Return a view with the equations of a result (JSON), or with a warning if this version cannot read it."""
+    try:
+        stored = json.loads(result)
+        fields = {
+            "warnings": tuple(stored["warnings"]),
+            "notes": tuple(stored.get("notes", ())),
+            "point_evaluations": stored["point_evaluations"],
+            "variables": tuple(_stored_variable_view(equation) for equation in stored["equations"]),
+        }
+        return JobView.model_validate(dict(view) | fields)
+    except (ValueError, KeyError, TypeError):
+        warning = f"the stored result of this job cannot be read by version {VERSION}"
+        return view.model_copy(update={"warnings": (warning,)})
+
+
+def view_of_record(record: JobRecord, warning: str) -> JobView:
+    """Return the view of a job from its record alone, after an error; it never raises.
+
+    Of a damaged record only certain fields are shown; if it says that the job goes on, the job has failed.
+    """
+    try:
+        return ended_view(record, None).model_copy(update={"warnings": (warning,)})
+    except Exception:
+        is_final = record.state in FINAL_STATES
+        return JobView(
+            job=str(record.id),
+            name=str(record.name),
+            state=cast(JobState, record.state) if is_final else "failed",
+            seed=0,
+            preset="default",
+            reason=DAMAGED_RECORD,
+            warnings=(warning,),
+            submitted=str(record.submitted),
+            elapsed=0.0,
+            workers=0,
+            point_evaluations=0,
+        )
+
+
+def _variable_view(prepared: Prepared, outcome: VariableOutcome) -> VariableView:
+    target = prepared.dataset.problem(outcome.variable).target
+    target_error = prepared.config.budget.target_error
+    view = VariableView(
+        variable=outcome.variable,
+        lhs=target.lhs,
+        epoch=outcome.epoch,
+        point_evaluations=sum(outcome.evaluations.values()),
+        finished=outcome.why is not None,
+        why=cast(Why | Literal["known"] | None, outcome.why),
+    )
+    shown = equation_of(outcome, None, prepared.dataset, prepared.config)
+    if shown is None:
+        return view
+    normalized = finite(shown.error / target.standard_deviation) if target.standard_deviation else None
+    return view.model_copy(
+        update={
+            "error": finite(shown.error),
+            "normalized_error": normalized,
+            "complexity": len(shown.program),
+            "expression": to_infix(shown.program, prepared.dataset.names),
+            "converged": normalized is not None and normalized <= target.convergence_threshold(target_error),
+        }
+    )
+
+
+def _stored_variable_view(equation: dict[str, Any]) -> VariableView:
+    names = ("variable", "lhs", "epoch", "error", "normalized_error", "complexity", "expression", "converged", "why")
+    known = {name: equation[name] for name in names} | {"verdict": equation.get("verdict")}
+    return VariableView.model_validate({**known, "point_evaluations": equation["point_evaluations"], "finished": True})
 
 
 class JobWorkers(Protocol):
-    """The part of `atoll_coordinator.service.job_controller.JobController` that views tell of."""
+    """The part of `atoll_coordinator.service.job_controller.JobController` that views need."""
 
     @property
     def counters(self) -> CounterRegistry: ...
@@ -46,10 +362,10 @@ class JobViews:
         self, jobs: Mapping[str, Job], ending: Mapping[str, Ending], queue: JobQueue, workers: JobWorkers, store: Store,
         breakages: Breakages,
     ) -> None:  # fmt: skip
-        """`jobs` are the live ones by id, `ending` those whose ends have not taken effect, as they come and go."""
+        """`jobs` are the live ones by id, `ending` those whose ends have not taken effect; both change."""
         self._queue = queue
         self.bytes_read = 0
-        """Bytes of results of which views have been made so far: that takes long, and is done once for each."""
+        """Bytes of results read so far to make views of old jobs, which takes long and is done once for each."""
         self._jobs = jobs
         self._ending = ending
         self._workers = workers
@@ -57,54 +373,46 @@ class JobViews:
         self._breakages = breakages
 
     def view(self, job_id: str, now: float) -> JobView | None:
-        """Return what people are shown of a job; None for an unknown one."""
+        """Return the view of a job; None for an unknown one."""
         return next(iter(self.views([job_id], now)), None)
 
     def views(self, job_ids: Iterable[str], now: float) -> Iterator[JobView]:
-        """Yield what people are shown of jobs, leaving out unknown ones.
+        """Yield the views of jobs, leaving out unknown ones.
 
-        One that cannot be shown whole is shown as far as the store knows it, and takes no list of jobs with it.
+        After an error, a job is shown as far as its record goes; the others are not affected.
         """
         ids = [*job_ids]
         kept = self._store.views([job_id for job_id in ids if not self.is_open(job_id)])
         made: dict[str, str] = {}
         try:
             for job_id in ids:
-                view = self._guarded_view(job_id, kept.get(job_id), made, now)
+                try:
+                    view = self._view(job_id, kept.get(job_id), made, now)
+                except StoreError:
+                    raise
+                except Exception as error:
+                    record, sentence = self._store.job(job_id), self._breakages.add("showing a job", error)
+                    view = view_of_record(record, sentence) if record else None
                 if view is not None:
                     yield view
         finally:
             if made:
-                with contextlib.suppress(StoreError):  # the disk is full, perhaps: then they are made again
+                with contextlib.suppress(StoreError):  # if the disk is full, they are made again later
                     self._store.keep_views(made)
 
-    def _guarded_view(
-        self, job_id: str, kept: str | None, made: dict[str, str], now: float
-    ) -> JobView | None:  # fmt: skip
-        try:
-            return self._view(job_id, kept, made, now)
-        except StoreError:
-            raise
-        except Exception as error:
-            record, sentence = self._store.job(job_id), self._breakages.add("showing a job", error)
-            return view_of_record(record, sentence) if record else None
-
     def is_open(self, job_id: str) -> bool:
-        """Tell whether a job is live, or its end has not taken effect."""
+        """Return whether a job is live, or its end has not taken effect."""
         return job_id in self._jobs or job_id in self._ending
 
     def state(self, job_id: str) -> JobState | None:
-        """Return the state in which a job is shown; None: it has ended, or is unknown."""
+        """Return the state of a job in its view; None: it has ended, or is unknown."""
         ending, job = self._ending.get(job_id), self._jobs.get(job_id)
         if ending is not None:
             return ending.was
         return job.state if job is not None else None
 
     def result(self, job_id: str) -> str | Draft | None:
-        """Return a job's result as JSON text; of a live job what the best so far is composed of. None: there is none.
-
-        One whose end has not taken effect has none.
-        """
+        """Return a job's result as JSON, or for a live job the draft of the best so far; None: there is none yet."""
         job = self._jobs.get(job_id)
         return draft_of(job) if job is not None else self._store.result(job_id)
 
@@ -119,15 +427,15 @@ class JobViews:
     def _view(
         self, job_id: str, kept: str | None, made: dict[str, str], now: float
     ) -> JobView | None:  # fmt: skip
-        """Return the view of a job; what had to be made for an ended one is added to `made`."""
+        """Return the view of a job; a new view of an ended job is added to `made`."""
         if job_id in self._jobs:
             return self._live_view(self._jobs[job_id], now)
         ending = self._ending.get(job_id)
-        if ending is not None and ending.sentence is None:  # else it may be half changed: the store knows it
+        if ending is not None and ending.sentence is None:  # else it may be half changed, and the record is shown
             as_it_was = {"state": ending.was, "reason": None, "fault": None}
             return self._live_view(ending.job, now).model_copy(update=as_it_was)
         if kept is not None:
-            with contextlib.suppress(ValidationError):  # else another version has kept it
+            with contextlib.suppress(ValidationError):  # else another version has stored it
                 return JobView.model_validate_json(kept)
         record = self._store.job(job_id)
         if record is None:

@@ -1,7 +1,7 @@
-"""What a coordinator counts and measures, in a registry of its own, as Prometheus reads it.
+"""Metrics of a coordinator for Prometheus, in a registry of their own.
 
-The loop sets numbers, which takes microseconds; a thread that answers scrapes reads them. Nothing is global: who has no
-`Metrics` measures nothing.
+The loop sets numbers, which takes microseconds; a thread that answers scrapes reads them. Without a `Metrics` nothing
+is measured.
 """
 
 import contextlib
@@ -20,13 +20,13 @@ UPDATE_S: Final = 5.0
 """How often gauges are set, in seconds; Prometheus asks every 15 s unless it is told otherwise."""
 
 MAX_USERS: Final = 200
-"""Users that are told apart; what others have is under `OTHERS`, so that nobody fills a database with made-up names."""
+"""Users with series of their own; all others are `OTHERS`, so that made-up names cannot fill a database."""
 
 OTHERS: Final = "others"
 NOBODY: Final = "unproven"
-"""Whose jobs those are that were submitted without a certificate."""
+"""The user of jobs that were submitted without a certificate."""
 
-if TYPE_CHECKING:  # it is loaded where something is measured
+if TYPE_CHECKING:  # it is imported only when something is measured
     import prometheus_client as prometheus
 
 _LAGS: Final = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0)
@@ -78,19 +78,15 @@ class Metrics:
     # ------------------------------------------------------------------------------------------ as it happens
 
     def observe_lag(self, seconds: float) -> None:
-        """Take in how late the loop was."""
+        """Add a measurement of the loop's lag."""
         self._lag.observe(seconds)
 
     def observe_step(self, seconds: float) -> None:
-        """Take in how long the loop spent on one event."""
+        """Add the time that the loop spent on one event."""
         self._step.observe(seconds)
 
-    def observe_task(self, kind: str, seconds: float) -> None:
-        """Take in how long a task took: `preparing`, `refining`, or another kind of which there are few."""
-        self._task.labels(kind).observe(seconds)
-
     def note_state(self, job: str, state: JobState | None, submitted_at: float, now: float) -> None:
-        """Take in that a job may be in another state (None: ended), by which a wait or a task has ended."""
+        """Record the state of a job (None: ended); a change of state ends a wait or a task."""
         before, since = self._states.get(job, (None, submitted_at))
         if state == before:
             return
@@ -101,10 +97,10 @@ class Metrics:
         if before == "queued" or (before is None and state == "preparing"):
             self._wait.observe(max(0.0, now - submitted_at))
         elif before in _TIMED:
-            self.observe_task(before, max(0.0, now - since))
+            self._task.labels(before).observe(max(0.0, now - since))
 
     def note_event(self, kind: str) -> None:
-        """Take in what has happened, as the log of events calls it."""
+        """Record an event of this kind."""
         if kind in ("done", "failed", "cancelled"):
             self._ended.labels(kind).inc()
         elif kind == "worker-lost":
@@ -113,7 +109,7 @@ class Metrics:
     # ------------------------------------------------------------------------------------------ now and then
 
     def set_process(self, view: CoordinatorView, store_bytes: int, followers: int, questions_refused: int) -> None:
-        """Set what the coordinator says of itself."""
+        """Set the counters of the coordinator's process."""
         counters = view.counters
         for traffic in counters.traffic:
             for way, messages, size in (
@@ -133,33 +129,33 @@ class Metrics:
         self._followers.set(followers)
 
     def set_dropped_lines(self, total: int) -> None:
-        """Set how many log lines of workers were dropped so far."""
+        """Set the number of dropped log lines of workers."""
         self._raise(self._lines, total)
 
     def set_jobs(self, counts: Mapping[tuple[str | None, JobState], int]) -> None:
-        """Set how many jobs there are, in all and by user; None: nobody proved whose they are."""
+        """Set the numbers of jobs, in all and by user (None: without a certificate)."""
         by_user = Tally({(user or NOBODY, state): number for (user, state), number in counts.items()})
         known = {user for user, _ in sorted(by_user, key=lambda pair: -by_user[pair])[:MAX_USERS]}
         by_state: Tally[str] = Tally()
-        told: Tally[tuple[str, ...]] = Tally()
+        shown: Tally[tuple[str, ...]] = Tally()
         for (user, state), number in by_user.items():
             by_state[state] += number
-            told[user if user in known else OTHERS, state] += number
+            shown[user if user in known else OTHERS, state] += number
         _set(self._jobs, {(state,): number for state, number in by_state.items()})
-        _set(self._users, told)
+        _set(self._users, shown)
 
     def set_tasks(self, ready: int, counts: Mapping[tuple[str, ...], int], helpers: int) -> None:
-        """Set how many islands and tasks could be computed at once, tasks by function and state, and their helpers."""
+        """Set the numbers of islands and tasks that are ready, of tasks by function and state, and of helpers."""
         self._ready.set(ready)
         _set(self._tasks, counts)
         self._helpers.set(helpers)
 
     def set_workers(self, states: Iterable[WorkerState]) -> None:
-        """Set how many workers there are."""
+        """Set the numbers of workers."""
         _set(self._workers, {(state,): number for state, number in Tally(states).items()})
 
     def exposition(self) -> str:
-        """Return all of it as Prometheus reads it."""
+        """Return all metrics in the format of Prometheus."""
         return self._library.generate_latest(self.registry).decode()
 
     # ------------------------------------------------------------------------------------------ parts
@@ -174,7 +170,7 @@ class Metrics:
         return self._library.Gauge(f"atoll_{name}", text, labels, registry=self.registry)
 
     def _raise(self, counter: "prometheus.Counter", total: float, *labels: str) -> None:
-        """Raise a counter to a total that is counted elsewhere."""
+        """Raise a counter to a total from elsewhere."""
         key = (id(counter), *labels)
         more = total - self._totals.get(key, 0.0)
         self._totals[key] = total
@@ -183,7 +179,7 @@ class Metrics:
 
 
 def _set(gauge: "prometheus.Gauge", numbers: Mapping[tuple[str, ...], int]) -> None:
-    """Set a gauge of labels; what is there no more is 0, or gone."""
+    """Set a gauge for all of its labels; other labels are removed."""
     gauge.clear()
     for labels, number in numbers.items():
         gauge.labels(*labels).set(number)
@@ -191,10 +187,10 @@ def _set(gauge: "prometheus.Gauge", numbers: Mapping[tuple[str, ...], int]) -> N
 
 @contextlib.contextmanager
 def served(address: tuple[str, int] | None) -> Iterator[Metrics | None]:
-    """Answer scrapes at host and port while the block lasts; None: nothing is measured.
+    """Answer scrapes at host and port during the block; None: nothing is measured.
 
     Raises:
-        UsageError: Nobody can listen there; NotNowError where that may pass.
+        UsageError: The address cannot be used; NotNowError where that may pass.
     """
     if address is None:
         yield None

@@ -1,4 +1,4 @@
-"""Admission: what users may still store and have wait; raises RefusedError with what they have, may have and can do."""
+"""Admission: refuses uploads and submissions beyond the limits, with a sentence about use, limit and what to do."""
 
 from typing import Final
 
@@ -13,16 +13,16 @@ from atoll_core.errors import RefusedError
 from atoll_core.wire.messages.clients import Submit, Upload
 
 RESULT_RESERVE: Final = 512 * 1024
-"""Bytes that are kept for the result of each job that has not ended: those of tests and examples have 1 to 275 kB."""
+"""Bytes reserved for the result of each job that has not ended: results of tests and examples have 1 to 275 kB."""
 
 
 class Admission:
-    """Decides by the limits that hold now. A job that is known already is let in again: its answer was lost."""
+    """Decides by the current limits. A known job is admitted again: its answer was lost."""
 
     def __init__(
         self, controller: JobController, store: Store, uploads: Uploads, retention: Retention = KEEP_ALL
     ) -> None:  # fmt: skip
-        """`retention` says how much the store holds of jobs that have not ended."""
+        """`retention` limits the bytes of jobs that have not ended."""
         self._controller = controller
         self._retention = retention
         self._store = store
@@ -33,14 +33,14 @@ class Admission:
         return self._controller.queue.limits
 
     def admit_upload(self, upload: Upload, user: str | None, session: str) -> None:
-        """Raise RefusedError for a table that its user, or all together, could not store."""
+        """Raise RefusedError for a table beyond the limits of its user, or of all together."""
         if not self._store.uses_table_of(upload.blob, user):
             pending = self._uploads.pending_bytes(user, upload.blob, session)
             self._admit_live(user, upload.size + pending[0])
             self._admit_bytes(user, upload.size, pending)
 
     def admit(self, body: Submit, user: str | None, session: str) -> Submit:
-        """Return a submission with the time that it may take; raises RefusedError for one that is over a limit."""
+        """Return a submission with its time limit; raises RefusedError for one beyond a limit."""
         known = self._store.job(body.job)
         if known is not None:
             return body.model_copy(update={"config": _as_known(body.config, known.spec, self._limits)})
@@ -64,9 +64,9 @@ class Admission:
             )
 
     def _admit_live(self, user: str | None, size: int) -> None:
-        """Refuse a new table of `size` bytes where those of jobs that have not ended take what there is for them.
+        """Refuse a new table of `size` bytes when jobs that have not ended hold as many bytes as they may.
 
-        No deletion makes room for it. Who holds less than an equal share of that is let in nevertheless.
+        No deletion makes space for it. A user with less than an equal share is admitted all the same.
         """
         most = self._retention.most_live
         if most is None or not size:
@@ -81,8 +81,10 @@ class Admission:
             )
 
     def _admit_bytes(self, user: str | None, size: int, pending: tuple[int, int]) -> None:
-        """Raise RefusedError where a table of so many bytes, and one more job, are over a limit; `pending` is what the
-        user and all together have uploaded beside it."""
+        """Raise RefusedError when a table of `size` bytes and one more job exceed a limit.
+
+        `pending` are the bytes of other uploads of the user, and of all together.
+        """
         live = self._controller.live_of
         own, total = self._limits.of(user).stored, self._limits.total.stored
         if own is not None:
@@ -103,9 +105,9 @@ class Admission:
 
 
 def _as_known(config: JobConfig, spec: str, limits: Limits) -> JobConfig:
-    """Return a configuration as the one that is kept was: with the time that was given to it, whatever limits say now.
+    """Return a configuration with the time limit that the stored job got, whatever the limits are now.
 
-    One that asks for a time itself keeps it, so that another one is another job.
+    A configuration with a time limit keeps it: with another one it is another job.
     """
     if config.budget.max_time is not None:
         return config

@@ -1,26 +1,14 @@
-"""Authorization where certificates prove names: who may take part as what, see which jobs, and do what to them.
+"""Authorization by certificates: which program may have which role, and which user may see and change which jobs.
 
-The router's access rules drop what they do not allow without an answer. Here a program whose role does not fit is told
-so, as the answer to its greeting. Whose a job is cannot be said by rules on keys and is decided here alone: a job is
-private to its submitter and to admins unless it is shared, and to others it is as if there were none.
+The router's access rules drop forbidden messages without an answer; here a program whose role does not fit gets a
+sentence, as the answer to its greeting. Rules on keys cannot say to whom a job belongs; that is decided here alone: a
+job is visible to its submitter and to admins, and to others only if it is shared; else it does not exist for them.
 """
 
 from typing import Final, Protocol
 
 from atoll_coordinator.service.store.jobs import Viewer
-from atoll_core.wire.messages.clients import (
-    Cancel,
-    ClientRequest,
-    Delete,
-    Follow,
-    Pause,
-    Retry,
-    SetPriority,
-    SetQueue,
-    SetWorker,
-    Share,
-    Submit,
-)
+from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.security.roles import Role, RoleBindings
 
@@ -33,14 +21,14 @@ _MAY: Final[dict[Role, str]] = {
 }
 
 _CHANGES: Final[dict[type, str]] = {
-    Cancel: "cancel", Delete: "delete", Pause: "pause or resume", SetPriority: "change the priority of", Share: "share",
-    Retry: "retry",
+    messages.Cancel: "cancel", messages.Delete: "delete", messages.Pause: "pause or resume",
+    messages.SetPriority: "change the priority of", messages.Share: "share", messages.Retry: "retry",
 }  # fmt: skip
-_OF_SERVICE: Final = (SetWorker, SetQueue)
+_OF_SERVICE: Final = (messages.SetWorker, messages.SetQueue)
 
 
 class Jobs(Protocol):
-    """The part of the store that remembers whose job a job is, and who sees it."""
+    """The part of the store that knows submitters."""
 
     def submitter(self, job: str) -> str | None: ...
 
@@ -48,15 +36,15 @@ class Jobs(Protocol):
 
 
 class Authorization:
-    """Decides by role bindings; without any (None) everybody may do everything."""
+    """Decides by role bindings; without any (None) every client may do everything."""
 
     def __init__(self, role_bindings: RoleBindings | None, jobs: Jobs) -> None:
-        """`role_bindings` may be replaced at any time; only a router that is started anew has the new ones."""
+        """`role_bindings` may be replaced at any time; a router has the new ones only after a restart."""
         self.role_bindings = role_bindings
         self._jobs = jobs
 
     def refuse_role(self, hello: Hello) -> str | None:
-        """Return why a program may not take part as what it says it is; None: it may."""
+        """Return why a program may not take part in its role; None: it may."""
         if self.role_bindings is None:
             return None
         role = self.role_bindings.role(hello.name)
@@ -77,15 +65,15 @@ class Authorization:
         )
 
     def refuse_worker(self, name: str) -> str | None:
-        """Return why a worker that takes part may not any more; None: it may."""
+        """Return why a worker may no longer take part; None: it may."""
         if self.role_bindings is None or self.role_bindings.role(name) == "worker":
             return None
         if self.role_bindings.role(name) == "revoked":
             return self._revoked(name)
         return f"the coordinator's roster does not name {name!r} as a worker any more"
 
-    def refuse_request(self, client: str, request: ClientRequest) -> str | None:
-        """Return why `client` may not ask this; None: it may. Ask `hides` first: of a hidden job nothing is said."""
+    def refuse_request(self, client: str, request: messages.ClientRequest) -> str | None:
+        """Return why `client` may not ask this; None: it may. Check `hides` first, which keeps hidden jobs secret."""
         if self.role_bindings is None:
             return None
         role, body = self.role_bindings.role(client), request.body
@@ -97,38 +85,41 @@ class Authorization:
             return None
         if isinstance(body, _OF_SERVICE):
             return "only an admin may do that to workers or to the queue"
-        if not isinstance(body, Cancel | Delete | Pause | SetPriority | Share | Retry):
+        if not isinstance(
+            body,
+            messages.Cancel | messages.Delete | messages.Pause | messages.SetPriority | messages.Share | messages.Retry,
+        ):
             return None
         owner = self._jobs.submitter(body.job)
-        if owner is None:  # nobody proved then whose it was, so that it is not everybody's now
+        if owner is None:  # it has no submitter, and does not belong to all users therefore
             return f"job {body.job} came before there was a roster; only an admin may {_CHANGES[type(body)]} it"
         if owner == self.role_bindings.principal(client):
             return None
         may = f"only {owner} or an admin may {_CHANGES[type(body)]} it"
         return f"job {body.job} was submitted by {owner}; {may}"
 
-    def hides(self, client: str, request: ClientRequest) -> str | None:
-        """Return the id of the job that is asked about, if `client` is to be told that there is none."""
+    def hides(self, client: str, request: messages.ClientRequest) -> str | None:
+        """Return the id of the job in a request that `client` may not see; None: there is none."""
         viewer, job = self.viewer(client), getattr(request.body, "job", None)
-        if viewer is None or job is None or isinstance(request.body, Submit):
+        if viewer is None or job is None or isinstance(request.body, messages.Submit):
             return None
         return None if self._jobs.is_seen(job, viewer) else str(job)
 
     def viewer(self, client: str) -> Viewer | None:
-        """Return as whom `client` sees jobs; None: it sees all."""
+        """Return the viewer for a client; None: it sees all jobs."""
         if self.role_bindings is None or self.role_bindings.role(client) == "admin":
             return None
         return Viewer(self.role_bindings.principal(client))
 
     def may_follow(self, client: str, job: str | None, viewer: Viewer | None) -> bool:
-        """Tell whether `client` may be told of a job, or of all that happens (None) as `viewer` sees it."""
-        if self.refuse_request(client, ClientRequest(body=Follow(job=job))) is not None:
+        """Return whether `client` may follow a job, or all events (None) that `viewer` sees."""
+        if self.refuse_request(client, messages.ClientRequest(body=messages.Follow(job=job))) is not None:
             return False
         own = self.viewer(client)
         return own == viewer if job is None else own is None or self._jobs.is_seen(job, own)
 
     def submitter(self, client: str) -> str | None:
-        """Return as whose job one is kept that `client` submits; None: nobody proves who it is."""
+        """Return the submitter of jobs from `client`; None: there are no certificates."""
         return self.role_bindings.principal(client) if self.role_bindings is not None else None
 
     def _revoked(self, name: str) -> str:

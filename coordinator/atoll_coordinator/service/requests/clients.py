@@ -1,90 +1,43 @@
-"""Requests of clients: uploads, submissions, questions about jobs and workers. Whatever is wrong becomes a Failure."""
+"""Requests of clients: uploads, submissions, questions about jobs and workers. Errors become a `Failure`."""
 
 from collections.abc import Callable
 from typing import Final
 
 from atoll_coordinator.service.job_controller import JobController
-from atoll_coordinator.service.monitoring.drafts import Draft
 from atoll_coordinator.service.monitoring.followers import Followers
+from atoll_coordinator.service.monitoring.job_views import Draft
 from atoll_coordinator.service.requests.admission import Admission
 from atoll_coordinator.service.requests.authorization import Authorization
-from atoll_coordinator.service.requests.deferred import NotYetError
 from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import Uploads
+from atoll_coordinator.service.requests.waiting import NotYetError
 from atoll_coordinator.service.store.jobs import MAX_COUNTED, Viewer
 from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError, RemoteProtocolError, StoreError, TableMissingError
-from atoll_core.wire.messages.clients import (
-    AnalysisAnswer,
-    AskAnalysis,
-    Cancel,
-    ClientRequest,
-    Delete,
-    Deleted,
-    EventList,
-    Failure,
-    FailureKind,
-    FindJob,
-    Follow,
-    Following,
-    GetEvents,
-    GetIslands,
-    GetQueueDepth,
-    GetResult,
-    GetTable,
-    IslandList,
-    JobFound,
-    JobList,
-    JobStatus,
-    ListJobs,
-    ListWorkers,
-    Pause,
-    QueueDepth,
-    ResultText,
-    Retry,
-    SetPriority,
-    SetQueue,
-    SetWorker,
-    Share,
-    Status,
-    Submit,
-    TableChunk,
-    Upload,
-    Uploaded,
-    WorkerList,
-)
+from atoll_core.wire.messages import clients as messages
+from atoll_core.wire.messages.clients import AnswerBody
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_SHOWN_ISLANDS, chunk_count
 from atoll_core.wire.messages.views import CoordinatorView, JobView, WorkerView
 
 MAX_PAGE_BYTES: Final = CHUNK_SIZE
-"""Of a list of jobs, as JSON, unless a single one has more: each item of a message has two bytes of JSON at least, so
-that the list keeps to `atoll_core.wire.codec.MAX_ITEMS`."""
+"""JSON bytes of a list of jobs, unless a single job has more. Each item of a message has at least two bytes of JSON, so
+that a list stays below `atoll_core.wire.codec.MAX_ITEMS`."""
 
 MAX_RESULT_BYTES: Final = 1024 * 1024
-"""Of results of jobs that ended under an earlier version, of which a list has views made: for 10 ms and not longer."""
+"""Bytes of results of an earlier version that one list may read to make views, which takes 10 ms."""
 
 _SHOWN: Final = 5
 
-Body = (
-    Uploaded | JobList | JobFound | JobStatus | WorkerList | QueueDepth | ResultText | IslandList | TableChunk
-    | AnalysisAnswer     | Deleted | EventList | Following | Failure
-)  # fmt: skip
-Told = ListJobs | FindJob | Status | ListWorkers | GetQueueDepth | GetResult | GetIslands | GetTable | GetEvents
-Asked = (
-    Upload | Submit | AskAnalysis | Cancel | Delete | Pause | SetPriority | Share | Retry | SetWorker | SetQueue | Told
-)  # fmt: skip
-
 
 class ClientRequests:
-    """Answers the questions of clients, one by one."""
+    """Answers requests of clients, one by one."""
 
     def __init__(  # noqa: PLR0913  # what answers are made of
         self, controller: JobController, store: Store, authorization: Authorization, deletion: JobDeletion,
         now: Callable[[], float], coordinator: Callable[[], CoordinatorView | None] = lambda: None,
         followers: Followers | None = None,
     ) -> None:  # fmt: skip
-        """`now` gives the bus's seconds, `coordinator` the view of the coordinator itself; without `followers` nobody
-        can follow."""
+        """`now` returns seconds of the bus, `coordinator` its view; without `followers` clients cannot follow."""
         self._controller = controller
         self._store = store
         self._authorization = authorization
@@ -95,76 +48,96 @@ class ClientRequests:
         self._coordinator = coordinator
         self._followers = followers
 
-    def answer(self, client: str, request: ClientRequest) -> Body:
-        """Return the answer to a question of `client`.
+    def answer(self, client: str, request: messages.ClientRequest) -> AnswerBody:
+        """Return the answer to a request of `client`.
 
         Raises:
-            StoreError: A job was to be cancelled, and that could not be made durable.
-            NotYetError: The answer is there when the result of a job is composed.
+            StoreError: The cancellation of a job could not be stored.
+            NotYetError: It can be answered when the result of a job has been composed.
         """
         hidden = self._authorization.hides(client, request)
         if hidden is not None:
-            return Deleted(job=hidden) if isinstance(request.body, Delete) else _unknown(hidden)
+            return messages.Deleted(job=hidden) if isinstance(request.body, messages.Delete) else _unknown(hidden)
         refusal = self._authorization.refuse_request(client, request)
         if refusal is not None:
-            return Failure(failure="refused", sentence=refusal)
+            return messages.Failure(failure="refused", sentence=refusal)
         try:
             submitter, viewer = self._authorization.submitter(client), self._authorization.viewer(client)
-            if isinstance(request.body, Follow):
-                return self._follow(client, request.body, viewer)
             return self._answer(client, request.body, submitter, viewer)
         except TableMissingError as error:
-            return Failure(failure="no-table", sentence=str(error))
+            return messages.Failure(failure="no-table", sentence=str(error))
         except (RefusedError, RemoteProtocolError) as error:
-            return Failure(failure="refused", sentence=str(error)[:4000])
+            return messages.Failure(failure="refused", sentence=str(error)[:4000])
         except StoreError as error:
-            # The job has left its search already, and only a coordinator that starts again finds its way back.
-            if isinstance(request.body, Cancel):
+            # The job has already left its search; only a restarted coordinator continues it.
+            if isinstance(request.body, messages.Cancel):
                 raise
-            return Failure(failure="internal", sentence=str(error)[:4000])
+            return messages.Failure(failure="internal", sentence=str(error)[:4000])
 
-    def _follow(self, client: str, question: Follow, viewer: Viewer | None) -> Following | Failure:
-        if self._followers is None:
-            return Failure(failure="refused", sentence="nothing can be followed here; ask for the status instead")
-        following = self._followers.follow(client, question, self._now(), viewer)
-        return following or _unknown(question.job or "of any name")
-
-    def _answer(self, client: str, body: Asked, submitter: str | None, viewer: Viewer | None) -> Body:
+    def _answer(  # noqa: C901  # a table: one case for each request
+        self, client: str, body: messages.RequestBody, submitter: str | None, viewer: Viewer | None
+    ) -> AnswerBody:
+        now = self._now()
         match body:
-            case Upload():
+            case messages.Upload():
                 self._admission.admit_upload(body, submitter, client)
                 return self.uploads.take(body, submitter, viewer, client)
-            case Submit():
+            case messages.Submit():
                 return self._submit(client, body, submitter, viewer)
-            case Retry():
+            case messages.Retry():
                 return self._submit(client, self._controller.again(body.job, body.again), submitter, viewer)
-            case Cancel():
-                return self._cancel(body.job)
-            case Delete():
+            case messages.Cancel():
+                self._controller.cancel(body.job, now)
+                if body.job in self._controller.ending:  # the answer comes when the end is stored
+                    raise NotYetError(body.job, is_final=True, meanwhile=lambda: self._status(body.job))
+            case messages.Delete():
                 self._deletion.delete(body.job, "a client asked for it")
-                return Deleted(job=body.job)
-            case Pause() | SetPriority() | Share():
-                return self._change(body)
-            case AskAnalysis():
+                return messages.Deleted(job=body.job)
+            case messages.Pause() | messages.SetPriority() | messages.Share():
+                if self._controller.shown.view(body.job, now) is None:
+                    return _unknown(body.job)
+                if isinstance(body, messages.Pause):
+                    self._controller.pause(body.job, body.paused, now)
+                elif isinstance(body, messages.SetPriority):
+                    self._controller.set_priority(body.job, body.priority, now)
+                else:
+                    self._controller.share(body.job, body.shared)
+                    self.check_followers()
+            case messages.AskAnalysis():
                 return self._analyse(client, body, submitter, viewer)
-            case SetWorker():
-                self._controller.set_worker(body.worker, body.service, self._now())
-                return self._workers(ListWorkers(prefix=body.worker, limit=1), viewer)
-            case SetQueue():
-                self._controller.pause_queue(body.paused, self._now())
-                return self._workers(ListWorkers(limit=1), viewer)
-            case _:
-                return self._tell(body, viewer)
+            case messages.SetWorker():
+                self._controller.set_worker(body.worker, body.service, now)
+                return self._workers(messages.ListWorkers(prefix=body.worker, limit=1), viewer)
+            case messages.SetQueue():
+                self._controller.pause_queue(body.paused, now)
+                return self._workers(messages.ListWorkers(limit=1), viewer)
+            case messages.Follow():
+                if self._followers is None:
+                    sentence = "nothing can be followed here; ask for the status instead"
+                    return messages.Failure(failure="refused", sentence=sentence)
+                return self._followers.follow(client, body, now, viewer) or _unknown(body.job or "of any name")
+            case messages.ListJobs():
+                return self._page(body, viewer)
+            case messages.FindJob():
+                return self._find(body.prefix, viewer)
+            case messages.ListWorkers():
+                return self._workers(body, viewer)
+            case messages.GetQueueDepth():
+                return self._controller.queue_depth()
+            case messages.GetResult():
+                return self._result(body.job)
+            case messages.GetIslands():
+                return self._islands(body.job)
+            case messages.GetTable():
+                return self._table(body.job, body.index)
+            case messages.GetEvents():
+                return self._events(body, viewer)
+            case messages.Status():
+                pass
+        return self._status(body.job)
 
-    def _cancel(self, job: str) -> Body:
-        """End a job; that it has ended is told when that lasts."""
-        self._controller.cancel(job, self._now())
-        if job in self._controller.ending:
-            raise NotYetError(job, is_final=True, meanwhile=lambda: self._status(job))
-        return self._status(job)
-
-    def _submit(self, client: str, body: Submit, submitter: str | None, viewer: Viewer | None) -> Body:
-        """Take in a job; to somebody else's, or on a table that has not been shown, it says no more than it must."""
+    def _submit(self, client: str, body: messages.Submit, submitter: str | None, viewer: Viewer | None) -> AnswerBody:
+        """Accept a job; refusals reveal nothing about other users' jobs and tables."""
         if (
             viewer is not None
             and self._store.job(body.job) is not None
@@ -179,8 +152,8 @@ class ClientRequests:
         self.uploads.end(body.table, submitter, client)
         return self._status(body.job)
 
-    def _analyse(self, client: str, body: AskAnalysis, user: str | None, viewer: Viewer | None) -> Body:
-        """Answer a question about the result of a job, or say that its answer is not there yet."""
+    def _analyse(self, client: str, body: messages.AskAnalysis, user: str | None, viewer: Viewer | None) -> AnswerBody:
+        """Answer a question about the result of a job, or say what the answer waits for."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
         if body.table is not None and not self.uploads.has(body.table, user, viewer, client):
@@ -189,74 +162,45 @@ class ClientRequests:
             self.uploads.renew(body.table)
         asked = self._controller.analyse(body, user, self._now())
         if asked.failed is not None:
-            return Failure(failure="internal", sentence=asked.failed[:4000])
+            return messages.Failure(failure="internal", sentence=asked.failed[:4000])
         if asked.answer is None:
-            return AnalysisAnswer(job=body.job, waits_for=self._controller.tasks.waiting_reason(body.job))
+            return messages.AnalysisAnswer(job=body.job, waits_for=self._controller.tasks.waiting_reason(body.job))
         first = body.index * CHUNK_SIZE
-        return AnalysisAnswer(
+        return messages.AnalysisAnswer(
             job=body.job, index=body.index, digest=asked.digest, size=len(asked.answer),
             data=asked.answer[first : first + CHUNK_SIZE],
         )  # fmt: skip
 
-    def _change(self, body: Pause | SetPriority | Share) -> Body:
-        if self._controller.shown.view(body.job, self._now()) is None:
-            return _unknown(body.job)
-        match body:
-            case Pause():
-                self._controller.pause(body.job, body.paused, self._now())
-            case SetPriority():
-                self._controller.set_priority(body.job, body.priority, self._now())
-            case Share():
-                self._controller.share(body.job, body.shared)
-                self.check_followers()
-        return self._status(body.job)
-
     def check_followers(self) -> None:
-        """Tell followers no more of what they may not see any more."""
+        """Stop notifying followers of jobs that they may no longer see."""
         if self._followers is not None:
             self._followers.keep(self._authorization.may_follow)
 
-    def _tell(self, body: Told, viewer: Viewer | None) -> Body:
-        """Answer a question that changes nothing."""
-        match body:
-            case ListJobs():
-                return self._page(body, viewer)
-            case FindJob():
-                return self._find(body.prefix, viewer)
-            case Status():
-                return self._status(body.job)
-            case ListWorkers():
-                return self._workers(body, viewer)
-            case GetQueueDepth():
-                return self._controller.queue_depth()
-            case GetResult():
-                return self._result(body.job)
-            case GetIslands():
-                return self._islands(body.job)
-            case GetTable():
-                return self._table(body.job, body.index)
-            case GetEvents():
-                return self._events(body, viewer)
-
-    def _table(self, job: str, index: int) -> Body:
+    def _table(self, job: str, index: int) -> AnswerBody:
         record = self._store.job(job)
         if record is None:
             return _unknown(job)
         size = self._store.blob_size(record.table_digest)
         if not size or index >= chunk_count(size):
-            return Failure(failure="refused", sentence=f"the table of job {job} is not kept, or has no part {index}")
+            return messages.Failure(
+                failure="refused", sentence=f"the table of job {job} is not kept, or has no part {index}"
+            )
         data = self._store.get_chunk(record.table_digest, index)
-        return TableChunk(job=job, index=index, size=size, digest=record.table_digest, data=data)
+        return messages.TableChunk(job=job, index=index, size=size, digest=record.table_digest, data=data)
 
-    def _islands(self, job: str) -> Body:
+    def _islands(self, job: str) -> AnswerBody:
         live = self._controller.jobs.get(job)
         if live is None:
-            return _unknown(job) if self._controller.shown.view(job, self._now()) is None else IslandList(islands=())
+            return (
+                _unknown(job)
+                if self._controller.shown.view(job, self._now()) is None
+                else messages.IslandList(islands=())
+            )
         views = [view for archipelago in live.open_archipelagos for view in archipelago.island_views()]
-        return IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
+        return messages.IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
 
-    def _workers(self, question: ListWorkers, viewer: Viewer | None) -> WorkerList:
-        """Return a page of workers, by name; what they compute for others is left out."""
+    def _workers(self, question: messages.ListWorkers, viewer: Viewer | None) -> messages.WorkerList:
+        """Return a page of workers, by name, without what they compute for other users."""
         views = self._controller.workers.membership.views(self._now())
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
         page = tuple(wanted[: question.limit])
@@ -266,19 +210,18 @@ class ClientRequests:
             page = tuple(_without_others(view, self._store, viewer) for view in page)
             seen = [user for user in coordinator.users if user.user == viewer.name] if coordinator else []
             coordinator = coordinator and coordinator.model_copy(update={"users": tuple(seen)})
-        return WorkerList(workers=page, after=after, coordinator=coordinator)
+        return messages.WorkerList(workers=page, after=after, coordinator=coordinator)
 
-    def _events(self, question: GetEvents, viewer: Viewer | None) -> EventList | Failure:
-        """Return what happened; as much of it as one answer bears."""
+    def _events(self, question: messages.GetEvents, viewer: Viewer | None) -> messages.EventList | messages.Failure:
         if question.job is not None and self._controller.shown.view(question.job, self._now()) is None:
             return _unknown(question.job)
         log = self._controller.events
-        return EventList(
+        return messages.EventList(
             events=log.read(question.job, question.after, question.limit, viewer, of_workers=question.of_workers)
         )
 
-    def _page(self, question: ListJobs, viewer: Viewer | None) -> JobList:
-        """Return a page of jobs, newest last, that an answer bears."""
+    def _page(self, question: messages.ListJobs, viewer: Viewer | None) -> messages.JobList:
+        """Return a page of jobs, newest last, that fits into one answer."""
         page = self._store.job_page(
             question.prefix, is_open=question.is_open, before=question.before, limit=question.limit, viewer=viewer,
             state=question.state,
@@ -290,36 +233,36 @@ class ClientRequests:
         for view in shown.views(numbers, self._now()):
             size += len(view.model_dump_json())
             if views and (size > MAX_PAGE_BYTES or shown.bytes_read - read > MAX_RESULT_BYTES):
-                return JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
-            # One that was taken over, and waits again, is listed in the state that is stored.
+                return messages.JobList(jobs=tuple(reversed(views)), before=numbers[views[-1].job])
+            # A job that waits again after a restart is listed by its stored state.
             if question.state in (None, view.state) or view.state == "queued":
                 views.append(view)
         is_last = len(numbers) < question.limit
-        return JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
+        return messages.JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
-    def _find(self, prefix: str, viewer: Viewer | None) -> JobFound | Failure:
+    def _find(self, prefix: str, viewer: Viewer | None) -> messages.JobFound | messages.Failure:
         """Return the one job whose id is `prefix` or begins with it, of those that the viewer sees."""
         if self._store.job(prefix) is not None and (viewer is None or self._store.is_seen(prefix, viewer)):
-            return JobFound(job=prefix)
+            return messages.JobFound(job=prefix)
         count = self._store.count_jobs(prefix, viewer)
         ids = [job for _, job in self._store.job_page(prefix if count else "", limit=_SHOWN, viewer=viewer)]
         if count == 1:
-            return JobFound(job=ids[0])
+            return messages.JobFound(job=ids[0])
         shown = ", ".join(reversed(ids))
         if count:
             is_whole = count < MAX_COUNTED
             shown += f" and {count - _SHOWN if is_whole else 'many'} more" if count > _SHOWN else ""
             number = f"{count}" if is_whole else f"{count} and more"
             sentence = f"{number} jobs begin with {prefix!r} ({shown}); write more of the id"
-            return Failure(failure="refused", sentence=sentence)
+            return messages.Failure(failure="refused", sentence=sentence)
         there = f"the last that came are {shown}" if ids else "there is none at all yet"
-        return Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
+        return messages.Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
 
-    def _status(self, job: str) -> JobStatus | Failure:
+    def _status(self, job: str) -> messages.JobStatus | messages.Failure:
         view = self._controller.shown.view(job, self._now())
-        return JobStatus(job=view) if view is not None else _unknown(job)
+        return messages.JobStatus(job=view) if view is not None else _unknown(job)
 
-    def _result(self, job: str) -> ResultText | Failure:
+    def _result(self, job: str) -> messages.ResultText | messages.Failure:
         view = self._controller.shown.view(job, self._now())
         if view is None:
             return _unknown(job)
@@ -330,20 +273,24 @@ class ClientRequests:
             self._controller.compose(found)
             raise NotYetError(job, is_final=False)
         if found is not None:
-            return ResultText(json_text=found)
+            return messages.ResultText(json_text=found)
         if view.state == "failed":
-            kind: FailureKind = "data" if view.fault == "data" else "internal"
-            return Failure(failure=kind, sentence=view.reason or f"job {job} failed")
+            kind: messages.FailureKind = "data" if view.fault == "data" else "internal"
+            return messages.Failure(failure=kind, sentence=view.reason or f"job {job} failed")
         if view.state == "cancelled":
-            return Failure(failure="refused", sentence=f"job {job} was cancelled before its search began")
-        return Failure(failure="too-early", sentence=f"job {job} is {view.state} and has no equations yet; ask again")
+            return messages.Failure(failure="refused", sentence=f"job {job} was cancelled before its search began")
+        return messages.Failure(
+            failure="too-early", sentence=f"job {job} is {view.state} and has no equations yet; ask again"
+        )
 
 
-def _unknown(job: str) -> Failure:
-    return Failure(failure="unknown-job", sentence=f"there is no job {job}; 'coordinator jobs' lists all of them")
+def _unknown(job: str) -> messages.Failure:
+    return messages.Failure(
+        failure="unknown-job", sentence=f"there is no job {job}; 'coordinator jobs' lists all of them"
+    )
 
 
 def _without_others(view: WorkerView, store: Store, viewer: Viewer) -> WorkerView:
-    """Return a worker's view that says what it computes only if the viewer sees the job."""
+    """Return a worker's view that names its job only if the viewer sees the job."""
     job = view.doing.partition("/")[0]
     return view if not job or store.is_seen(job, viewer) else view.model_copy(update={"doing": "another user's job"})

@@ -1,4 +1,4 @@
-"""Deletes jobs that have ended: those that a client names, and those that the retention no longer keeps."""
+"""Deletes ended jobs: those that a client names, and those that the retention no longer keeps."""
 
 from typing import Final
 
@@ -9,7 +9,7 @@ from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import RefusedError
 
 CHECK_INTERVAL_S: Final = 60.0
-"""How often expired jobs are looked for; while there are some, one is deleted at each tick."""
+"""Interval of looking for expired jobs; while there are some, one is deleted at each tick."""
 
 
 class JobDeletion:
@@ -32,7 +32,7 @@ class JobDeletion:
         self._controller.forget_ended(job, reason)
 
     def delete_expired(self, now: float) -> None:
-        """Delete the oldest ended job if it is not to be kept, at most one in a call; `now` in seconds of the bus."""
+        """Delete one ended job that is no longer kept, if there is one; `now` in seconds of the bus."""
         if self.retention == KEEP_ALL or now < self._check_at:
             return
         self._store.keep_served()
@@ -43,7 +43,7 @@ class JobDeletion:
             self.delete(*expired)
 
     def _expired(self) -> tuple[str, str] | None:
-        """Return the next job that is not to be kept, and why; None: there is none."""
+        """Return the next job that is no longer kept, and why; None: there is none."""
         oldest = self._store.oldest_ended_job()
         if oldest is not None and self.retention.is_too_old(oldest, self._store.served_s):
             return oldest.id, f"it ended more than {(self.retention.age_s or 0.0) / 86400:g} days ago"
@@ -53,7 +53,4 @@ class JobDeletion:
         if first is None:
             return None
         size = (self.retention.size_bytes or 0) / 1e9
-        return (
-            first.id,
-            f"ended jobs hold more than {size:g} GB, and it ended first of those of the user who holds most",
-        )
+        return first.id, f"ended jobs hold more than {size:g} GB, and it is the oldest of the user who holds most"

@@ -1,7 +1,7 @@
-"""Uploads of tables, and what becomes of those that no job uses: each has a lease, which every message about it renews.
+"""Uploads of tables that no job uses yet: each has a lease, which every message about it renews.
 
-They count neither in the retention of jobs nor are they deleted while they go on, but where the disk is nearly full:
-a store that cannot be written ends the coordinator, and with it everybody's search.
+They do not count in the retention of jobs, and are deleted during the upload only when the disk is nearly full: a store
+that cannot be written ends the coordinator, and with it all searches.
 """
 
 import hashlib
@@ -19,31 +19,31 @@ from atoll_core.wire.messages.clients import Upload, Uploaded
 from atoll_core.wire.messages.limits import CHUNK_LIMIT_S, chunk_count
 
 MAX_STORED_BYTES: Final = 16 * 1024**3
-"""Uploads are refused when all tables and datasets together would take more than this."""
+"""Uploads are refused when all tables and datasets together would exceed this."""
 
 MOST_OF_USER: Final = 1_000
 MOST_OF_ALL: Final = 20_000
-"""Tables that a user, without certificates a session, and all together may have uploaded and not submitted: each takes
-3 kB of memory, however few bytes it has."""
+"""Tables uploaded and not submitted, of a user (else a session) and of all together: each takes 3 kB of memory,
+however small it is."""
 
 LEAST_RESERVE: Final = 256 * 1024**2
 MOST_RESERVE: Final = 2 * 1024**3
 RESERVED_SHARE: Final = 0.05
 MOST_RESERVED_SHARE: Final = 0.25
-"""Bytes and shares of the disk that uploads leave to checkpoints and results; on small disks the last one decides."""
+"""Bytes and shares of the disk that uploads leave for checkpoints and results; on small disks the last one decides."""
 
 LEASE_S: Final = 5 * CHUNK_LIMIT_S
-"""A client that goes on says something within `CHUNK_LIMIT_S`, or gives up; the factor is for one that tries again."""
+"""An active client sends a message within `CHUNK_LIMIT_S`; the factor allows for retries."""
 
 CHECK_INTERVAL_S: Final = 60.0
-"""How often uploads whose leases are over are looked for."""
+"""Interval of looking for uploads whose leases are over."""
 
 
 @dataclass(eq=False, slots=True)
 class _Upload:
-    """What somebody has shown of a table: its first `count` chunks, `shown` bytes, whose SHA-256 is `hash` so far.
+    """The part of a table that a client has sent: its first `count` chunks, `sent` bytes with the SHA-256 `hash`.
 
-    In the store its chunks are kept under the name `key`, until all `size` bytes are there and have the digest.
+    The store has its chunks under the name `key`, until all `size` bytes have come and have the digest.
     """
 
     user: str | None
@@ -52,41 +52,40 @@ class _Upload:
     key: str
     heard: float
     count: int = 0
-    shown: int = 0
+    sent: int = 0
     hash: "hashlib._Hash" = field(default_factory=hashlib.sha256)
 
     @property
     def is_whole(self) -> bool:
-        return self.shown == self.size
+        return self.sent == self.size
 
 
 class Uploads:
-    """Tables that are uploaded or have been, and that no job uses yet, each by who uploads it.
+    """Tables that users are uploading, or have uploaded, and that no job uses yet.
 
-    Everybody shows all bytes of a table, in their order, also where the store has it from somebody else. What counts is
-    what was shown, never what was announced.
+    Each user must send all bytes of a table, in order, even if the store has it from another user. Only bytes that were
+    sent count, never announced ones.
     """
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
-        """`now` gives the bus's seconds. What the store already has counts for nobody: see `delete_all`."""
+        """`now` returns seconds of the bus. Blobs that are already stored belong to no user: see `delete_all`."""
         self._store = store
         self._now = now
         self._heard: dict[str, float] = {}
         self._check_at = 0.0
         self._uploads: dict[tuple[str, str | None, str], _Upload] = {}
-        self._shown: Counter[str | None] = Counter()
+        self._sent: Counter[str | None] = Counter()
         self._begun: Counter[tuple[str | None, str]] = Counter()
         self._keys: set[str] = set()
 
     def take(self, upload: Upload, user: str | None, viewer: Viewer | None, session: str) -> Uploaded:
-        """Keep a chunk that is the next one, or only tell which are missing.
+        """Store a chunk if it is the next one, and return which are missing.
 
-        A `viewer` that sees no job with this table is told that all of it is missing that its `user` has not shown:
-        whoever knows a digest alone has not the data, and is not to learn that they are there. Without a user, each
-        `session` shows its own.
+        For a `viewer` that sees no job with this table, everything is missing that its `user` has not sent: a digest
+        alone must not reveal that the data are there. Without a user, each `session` sends its own.
 
         Raises:
-            RefusedError: the chunk is damaged, or the upload does not fit.
+            RefusedError: the chunk is damaged, or there is no space for the upload.
             RemoteProtocolError: the chunk does not fit the upload, or all bytes do not have the digest.
         """
         if upload.data is not None:
@@ -98,7 +97,7 @@ class Uploads:
             self.renew(upload.blob)
             return Uploaded(blob=upload.blob, missing=())
         own = self._uploads.get(who)
-        if own is not None and own.is_whole:  # it was deleted meanwhile
+        if own is not None and own.is_whole:  # it was deleted in the meantime
             self._forget(who)
             own = None
         if own is not None:
@@ -112,8 +111,7 @@ class Uploads:
     def _take_chunk(
         self, who: tuple[str, str | None, str], own: _Upload | None, upload: Upload, data: bytes
     ) -> _Upload | None:
-        """Keep a chunk if it is the next one of an upload, and return the upload; the first one of another size begins
-        it anew."""
+        """Store a chunk if it is the next one, and return the upload; chunk 0 with another size begins it again."""
         if upload.index == 0 and (own is None or own.size != upload.size):
             self._forget(who)
             own = self._begin(who, upload)
@@ -121,24 +119,24 @@ class Uploads:
             return own
         digest = own.hash.copy()
         digest.update(data)
-        is_last = own.shown + len(data) == own.size
+        is_last = own.sent + len(data) == own.size
         if is_last and digest.hexdigest() != own.digest:
             self._forget(who)
             raise RemoteProtocolError(
                 f"an upload of {own.size} bytes does not have the digest {own.digest} it was announced with"
             )
         if not self._store.put_chunk(own.key, upload.index, data, own.digest if is_last else None):
-            self._forget(who)  # it was deleted meanwhile
+            self._forget(who)  # it was deleted in the meantime
             return None
-        own.hash, own.count, own.shown = digest, own.count + 1, own.shown + len(data)
-        self._shown[own.user] += len(data)
+        own.hash, own.count, own.sent = digest, own.count + 1, own.sent + len(data)
+        self._sent[own.user] += len(data)
         if own.is_whole:
             self._keys.discard(own.key)
             self._heard[own.digest] = self._now()
         return own
 
     def _begin(self, who: tuple[str, str | None, str], upload: Upload) -> _Upload:
-        """Begin an upload, under a name of its own where somebody else is uploading the same, or it is there."""
+        """Begin an upload, under a name of its own if the same table is stored or another user is uploading it."""
         digest, user, session = who
         own, total = self._begun[user, session], len(self._uploads)
         if own >= MOST_OF_USER or total >= MOST_OF_ALL:
@@ -154,13 +152,13 @@ class Uploads:
         return begun
 
     def _forget(self, who: tuple[str, str | None, str]) -> None:
-        """Forget an upload, and delete what is kept of it unless it is whole."""
+        """Forget an upload, and delete its chunks unless it is complete."""
         own = self._uploads.pop(who, None)
         if own is None:
             return
-        self._shown[own.user] -= own.shown
-        if not self._shown[own.user]:
-            del self._shown[own.user]
+        self._sent[own.user] -= own.sent
+        if not self._sent[own.user]:
+            del self._sent[own.user]
         self._begun[who[1:]] -= 1
         if not self._begun[who[1:]]:
             del self._begun[who[1:]]
@@ -174,27 +172,26 @@ class Uploads:
         return digest, user, "" if user is not None else session
 
     def renew(self, digest: str) -> None:
-        """Take in that somebody still wants a table that no job uses."""
+        """Renew the lease of a table that no job uses."""
         self._heard[digest] = self._now()
 
     def has(self, digest: str, user: str | None, viewer: Viewer | None, session: str) -> bool:
-        """Tell whether somebody has a table: has shown all of it, or sees a job with it; all do without a viewer."""
+        """Return whether a user has sent all of a table, or sees a job with it; without a viewer it is true."""
         own = self._uploads.get(self._who(digest, user, session))
         return viewer is None or (own is not None and own.is_whole) or self._store.uses_table(digest, viewer)
 
     def end(self, digest: str, user: str | None, session: str) -> None:
-        """Take in that a job of a user has a table: it is no upload any more."""
+        """Record that a job of a user uses a table: it is no upload any more."""
         self._forget(self._who(digest, user, session))
 
     def pending_bytes(self, user: str | None, but: str, session: str) -> tuple[int, int]:
-        """Return how many bytes a user, and all together, have uploaded and not submitted yet, but for the user's table
-        `but`."""
+        """Return the bytes uploaded and not submitted by a user and by all together, without the user's table `but`."""
         own = self._uploads.get(self._who(but, user, session))
-        left_out = own.shown if own is not None else 0
-        return self._shown[user] - left_out, self._shown.total() - left_out
+        left_out = own.sent if own is not None else 0
+        return self._sent[user] - left_out, self._sent.total() - left_out
 
     def expire(self) -> None:
-        """Delete uploads whose leases are over, if it is time to look for them; all of them on a disk nearly full."""
+        """Delete uploads whose leases are over, at intervals; on a disk that is nearly full, delete all uploads."""
         room = self._store.room()
         if room is not None and room.free < reserve_of(room) / 2:
             self.delete_all()
@@ -215,23 +212,22 @@ class Uploads:
             self._store.delete_unused_blobs(expired)
 
     def delete_all(self) -> None:
-        """Delete all uploads that no job uses; who is at it is told that all of it is missing.
+        """Delete all uploads that no job uses; their clients learn that everything is missing, and upload again.
 
-        Also when a coordinator starts: who had shown which bytes is not stored, so that nobody has them and they would
-        count for nobody; clients upload them again.
+        Also called when a coordinator starts, since it is not stored which user has sent which bytes.
         """
         unused, self._heard = self._store.unused_blobs(), {}
-        self._uploads, self._shown, self._begun, self._keys = {}, Counter(), Counter(), set()
+        self._uploads, self._sent, self._begun, self._keys = {}, Counter(), Counter(), set()
         if unused:
             self._store.delete_unused_blobs(unused)
 
     def _check_room(self, upload: Upload, own: _Upload | None) -> None:
-        """Raise RefusedError for an upload that does not fit, also without those that were given up."""
-        shown = own.shown if own is not None and own.size == upload.size else 0
-        if self._refusal(upload.size - shown) is None:
+        """Raise RefusedError if there is no space for an upload even without expired ones."""
+        sent = own.sent if own is not None and own.size == upload.size else 0
+        if self._refusal(upload.size - sent) is None:
             return
         self._delete_expired()
-        refusal = self._refusal(upload.size - shown)
+        refusal = self._refusal(upload.size - sent)
         if refusal is not None:
             raise RefusedError(
                 f"{refusal}; an upload of {upload.size} bytes does not fit: delete jobs that "
@@ -240,7 +236,7 @@ class Uploads:
             )
 
     def _refusal(self, missing: int) -> str | None:
-        """Return why there is no room for so many bytes more; None: there is."""
+        """Return why there is no space for so many bytes; None: there is."""
         stored = self._store.blob_bytes()
         if stored + missing > MAX_STORED_BYTES:
             return (
@@ -257,6 +253,6 @@ class Uploads:
 
 
 def reserve_of(room: Room) -> int:
-    """Return how many bytes of a disk uploads leave free."""
+    """Return the bytes of a disk that uploads leave free."""
     wanted = min(max(RESERVED_SHARE * room.total, LEAST_RESERVE), MOST_RESERVE)
     return round(min(wanted, MOST_RESERVED_SHARE * room.total))

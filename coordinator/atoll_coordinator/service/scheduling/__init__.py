@@ -1,9 +1,7 @@
-"""Who is served next, and how much of everything each may have. Pure; seconds come in.
+"""Whose turn it is, and how much each user may have. Pure, except for reading a file of limits.
 
-``fair_share`` says in which order users' jobs are served: deficit round robin between users, priority and age within
-one user's. ``job_queue`` has the jobs that wait and those that are under way, and decides which are taken up, held and
-released; ``task_turns`` says whose tasks go to workers next; ``limits`` is how much is allowed, ``task_time`` what of
-it is used up.
+`fair_share` orders users by deficit round robin, and the jobs of one user by priority and age; `job_queue` decides
+which jobs are started, held and released; `limits` has limits and used task time.
 
-Submission -> `job_queue.JobQueue.add` -> `JobQueue.decide` (`fair_share.FairShare.order`) -> what the controller does.
+Submission -> `JobQueue.add` -> `JobQueue.decide` (`FairShare.order`) -> the controller acts.
 """

@@ -1,4 +1,4 @@
-"""How much the users of a service may have, each and all together: read from a file. Pure but for reading it.
+"""Limits of users, each and all together, read from a TOML file, and the task time that users have used.
 
 [total]
 running = 4                  # jobs under way at a time; further ones wait
@@ -22,6 +22,8 @@ most = "12h"                 # the longest; a job that asks for more is refused
 import argparse
 import re
 import tomllib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -33,19 +35,19 @@ from atoll_core.errors import RefusedError, UsageError
 from atoll_core.quoting import did_you_mean
 
 MAX_RUNNING: Final = 4
-"""Jobs under way at the same time, unless limits say otherwise: each holds its table and fronts in memory."""
+"""Default number of jobs under way: each holds its table and fronts in memory."""
 
 MAX_QUEUED: Final = 100_000
-"""Jobs that wait, unless limits say otherwise: each takes 11 kB of memory, and the loop is as fast as without them."""
+"""Default number of waiting jobs: each takes 11 kB of memory, and the loop is as fast as without them."""
 
 DAY_S: Final = 86_400.0
-"""What is counted by the day begins anew after so many seconds for which the store was served."""
+"""A day of service: task time is counted anew after so many seconds for which the store was served."""
 
 _SIZES: Final = {"k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 
 
 def _size(value: object) -> object:
-    """Return the bytes of ``500M`` or ``2G``; a number is a number of bytes."""
+    """Return the bytes of ``500M`` or ``2G``; numbers are bytes."""
     match = re.fullmatch("([0-9]{1,12})([kMGT]?)", value) if isinstance(value, str) else None
     if match is not None:
         return int(match[1]) * _SIZES.get(match[2], 1)
@@ -55,7 +57,7 @@ def _size(value: object) -> object:
 
 
 def _seconds(value: object) -> object:
-    """Return the seconds of ``90s``, ``30m``, ``12h`` or ``2d``; a number is a number of seconds."""
+    """Return the seconds of ``90s``, ``30m``, ``12h`` or ``2d``; numbers are seconds."""
     if isinstance(value, str):
         try:
             return duration(value)
@@ -74,10 +76,10 @@ _Time = Annotated[float, BeforeValidator(_seconds), Field(gt=0.0, lt=1e9)]
 
 
 class Allowance(Frozen):
-    """What one user may have, or all together; None: as much as there is.
+    """Limits of one user, or of all together; None: no limit.
 
-    `running` counts jobs that are prepared or searched, `queued` those that wait; `stored` is bytes of tables and
-    results, `task_time` seconds of processors in a day (`DAY_S`).
+    `running` limits jobs that are prepared or searched, `queued` waiting ones, `stored` the bytes of tables and
+    results, `task_time` the seconds of processors in a day (`DAY_S`).
     """
 
     running: _Places | None = None
@@ -87,14 +89,14 @@ class Allowance(Frozen):
 
 
 class Total(Allowance):
-    """What all users together may have."""
+    """Limits of all users together."""
 
     running: _Places = MAX_RUNNING
     queued: _Jobs = MAX_QUEUED
 
 
 class Times(Frozen):
-    """The `--max-time` of jobs, in seconds: of those that give none, and the longest."""
+    """The `--max-time` of jobs, in seconds: its default and its largest value."""
 
     default: _Time | None = None
     most: _Time | None = None
@@ -107,31 +109,31 @@ class Times(Frozen):
 
 
 class Limits(Frozen):
-    """What users may have."""
+    """All limits."""
 
     total: Total = Total()
     user: Allowance = Allowance()
     users: dict[str, Allowance] = Field(default_factory=dict)
     time: Times = Times()
 
-    def of(self, principal: str | None) -> Allowance:
-        """Return what a user may have: what is said of that one, else what is said of each."""
-        own = self.users.get(principal) if principal is not None else None
+    def of(self, user: str | None) -> Allowance:
+        """Return the limits of a user: those under its name, and those of every user."""
+        own = self.users.get(user) if user is not None else None
         if own is None:
             return self.user
         return self.user.model_copy(update=own.model_dump(exclude_unset=True))
 
     def with_time(self, config: JobConfig) -> JobConfig:
-        """Return a job's configuration with the time that it may take; raises RefusedError where it asks for more."""
+        """Return a job's configuration with its time limit; raises RefusedError if it asks for more than allowed."""
         asked, most = config.budget.max_time, self.time.most
         if asked is not None and most is not None and asked > most:
             raise RefusedError(
                 f"--max-time asks for {asked:g} s, but this coordinator gives a job {most:g} s at most; ask for less"
             )
-        given = asked if asked is not None else self.time.default if self.time.default is not None else most
-        if given == asked:
+        limit = asked if asked is not None else self.time.default if self.time.default is not None else most
+        if limit == asked:
             return config
-        return config.model_copy(update={"budget": config.budget.model_copy(update={"max_time": given})})
+        return config.model_copy(update={"budget": config.budget.model_copy(update={"max_time": limit})})
 
 
 NO_LIMITS: Final = Limits()
@@ -153,12 +155,13 @@ def read_limits(path: Path) -> Limits:
 
 
 def _complaint(error: ValidationError) -> str:
-    """Return the end of a sentence on the first thing that is wrong: what was found, what was expected."""
+    """Return the end of a sentence about the first error: what was found, what was expected."""
     first = error.errors()[0]
     path = [str(part) for part in first["loc"]]
     place = ".".join(path) or "as a whole"
     if first["type"] == "extra_forbidden":
-        known = _known(path[:-1])
+        model: type[Frozen] = Limits if len(path) == 1 else Times if path[0] == "time" else Allowance
+        known = tuple(model.model_fields)
         return f"have {place}, which is unknown; known here: {', '.join(known)}{did_you_mean(path[-1], known)}"
     what = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     if first["type"] == "model_type":
@@ -166,8 +169,58 @@ def _complaint(error: ValidationError) -> str:
     return f"have {first.get('input')!r} as {place}, but {what} was expected"
 
 
-def _known(group: list[str]) -> tuple[str, ...]:
-    model: type[Frozen] = Limits
-    if group:
-        model = Times if group[0] == "time" else Allowance
-    return tuple(model.model_fields)
+Amounts = Mapping[str | None, float]
+"""Seconds by user."""
+
+
+class TaskTime:
+    """The task time of users today, and the part of it that is not stored yet: seconds of processors of workers.
+
+    A day is a day of service (`DAY_S`), not of the calendar: setting the clock forward gains nothing.
+    """
+
+    def __init__(self, day: int = 0, used: Amounts | None = None) -> None:
+        """`used` is the stored task time of that day."""
+        self._day = day
+        self._used: dict[str | None, float] = defaultdict(float, used or {})
+        self._unsaved: dict[str | None, float] = defaultdict(float)
+        self._totals: dict[tuple[str, str], dict[str | None, float]] = {}
+
+    def charge(self, user: str | None, seconds: float) -> None:
+        """Add to the task time of a user."""
+        self._used[user] += seconds
+        self._unsaved[user] += seconds
+
+    def add_heartbeat(self, worker: str, instance: str, computed: Iterable[tuple[str | None, float]]) -> None:
+        """Charge users for what a worker process has computed for them since its last heartbeat.
+
+        Its first heartbeat charges nothing: an earlier coordinator has counted what came before.
+        """
+        totals = dict(computed)
+        before = self._totals.get((worker, instance))
+        if before is None:
+            self._totals = {key: known for key, known in self._totals.items() if key[0] != worker}
+            before = totals
+        for user, seconds in totals.items():
+            if seconds > before.get(user, 0.0):
+                self.charge(user, seconds - before.get(user, 0.0))
+        self._totals[worker, instance] = totals
+
+    def begin_day(self, day: int) -> None:
+        """Reset the task time, if it is another day."""
+        if day != self._day:
+            self._day, self._used = day, defaultdict(float)
+
+    def take_unsaved(self) -> dict[str | None, float]:
+        """Return what has been added since the last call."""
+        unsaved, self._unsaved = self._unsaved, defaultdict(float)
+        return dict(unsaved)
+
+    def exhausted(self, limits: Limits) -> frozenset[str | None]:
+        """Return the users who have used up their task time of today."""
+        most = {user: limits.of(user).task_time for user in self._used}
+        return frozenset(user for user, limit in most.items() if limit is not None and self._used[user] >= limit)
+
+    def is_used_up(self, limits: Limits) -> bool:
+        """Return whether all users together have used up the task time of today."""
+        return limits.total.task_time is not None and sum(self._used.values()) >= limits.total.task_time

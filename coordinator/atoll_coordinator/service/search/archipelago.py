@@ -1,23 +1,23 @@
-"""One archipelago as the coordinator sees it: collector, placement, checkpoints, how far its workers are. Pure.
+"""One archipelago as the coordinator sees it: collector, placement, checkpoints, progress of its workers. Pure.
 
-A checkpoint has three stages: its states are gathered from the workers; when all are there and all reports of the
-epochs before it are merged, it is written; when it is durable, `mark_durable` returns the commit that is published.
+A checkpoint has three stages: its states are gathered from the workers; when all have come and the reports of all
+earlier epochs are merged, it is written; when it is durable, `mark_durable` returns the commit that is published.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
-from atoll_coordinator.service.search.checkpoint_schedule import (
+from atoll_coordinator.service.search.checkpoints import (
     FIRST_INTERVAL,
+    Gathering,
+    StoredSearchState,
     common_epoch,
     interval_of,
     schedule_after,
 )
 from atoll_coordinator.service.search.collector import Collector, Measure, SearchState
-from atoll_coordinator.service.search.cut import Cut
-from atoll_coordinator.service.search.ending import Limits
+from atoll_coordinator.service.search.ending import Cut, SearchLimits
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.messages.epochs import EpochReport, PullReports, PullStates, States
 from atoll_core.wire.messages.views import IslandView
@@ -25,13 +25,12 @@ from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement
 from atoll_core.wire.state_pieces import IslandState
 
 FORGET_EPOCHS: Final = 16
-"""Commits that only say what workers may forget are published in steps of so many epochs."""
+"""Commits without a new checkpoint, which only say what workers may forget, are published every so many epochs."""
 
 MOST_PULLED_EPOCHS: Final = 64
 
 PLAN_COMMITS: Final = 10
-"""So many commits lie between two planned changes, unless a worker leaves."""
-
+"""Commits between two planned changes of a placement, unless a worker leaves."""
 
 ArchipelagoKey = tuple[str, str]
 """Job and variable of an archipelago."""
@@ -39,7 +38,7 @@ ArchipelagoKey = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """All of a checkpoint, ready to be written."""
+    """A complete checkpoint, ready to be written."""
 
     job: str
     variable: str
@@ -59,7 +58,7 @@ class Checkpoint:
         return sum(len(state.data) for state in self.states.values())
 
     def stored_search_state(self, search_seconds: float) -> StoredSearchState:
-        """Return what is stored beside the states of the islands."""
+        """Return what is stored together with the states of the islands."""
         return StoredSearchState.of(self.search_state, search_seconds)
 
 
@@ -67,7 +66,7 @@ class Archipelago:
     """The islands of one variable of one job."""
 
     def __init__(
-        self, job: str, variable: str, limits: Limits, measure: Measure, check: Callable[[bytes], None]
+        self, job: str, variable: str, limits: SearchLimits, measure: Measure, check: Callable[[bytes], None]
     ) -> None:
         """`check` raises RemoteProtocolError for bytes that are not a program over this job's inputs."""
         self.job: Final = job
@@ -104,7 +103,7 @@ class Archipelago:
         return self.placement.islands_of(worker) if self.placement is not None else ()
 
     def island_views(self) -> list[IslandView]:
-        """Return where each island is, and how far; none before it was placed for the first time."""
+        """Return worker and epoch of each island; none before the first placement."""
         workers = self.placement.workers if self.placement is not None else [None] * len(self._latest)
         pairs = enumerate(zip(workers, self._latest, strict=True))
         return [IslandView(variable=self.variable, island=k, worker=w, epoch=max(0, e + 1)) for k, (w, e) in pairs]
@@ -116,7 +115,7 @@ class Archipelago:
 
     @property
     def is_at_barrier(self) -> bool:
-        """Whether all islands wait, with all that they are durable, for another placement."""
+        """Whether all islands wait for another placement, and their states are durable."""
         return self.placement is not None and self._schedule.holds and self.durable == self._schedule.last
 
     @property
@@ -136,11 +135,11 @@ class Archipelago:
 
     @property
     def may_plan(self) -> bool:
-        """Whether another placement may be asked for although nobody leaves."""
+        """Whether another placement may be asked for although no worker leaves."""
         return self._since_plan >= PLAN_COMMITS and not self.is_planned
 
     def restore(self, cut: Cut) -> None:
-        """Take over a cut that was committed earlier."""
+        """Restore a cut that was committed earlier."""
         self._kept_cut = cut
 
     def resume(self, state: SearchState) -> None:
@@ -159,11 +158,11 @@ class Archipelago:
         self._latest = [placement.epoch - 1] * len(placement.workers)
 
     def unplace(self) -> None:
-        """Nobody computes it any more."""
+        """End the placement: no worker computes it any more."""
         self.placement, self._gathering = None, None
 
     def request_barrier(self) -> None:
-        """Have all islands wait, soon, at a checkpoint; without effect when that has been asked for."""
+        """Have all islands wait at a checkpoint soon; without effect when that has been asked for."""
         if not self.is_planned:
             self._wants_barrier = True
             self._since_plan = 0
@@ -171,10 +170,10 @@ class Archipelago:
     # ----------------------------------------------------------------------------------------- reports
 
     def add_report(self, worker: str, report: EpochReport, seconds: float) -> bool:
-        """Take in a report; return True when at least one more epoch is complete.
+        """Add a report; return True when at least one more epoch is complete.
 
         Raises:
-            RemoteProtocolError: It is of a term or worker that is not the current one, or holds what cannot be.
+            RemoteProtocolError: It is of an unknown term or another worker's islands, or has impossible contents.
             DivergedError: It contradicts an earlier one.
         """
         if self.cut is not None or self.placement is None or report.term < self.placement.term:
@@ -185,19 +184,24 @@ class Archipelago:
             raise RemoteProtocolError(f"worker {worker} reports epoch {report.epoch}, before its term began")
         if report.epoch < self.durable:
             return False
-        self._check_report(worker, report, self.placement)
+        islands = [island_report.island for island_report in report.islands]
+        if len(set(islands)) < len(islands) or not set(islands) <= set(self.placement.islands_of(worker)):
+            raise RemoteProtocolError(f"worker {worker} reported islands {islands}, which are not placed there")
+        for island_report in report.islands:
+            for addition in (*island_report.additions, *island_report.runners_up):
+                self._check(addition.program)
         advanced = self.collector.add_reports(worker, report.epoch, report.islands, seconds)
-        self._update_latest((island_report.island for island_report in report.islands), report.epoch)
+        self._update_latest(islands, report.epoch)
         return advanced
 
     def update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> None:
-        """Take in how far a worker says its islands have come, and of which checkpoints it has snapshots."""
+        """Record how far a worker's islands have come, and of which checkpoints it has snapshots."""
         if self.placement is not None:
             self._update_latest(self.placement.islands_of(worker), assignment_status.reported - 1)
             self._snapshots[worker] = assignment_status.snapshots
 
     def missing_reports(self, worker: str, assignment_status: AssignmentStatus) -> PullReports | None:
-        """Return the question for reports that a worker sent and that did not come; None when there are none."""
+        """Return the pull of reports that a worker sent and that did not arrive; None when there are none."""
         placement = self.placement
         if placement is None or self.cut is not None or assignment_status.term != placement.term:
             return None
@@ -208,7 +212,7 @@ class Archipelago:
         return PullReports(job=self.job, variable=self.variable, term=placement.term, first=first, last=last)
 
     def due_commit(self) -> Commit | None:
-        """Return what workers may forget, when all islands have reported that much more; None: not yet."""
+        """Return the commit that says what workers may forget, when it is due; None: not yet."""
         reached = min(min(self._latest, default=-1), self.collector.state.epochs - 1)
         if reached < self._forget + FORGET_EPOCHS or self.cut is not None:
             return None
@@ -218,7 +222,7 @@ class Archipelago:
     # ------------------------------------------------------------------------------------- checkpoints
 
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
-        """Return at most so many questions for states, each with its worker; begins a checkpoint when one is due."""
+        """Return at most so many pulls of states, each with its worker; begins a checkpoint when one is due."""
         placement = self.placement
         if placement is None or self.cut is not None or self.is_writing:
             return []
@@ -231,10 +235,10 @@ class Archipelago:
         return self._gathering.next_pulls(most)
 
     def add_states(self, worker: str, asked: PullStates, body: States | None) -> None:
-        """Take in a worker's answer; None: there was none.
+        """Add a worker's answer to a pull; None: there was none.
 
         Raises:
-            RemoteProtocolError: A state was damaged on its way, and is asked for again.
+            RemoteProtocolError: A state was damaged on its way, and is asked again.
         """
         placement, gathering = self.placement, self._gathering
         if placement is None or gathering is None:
@@ -255,7 +259,7 @@ class Archipelago:
         return Checkpoint(self.job, self.variable, placement.term, gathering.epoch, state, states)
 
     def mark_durable(self, checkpoint: Checkpoint, now: float) -> Commit | None:
-        """Take in that a checkpoint is durable; return the commit that is published, if its term is the current one."""
+        """Record that a checkpoint is durable; return the commit to publish, if its term is the current one."""
         self.is_writing = False
         epochs, seconds = checkpoint.epoch - self.durable, now - self._durable_at
         self.interval = interval_of(seconds / epochs, checkpoint.size, self.interval)
@@ -291,11 +295,3 @@ class Archipelago:
     def _update_latest(self, islands: Iterable[int], epoch: int) -> None:
         for island in islands:
             self._latest[island] = max(self._latest[island], epoch)
-
-    def _check_report(self, worker: str, report: EpochReport, placement: Placement) -> None:
-        islands = [island_report.island for island_report in report.islands]
-        if len(set(islands)) < len(islands) or not set(islands) <= set(placement.islands_of(worker)):
-            raise RemoteProtocolError(f"worker {worker} reported islands {islands}, which are not placed there")
-        for island_report in report.islands:
-            for addition in (*island_report.additions, *island_report.runners_up):
-                self._check(addition.program)

@@ -1,37 +1,36 @@
 """Collects the reports of one archipelago, merges front and runners-up and finds its end. Pure: no clock, no I/O.
 
-Decisions go by epoch number, never by arrival time: epochs are taken in order, each once, when every island has
-reported as much of it as counts. Hence the outcome depends on what was reported and on nothing else: not even on how
-far an island got beyond the cut.
+Decisions depend on epoch numbers, never on arrival times: epochs are merged in order, each once, when every island has
+reported as much of it as counts. Hence the result depends on the reports alone, and not on how far an island got beyond
+the cut.
 """
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from atoll_coordinator.service.search.cut import Convergence, Cut, Improvement, stored
-from atoll_coordinator.service.search.ending import Limits, Why, end_of
+from atoll_coordinator.service.search.ending import Convergence, Cut, Improvement, SearchLimits, Why, end_of
 from atoll_core.errors import AtollError, RemoteProtocolError
 from atoll_core.search.commit_order import Position
 from atoll_core.search.pareto import FrontEntry, merge, runners_up
 from atoll_core.wire.messages.epochs import Addition, IslandReport
 
 IMPROVEMENT_NATS: Final = 1.0
-"""A front is better when its least description length falls by at least this much; polishing of digits is not."""
+"""A front counts as improved when its least description length falls by at least so many nats."""
 
 Measure = Callable[[tuple[FrontEntry, ...]], float]
-"""Least description length of a front, in nats; infinity of an empty one."""
+"""Least description length of a front, in nats; infinity for an empty front."""
 
 
 class DivergedError(AtollError):
-    """Raised when two workers report different states of the same island and generation, which purity rules out."""
+    """Two workers report different states of the same island and generation, although epochs are pure functions."""
 
 
 @dataclass(slots=True)
 class _Filed:
-    """What is kept of one report: who sent it first, how far it goes, and, until its epoch is complete, all of it."""
+    """One report: its first sender, its last generation, and, until its epoch is complete, all of it."""
 
     worker: str
     generations: int
@@ -40,10 +39,10 @@ class _Filed:
     report: IslandReport | None
 
     def contradicts(self, report: IslandReport) -> bool:
-        """Tell whether another report of the same island and epoch cannot be true if this one is."""
+        """Return whether this report and another one of the same island and epoch cannot both be true."""
         if self.generations == report.generations:
             return (self.is_hit, self.digest) != (report.hit is not None, report.digest)
-        # an island that meets the target stops there, so the one that got less far cannot have met it
+        # an island that meets the target stops there, so the shorter report cannot have met it
         return self.is_hit if self.generations < report.generations else report.hit is not None
 
 
@@ -51,9 +50,8 @@ class _Filed:
 class SearchState:
     """The archipelago after its `epochs` completely reported epochs.
 
-    `counted` are the point evaluations of each island that has any, `evaluations` their sums, both by part.
-    `convergence` has, for each island, the generations (counted from the start of the search) in which it found a lower
-    error than before, each with that error.
+    `counted` are the point evaluations of each island, `evaluations` their sums, both by part; `convergence` are the
+    improvements of each island.
     """
 
     epochs: int = 0
@@ -70,7 +68,7 @@ class SearchState:
 class Collector:
     """Reports of one archipelago, keyed by (epoch, island)."""
 
-    def __init__(self, variable: str, limits: Limits, measure: Measure) -> None:
+    def __init__(self, variable: str, limits: SearchLimits, measure: Measure) -> None:
         self.variable: Final = variable
         self.limits: Final = limits
         self.state = SearchState()
@@ -84,16 +82,12 @@ class Collector:
         self._pending: Why | None = None
 
     def add_reports(self, worker: str, epoch: int, reports: Iterable[IslandReport], seconds: float) -> bool:
-        """File reports of one epoch; return True when at least one more epoch is complete.
+        """Add a worker's reports of one epoch; return True when at least one more epoch is complete.
 
-        Args:
-            worker: who reports.
-            epoch: of all these reports.
-            reports: islands not yet reported, or the same again.
-            seconds: since the search began.
+        `seconds` have passed since the search began.
 
         Raises:
-            DivergedError: A report differs from one filed before.
+            DivergedError: A report differs from an earlier one.
             RemoteProtocolError: There is no such epoch or island. Nothing has changed.
         """
         if self.cut is not None:
@@ -102,7 +96,15 @@ class Collector:
         for report in reports:
             self._check(worker, epoch, report)
         for report in reports:
-            self._file(worker, epoch, report)
+            key, is_hit = (epoch, report.island), report.hit is not None
+            if key in self._filed:
+                self.duplicates += 1
+                continue
+            self._filed[key] = _Filed(worker, report.generations, is_hit, report.digest, report)
+            if is_hit:
+                self._with_hit.add(epoch)
+            elif report.generations == self.limits.commit_order.generations:
+                self._whole[epoch] += 1
         before = self.state.epochs
         if epoch != before:
             return False
@@ -110,20 +112,8 @@ class Collector:
             self._merge_epoch(self.state.epochs, seconds)
         return self.state.epochs > before
 
-    def _file(self, worker: str, epoch: int, report: IslandReport) -> None:
-        """Keep a report, the first one of its island and epoch; count, so that not all need be looked through again."""
-        if (epoch, report.island) in self._filed:
-            self.duplicates += 1
-            return
-        is_hit = report.hit is not None
-        self._filed[epoch, report.island] = _Filed(worker, report.generations, is_hit, report.digest, report)
-        if is_hit:
-            self._with_hit.add(epoch)
-        elif report.generations == self.limits.commit_order.generations:
-            self._whole[epoch] += 1
-
     def cut_now(self, why: Why) -> None:
-        """End at the last completely reported epoch; by time, not before the first one is complete."""
+        """End at the last completely reported epoch; unless cancelled, not before the first one is complete."""
         if self.cut is not None:
             return
         if self.state.epochs == 0 and why != "cancelled":
@@ -132,11 +122,11 @@ class Collector:
         self._end(why)
 
     def at(self, epochs: int) -> SearchState | None:
-        """Return how the archipelago stood after so many epochs; None: not so far yet, or forgotten."""
+        """Return the state after so many epochs; None: not reached, or forgotten."""
         return self._past.get(epochs)
 
     def forget(self, before: int) -> None:
-        """Forget how it stood before so many epochs, and what was reported of them: none of it comes again."""
+        """Forget states and reports of earlier epochs, which are not needed again."""
         self._past = {epochs: past for epochs, past in self._past.items() if epochs >= before}
         if before <= self.state.epochs:
             self._filed = {key: filed for key, filed in self._filed.items() if key[0] >= before}
@@ -144,11 +134,11 @@ class Collector:
             self._with_hit = {epoch for epoch in self._with_hit if epoch >= before}
 
     def resume(self, state: SearchState) -> None:
-        """Go on from where an archipelago stood; only before the first report."""
+        """Go on from an earlier state; only before the first report."""
         self.state = state
 
     def first_missing(self, islands: Iterable[int], before: int) -> int | None:
-        """Return the first epoch below `before` of which a report of any of these islands is missing; None: of none."""
+        """Return the first epoch below `before` with a missing report of one of these islands; None: there is none."""
         wanted = tuple(islands)
         for epoch in range(self.state.epochs, min(before, self.limits.epochs)):
             if any((epoch, island) not in self._filed for island in wanted):
@@ -156,7 +146,7 @@ class Collector:
         return None
 
     def awaited(self) -> tuple[int, ...]:
-        """Return the islands whose reports the next epoch still waits for; none once there is a cut."""
+        """Return the islands whose reports the next epoch waits for; none once there is a cut."""
         epoch, hit = self.state.epochs, self._hit(self.state.epochs)
         filed = {island: self._filed[epoch, island].generations for _, island in self._keys(epoch)}
         islands = range(self.limits.islands) if self.cut is None else ()
@@ -183,9 +173,9 @@ class Collector:
             )
 
     def _is_whole(self, report: IslandReport) -> bool:
-        """Tell whether a report has the counters of just those slices that it must have finished."""
+        """Return whether a report has the counters of exactly the slices that it must have finished."""
         reached, order = report.generations, self.limits.commit_order
-        # Ends are listed of no more slices than the report itself lists: it may say that it reached generation 2**62.
+        # A report may claim generation 2**62: slices are listed only if it has as many counters.
         if reached > order.generations or reached // order.stride > len(report.counters):
             return False
         ends = order.ends(reached)
@@ -193,7 +183,7 @@ class Collector:
         return at_end and tuple(counters.generation for counters in report.counters) == ends
 
     def _is_complete(self, epoch: int) -> bool:
-        """Tell whether every island has reported as much of an epoch as counts, by the hits that are known."""
+        """Return whether every island has reported as much of an epoch as counts, by the known hits."""
         if epoch not in self._with_hit:
             return self._whole[epoch] == self.limits.islands
         hit = self._hit(epoch)
@@ -204,42 +194,50 @@ class Collector:
         return True
 
     def _hit(self, epoch: int) -> Position | None:
-        """Return where, by the reports that are there, the target was first met in an epoch that is not taken in."""
+        """Return where the target was first met in an epoch that is not merged yet, by its reports so far."""
         reports = (self._filed[key].report for key in self._keys(epoch))
         hits = (Position(epoch, report.hit.generation, report.island) for report in reports if report and report.hit)
         return min(hits, key=self.limits.commit_order.rank, default=None)
 
     def _needed(self, hit: Position | None, island: int) -> int:
-        """Return how many generations of an epoch count when the target was first met there."""
+        """Return how many generations of an epoch count when the target was first met at `hit`."""
         return self.limits.commit_order.generations if hit is None else self.limits.commit_order.needed(hit, island)
 
     def _keys(self, epoch: int) -> list[tuple[int, int]]:
-        """Return the keys of the reports of an epoch that are there, by island."""
+        """Return the keys of the reports of an epoch so far, by island."""
         return [(epoch, island) for island in range(self.limits.islands) if (epoch, island) in self._filed]
 
     def _merge_epoch(self, epoch: int, seconds: float) -> None:
-        """Merge one complete epoch as far as it counts, then ask whether the search ends."""
+        """Merge what counts of a complete epoch, then decide whether the search ends."""
         hit = self._hit(epoch)
         counted = [(report, self._needed(hit, report.island)) for report in self._release(epoch)]
         state = self.state
-        additions = [entry for report_and_end in counted for entry in additions_of(epoch, *report_and_end)]
-        near = [entry for report_and_end in counted for entry in runners_up_of(epoch, *report_and_end)]
+        additions = [entry for report, end in counted for entry in entries_of(epoch, report, report.additions, end)]
+        near = [entry for report, end in counted for entry in entries_of(epoch, report, report.runners_up, end)]
         front, before = merge(state.front, additions), (*state.front, *state.runners_up)
         state.runners_up = runners_up(front, (*before, *additions, *near), self.limits.runners_up)
         if front != state.front:
             state.front = front
-            self._update_best(epoch)
+            length = self._measure(front)
+            if length <= state.best_length - IMPROVEMENT_NATS or math.isinf(state.best_length):
+                state.best_length, state.improved_at = length, epoch
         for report, end in counted:
-            if end > 0:
-                state.counted[report.island] = evaluations_at(report, end)
+            if end > 0:  # the end of a slice
+                counters = next(counters for counters in report.counters if counters.generation == end)
+                state.counted[report.island] = dict(counters.evaluations)
         state.epochs = epoch + 1
         state.seconds = seconds
-        state.evaluations = total_evaluations(state.counted.values())
-        self._follow_convergence(additions)
+        totals = Counter[str]()
+        for evaluations in state.counted.values():
+            totals.update(evaluations)
+        state.evaluations = dict(sorted(totals.items()))
+        self._add_improvements(additions)
         self._past[state.epochs] = replace(state, counted=dict(state.counted), convergence=dict(state.convergence))
-        self._end_if_due(epoch, hit)
+        why = end_of(self.limits, epoch, state.improved_at, hit, self._pending)
+        if why is not None:
+            self._end(why, epoch * self.limits.commit_order.generations + hit.generation if hit is not None else None)
 
-    def _follow_convergence(self, additions: Iterable[FrontEntry]) -> None:
+    def _add_improvements(self, additions: Iterable[FrontEntry]) -> None:
         """Add the improvements of one epoch; of those in one generation the last is the best."""
         convergence = self.state.convergence
         for entry in sorted(additions, key=lambda addition: (addition.generation, -addition.error)):
@@ -249,7 +247,7 @@ class Collector:
                 convergence[entry.island] = (*before, Improvement(generation=generation, error=entry.error))
 
     def _release(self, epoch: int) -> list[IslandReport]:
-        """Return the reports of an epoch, by island, and keep no more of them than is needed to compare."""
+        """Return the reports of an epoch, by island, and keep only what comparing needs."""
         reports = []
         for key in self._keys(epoch):
             filed = self._filed[key]
@@ -258,17 +256,6 @@ class Collector:
             filed.report = None
         return reports
 
-    def _update_best(self, epoch: int) -> None:
-        length = self._measure(self.state.front)
-        if length <= self.state.best_length - IMPROVEMENT_NATS or math.isinf(self.state.best_length):
-            self.state.best_length = length
-            self.state.improved_at = epoch
-
-    def _end_if_due(self, epoch: int, hit: Position | None) -> None:
-        why = end_of(self.limits, epoch, self.state.improved_at, hit, self._pending)
-        if why is not None:
-            self._end(why, epoch * self.limits.commit_order.generations + hit.generation if hit is not None else None)
-
     def _end(self, why: Why, generation: int | None = None) -> None:
         state = self.state
         self.cut = Cut(
@@ -276,49 +263,18 @@ class Collector:
             epochs=state.epochs,
             generation=generation,
             why=why,
-            front=tuple(stored(entry) for entry in state.front),
+            front=state.front,
             evaluations=state.evaluations,
             seconds=state.seconds,
-            runners_up=tuple(stored(entry) for entry in state.runners_up),
+            runners_up=state.runners_up,
             convergence=Convergence.of(state.convergence),
         )
 
 
-def additions_of(epoch: int, report: IslandReport, end: int) -> list[FrontEntry]:
-    """Return what an island added to the front of one epoch up to generation `end`, tagged with where it was found."""
-    return _tagged(epoch, report, report.additions, end)
-
-
-def runners_up_of(epoch: int, report: IslandReport, end: int) -> list[FrontEntry]:
-    """Return what came to be a runner-up of an island in one epoch up to generation `end`, tagged likewise."""
-    return _tagged(epoch, report, report.runners_up, end)
-
-
-def _tagged(epoch: int, report: IslandReport, stated: Iterable[Addition], end: int) -> list[FrontEntry]:
+def entries_of(epoch: int, report: IslandReport, additions: Iterable[Addition], end: int) -> list[FrontEntry]:
+    """Return additions of an island up to generation `end` of an epoch, tagged with epoch and island."""
     return [
-        FrontEntry(
-            addition.complexity,
-            addition.error,
-            addition.mse,
-            epoch,
-            addition.generation,
-            report.island,
-            addition.program,
-        )
-        for addition in stated
-        if addition.generation <= end
+        FrontEntry(one.complexity, one.error, one.mse, epoch, one.generation, report.island, one.program)
+        for one in additions
+        if one.generation <= end
     ]
-
-
-def evaluations_at(report: IslandReport, end: int) -> dict[str, int]:
-    """Return the cumulative point evaluations by part of an island at generation `end`, the end of a slice."""
-    return next(dict(counters.evaluations) for counters in report.counters if counters.generation == end)
-
-
-def total_evaluations(islands: Iterable[Mapping[str, int]]) -> dict[str, int]:
-    """Return the islands' point evaluations, summed by part, parts in alphabetical order."""
-    totals: dict[str, int] = {}
-    for evaluations in islands:
-        for part, count in evaluations.items():
-            totals[part] = totals.get(part, 0) + count
-    return dict(sorted(totals.items()))

@@ -1,37 +1,44 @@
-"""What ends the search of one equation: its target, a law, epochs without improvement, their number, or an order.
+"""The end of the search of one equation: what ends it, and the cut, which is what it had found there.
 
-The end itself, and what had been found there, is a `cut`.
+A search ends by its target, by a law found without it, by epochs without improvement, by their number, by time or by
+cancellation. Its cut is durable once it is committed.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from pydantic import Field
+
+from atoll_coordinator.model.pools import Pool
+from atoll_core.config import Frozen
 from atoll_core.search.commit_order import CommitOrder, Position
+from atoll_core.search.pareto import FrontEntry
 
 Why = Literal["target", "law", "stagnation", "max-epochs", "max-time", "cancelled"]
 
 
 @dataclass(frozen=True, slots=True)
 class Stagnation:
-    """After how many epochs without improvement a search ends.
+    """Number of `epochs` without improvement after which a search ends.
 
-    These are `epochs`; if it `grows`, as many as had gone by with the last improvement, where that is more: what takes
-    the longer to get better is waited for the longer.
+    If it `grows`, the number is at least as large as the number of epochs until the last improvement: a search that
+    improves slowly gets more time.
     """
 
     epochs: int
     grows: bool = False
 
     def is_due(self, epoch: int, improved_at: int) -> bool:
-        """Tell whether a search ends with `epoch` that has last improved in the epoch `improved_at`, both from 0."""
+        """Return whether a search ends with `epoch` that last improved in epoch `improved_at`, both from 0."""
         return epoch - improved_at >= (max(self.epochs, improved_at + 1) if self.grows else self.epochs)
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """When an archipelago ends by itself: epochs at most, epochs without improvement; and what counts at a hit.
+class SearchLimits:
+    """What ends an archipelago by itself; `runners_up` are kept of each complexity.
 
-    `runners_up` are kept of each complexity. `has_law` ends it after the first epoch, which is for comparison.
+    `has_law`: a law was found by regression, so that one epoch, for comparison, is enough.
     """
 
     islands: int
@@ -42,11 +49,11 @@ class Limits:
     has_law: bool = False
 
 
-def end_of(limits: Limits, epoch: int, improved_at: int, hit: Position | None, ordered: Why | None) -> Why | None:
+def end_of(limits: SearchLimits, epoch: int, improved_at: int, hit: Position | None, ordered: Why | None) -> Why | None:
     """Return why a search ends with `epoch`, which all islands have reported; None if it goes on.
 
-    The front last improved in the epoch `improved_at`, and the target was met at `hit`, if at all. `ordered` is an end
-    from outside, by time, that waited for a first epoch.
+    The front last improved in epoch `improved_at`, and the target was met at `hit` (None: not yet). `ordered` is an end
+    by time that waited for a first epoch.
     """
     if hit is not None:
         return "target"
@@ -57,3 +64,47 @@ def end_of(limits: Limits, epoch: int, improved_at: int, hit: Position | None, o
     if epoch + 1 >= limits.epochs:
         return "max-epochs"
     return ordered
+
+
+class Improvement(Frozen):
+    """A `generation`, counted from the start of the search, in which an island found a lower `error` than before."""
+
+    generation: int
+    error: float
+
+
+class Convergence(Frozen):
+    """The improvements of one island, by rising generation and falling error."""
+
+    island: int
+    improvements: tuple[Improvement, ...]
+
+    @classmethod
+    def of(cls, improvements: Mapping[int, tuple[Improvement, ...]]) -> "tuple[Convergence, ...]":
+        """Return the convergence of several islands, ordered by island."""
+        return tuple(cls(island=island, improvements=improvements[island]) for island in sorted(improvements))
+
+
+class Cut(Frozen):
+    """The end of one archipelago, as it is stored.
+
+    `epochs` is a number, so the last epoch is `epochs` - 1; `generation`, counted from the start of the search, met the
+    target (None: no generation did, and the last epoch counts to its end); `evaluations` are the point evaluations of
+    all islands by part; `seconds` run from the first epoch's start to the end of the last slice that counts;
+    `runners_up` are the next best next to the front (`atoll_core.search.pareto.runners_up`).
+    """
+
+    variable: str
+    epochs: Annotated[int, Field(ge=0)]
+    generation: Annotated[int, Field(ge=0)] | None
+    why: Why
+    front: tuple[FrontEntry, ...]
+    evaluations: dict[str, int]
+    seconds: float
+    runners_up: tuple[FrontEntry, ...] = ()
+    convergence: tuple[Convergence, ...] = ()
+
+    @property
+    def pool(self) -> Pool:
+        """The front and the runners-up."""
+        return Pool(self.front, self.runners_up)

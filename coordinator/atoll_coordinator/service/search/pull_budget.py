@@ -1,7 +1,7 @@
-"""Decides which states of checkpoints are pulled from workers while the search goes on. Pure.
+"""Decides which states of checkpoints are pulled from workers during the search, within a limit on memory. Pure.
 
-The states that are held at a time are limited. The checkpoint that was begun first always goes on, once nothing is
-being written, so that none waits for ever, and one that is larger than the limit goes through alone.
+The checkpoint that was begun first always goes on once nothing is being written, so that no checkpoint waits for ever,
+and one that is larger than the limit goes through alone.
 """
 
 from collections.abc import Mapping
@@ -12,10 +12,10 @@ from atoll_core.wire.messages.epochs import PullStates, States
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 
 MAX_PULLS: Final = 4
-"""Pulls of states under way at the same time; with 4 MB an answer, what may come in at once."""
+"""Pulls of states at the same time; each answer has up to 4 MB."""
 
 MAX_BYTES: Final = 256 * 1024**2
-"""Of states held at the same time: gathered, asked for, or being written; and beyond that of one checkpoint."""
+"""Bytes of states that are gathered, asked for or being written at the same time, not counting one checkpoint."""
 
 
 class PullBudget:
@@ -30,20 +30,22 @@ class PullBudget:
 
     @property
     def held_bytes(self) -> int:
-        """Bytes of all states that are here."""
+        """Bytes of all states in memory."""
         return sum(self._gathered.values()) + sum(self._written.values())
 
     def begin_round(self, archipelagos: Mapping[ArchipelagoKey, Archipelago]) -> None:
-        """Forget checkpoints that were given up: their archipelago is not among the open ones, or lost a worker."""
+        """Forget checkpoints whose archipelago is no longer open, or lost a worker."""
         for key in list(self._gathered):
             if key not in archipelagos or archipelagos[key].gathered_bytes is None:
                 del self._gathered[key]
         self.is_short = False
 
     def next_pulls(self, archipelago: Archipelago) -> list[tuple[str, PullStates]]:
-        """Return the pulls of states that are due and affordable, each with its worker; they count as under way."""
+        """Return the pulls of states that are due and for which there is memory, each with its worker."""
         wanted = MAX_PULLS - self._pulls
-        affordable = min(wanted, self._affordable_pulls(archipelago.key))
+        is_first = not self._written and next(iter(self._gathered), archipelago.key) == archipelago.key
+        room = (MAX_BYTES - self.held_bytes) // CHUNK_SIZE - self._pulls
+        affordable = wanted if is_first else min(wanted, room)
         self.is_short = self.is_short or affordable < wanted
         pulls = archipelago.next_pulls(affordable)
         if pulls:
@@ -60,7 +62,7 @@ class PullBudget:
         return checkpoint
 
     def add_states(self, archipelago: Archipelago | None, worker: str, pull: PullStates, body: States | None) -> None:
-        """Take in the answer to a pull; None: there was none.
+        """Add the answer to a pull; None: there was none.
 
         Raises:
             RemoteProtocolError: A state was damaged on its way, and is pulled again.
@@ -75,11 +77,5 @@ class PullBudget:
             self._gathered[archipelago.key] = archipelago.gathered_bytes
 
     def mark_written(self, checkpoint: Checkpoint) -> None:
-        """Take in that a checkpoint is durable."""
+        """Record that a checkpoint has been written."""
         self._written.pop(checkpoint.key, None)
-
-    def _affordable_pulls(self, key: ArchipelagoKey) -> int:
-        """Return for how many more pulls of an archipelago's states there is memory."""
-        if not self._written and next(iter(self._gathered), key) == key:
-            return MAX_PULLS
-        return (MAX_BYTES - self.held_bytes) // CHUNK_SIZE - self._pulls

@@ -1,7 +1,7 @@
-"""A copy of a store while it is served, and a store made of a copy. SQLite's backup API; no coordinator is asked.
+"""Copies a store while it is served, and restores a store from a copy, by SQLite's backup API without a coordinator.
 
-A copy is one file, of one instant: it is read through a transaction of its own, which in WAL mode neither keeps others
-from writing nor sees what they write. It is read in steps, with pauses in which the disk is the coordinator's.
+A copy is one file and shows one instant: it is read in a transaction of its own, which in WAL mode neither blocks
+writers nor sees their changes. It is read in steps, with pauses that leave the disk to the coordinator.
 """
 
 import contextlib
@@ -13,22 +13,22 @@ from pathlib import Path
 from typing import Final
 
 from atoll_coordinator.service.store.lock import Lock
-from atoll_coordinator.service.store.schema import BUSY_LIMIT_S, FILE_NAME, check_kind, rename_cluster
+from atoll_coordinator.service.store.schema import BUSY_LIMIT_S, FILE_NAME, check_kind, new_cluster_name
 from atoll_core.errors import StoreError, WrongStoreError
 
 STEP_PAGES: Final = 1024
-"""Pages of 4 KB that are read at once: 4 MB, some milliseconds of a disk, for which a commit waits at most."""
+"""Pages of 4 KB read in one step: 4 MB, some milliseconds of a disk; a commit waits for one step at most."""
 
 PAUSE_S: Final = 0.005
-"""Between two steps: at most half of the disk's time is taken, where 4 MB take as long."""
+"""Pause between two steps: at most half of the disk's time is used where a step takes as long."""
 
 _COMPANIONS: Final = ("-wal", "-shm", "-journal")
-"""What SQLite keeps beside a file of that name, and plays into whatever file it finds there at the next opening."""
+"""Endings of the files that SQLite keeps beside a store, and applies to any store of that name when it is opened."""
 
 
 @dataclass(frozen=True, slots=True)
 class Copy:
-    """What was copied: the cluster of the store, its last incarnation, its jobs, and the bytes of the file."""
+    """A copy: the name of the cluster, the last incarnation, the number of jobs, and the size in bytes."""
 
     cluster: str
     incarnation: int
@@ -38,10 +38,9 @@ class Copy:
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """A store made of a copy: what was copied, the new name of its cluster, and the files that were put aside.
+    """A restored store: its copy, its new cluster name, the store that was there before, and all files put aside.
 
-    `former` is the store that was there; None: there was none. `aside` has all that was, also what was left of a store
-    whose file had been moved away.
+    `aside` also holds files that SQLite left of a store whose main file had been moved away (then `former` is None).
     """
 
     copy: Copy
@@ -51,9 +50,9 @@ class Restored:
 
 
 def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = lambda done, pages: None) -> Copy:
-    """Copy the store in `directory`, which may be served meanwhile, into the file `target`.
+    """Copy the store in `directory`, which may be served meanwhile, into the new file `target`, and check the copy.
 
-    `show` is called with the pages copied and all pages. The copy is checked; `target` is there whole or not at all.
+    `show` is called with the number of copied pages and of all pages. After an error there is no `target`.
 
     Raises:
         StoreError: there is no store, or it is damaged or foreign; `target` exists already or cannot be written.
@@ -65,23 +64,23 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
         with _translated(f"the store {source} cannot be copied", "choose a sound one"):
             check_kind(store, source)
             store.execute("BEGIN")
-            store.execute("SELECT count(*) FROM realm").fetchone()  # from here on this instant is what is seen
+            store.execute("SELECT count(*) FROM realm").fetchone()  # the copy shows this instant
         with (
             _translated(f"the copy {target} cannot be written", "see that there is room"),
             contextlib.closing(sqlite3.connect(draft, isolation_level=None)) as copy,
         ):
 
             def take_step(_: int, left: int, pages: int) -> None:
-                _sync(draft)  # else all of it is written at the end, and every commit meanwhile waits for that
+                _sync(draft)  # else all is written at the end, and every commit waits for that
                 show(pages - left, pages)
 
             store.backup(copy, pages=STEP_PAGES, progress=take_step, sleep=PAUSE_S)
-            copy.execute("PRAGMA journal_mode = DELETE")  # one file, without those of the WAL
+            copy.execute("PRAGMA journal_mode = DELETE")  # one file, without a WAL
         return check_copy(draft, f"the copy of {source}")
 
 
 def check_copy(file: Path, what: str, mode: str = "ro") -> Copy:
-    """Look through all of a copy, called `what`, and return what it holds; opened to read alone, or as `mode` says.
+    """Check all of a file, called `what` in messages, and return what it holds; opened in SQLite's `mode`.
 
     Raises:
         StoreError: it is damaged, no store, of a newer version, or cannot be read.
@@ -100,12 +99,11 @@ def check_copy(file: Path, what: str, mode: str = "ro") -> Copy:
 
 
 def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restored:
-    """Make the store in `directory` of the copy `source`, under a new name of its cluster.
+    """Create the store in `directory` from the copy `source`, with a new cluster name, open it once and check it.
 
-    The name is new since what the copy does not know of has happened under the old one: terms would be issued twice,
-    and the store that was copied may still be served elsewhere. With `replaces` a store that is there is put aside, and
-    always what SQLite left beside one that was moved away: it would be played into the new one. The new store is opened
-    once, and has the jobs of the copy, before this returns.
+    The name is new because the copied store may still be served elsewhere, and has gone on since: terms would be
+    issued twice. With `replaces` an existing store is put aside. Files that SQLite left beside a store that was moved
+    away are always put aside, as SQLite would apply them to the new one.
 
     Raises:
         StoreError: the copy is missing, damaged or no store; the directory has a store or a coordinator, or no room.
@@ -125,47 +123,41 @@ def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restore
             with _translated(f"the store {place} cannot be written", "see that there is room"):
                 name = _renamed_copy(source, draft)
             aside = _put_aside(place)
-        _require_restored(place, name, found)
+        there = check_copy(place, f"the restored store {place}", "rw")  # opened as `serve` opens it
+        if (there.cluster, there.jobs) != (name, found.jobs):
+            raise StoreError(
+                f"the restored store {place} holds {there.jobs} jobs of the cluster {there.cluster}, but {found.jobs} "
+                f"of {name} were expected; restore into an empty directory"
+            )
         former = aside[0] if aside and aside[0].suffix == place.suffix else None
         return Restored(found, name, former, aside)
     finally:
         lock.release()
 
 
-def _require_restored(place: Path, name: str, copied: Copy) -> None:
-    """Raise StoreError unless the store at `place` is the one that was restored: opened as `serve` opens it."""
-    there = check_copy(place, f"the restored store {place}", "rw")
-    if (there.cluster, there.jobs) != (name, copied.jobs):
-        raise StoreError(
-            f"the restored store {place} holds {there.jobs} jobs of the cluster {there.cluster}, but {copied.jobs} of "
-            f"{name} were expected; restore into an empty directory"
-        )
-
-
 def _renamed_copy(source: Path, target: Path) -> str:
-    """Copy a file into another, which becomes a cluster of another name; return that name."""
+    """Copy a store into another file under a new cluster name; return the name."""
     with (
         contextlib.closing(_connected(source, "ro")) as copy,
         contextlib.closing(sqlite3.connect(target, isolation_level=None)) as store,
     ):
         copy.backup(store)
-        store.execute("BEGIN IMMEDIATE")
-        name = rename_cluster(store)
-        store.execute("COMMIT")
+        name = new_cluster_name()
+        store.execute("UPDATE realm SET id = ?", (name,))
         return name
 
 
 def _put_aside(place: Path) -> tuple[Path, ...]:
-    """Give all that is there of a store that nobody serves other file names, and return them, that of the store first.
+    """Rename the files of a store that is not served; return the new names, the store itself first.
 
-    A store that is sound is whole in one file then; of one that was moved away its companions alone are left.
+    A sound store is one file afterwards. Of a store that was moved away only SQLite's other files are left.
     """
     with _translated(f"the store {place} cannot be put aside", "move it away by hand"):
         if place.exists():
             try:
                 with contextlib.closing(sqlite3.connect(place, isolation_level=None, timeout=BUSY_LIMIT_S)) as former:
                     former.execute("PRAGMA journal_mode = DELETE")
-            except sqlite3.DatabaseError:  # it may be replaced just because it is damaged
+            except sqlite3.DatabaseError:  # a damaged store may be replaced
                 pass
         there = [end for end in ("", *_COMPANIONS) if place.with_name(place.name + end).exists()]
         if not there:
@@ -179,18 +171,17 @@ def _put_aside(place: Path) -> tuple[Path, ...]:
 
 
 def _companions(path: Path) -> list[Path]:
-    """Return what there is of a store: its file, and what SQLite has put beside it."""
+    """Return the existing files of a store: its own, and those that SQLite keeps beside it."""
     files = (path.with_name(path.name + end) for end in ("", *_COMPANIONS))
     return [file for file in files if file.exists()]
 
 
 @contextlib.contextmanager
 def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
-    """Yield a file beside `target` that takes its place at the end of the block, durably; after an error it is gone.
+    """Yield a file that is renamed to `target`, durably, at the end of the block; after an error it is deleted.
 
     Raises:
-        StoreError: `target` exists, or what SQLite left beside a file of that name, unless that is as it should be; or
-            its folder cannot be written.
+        StoreError: the folder cannot be written; or, unless `exists`, there is a `target` or another file of it.
     """
     there = [] if exists else _companions(target)
     if there:
@@ -198,7 +189,7 @@ def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         with _translated(f"the file {target} cannot be written", "name another"):
-            draft.touch(mode=0o600)  # what users have measured is nobody else's
+            draft.touch(mode=0o600)  # measurements are private
         yield draft
         with _translated(f"the file {target} cannot be written", "see that there is room"):
             _sync(draft)
@@ -210,7 +201,6 @@ def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
 
 
 def _sync(path: Path) -> None:
-    """Have what was written to a file or a folder be on the disk."""
     opened = os.open(path, os.O_RDONLY)
     try:
         os.fsync(opened)
@@ -219,14 +209,14 @@ def _sync(path: Path) -> None:
 
 
 def _connected(file: Path, mode: str = "rw") -> sqlite3.Connection:
-    """Open an existing file; "ro": for reading. Of a store that is served readers write to the index of the WAL."""
+    """Open an existing file. Readers of a store that is served need "rw", as they write to the index of the WAL."""
     uri = f"{file.absolute().as_uri()}?mode={mode}"
     return sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_LIMIT_S)
 
 
 @contextlib.contextmanager
 def _translated(what: str, advice: str) -> Iterator[None]:
-    """Turn what SQLite and the system raise into a StoreError: `what` went wrong, why, and what to do."""
+    """Turn errors of SQLite and the system into a StoreError: `what` failed, why, and advice."""
     try:
         yield
     except sqlite3.Error as error:

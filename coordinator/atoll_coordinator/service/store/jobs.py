@@ -2,11 +2,12 @@
 transaction."""
 
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Final
 
 from atoll_coordinator.service.store.open_file import OpenFile, first_value
+from atoll_coordinator.service.store.schema import ENDED, OPEN
 from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages.views import FINAL_STATES
 
@@ -63,9 +64,6 @@ _SELECT: Final = f"SELECT {', '.join(_COLUMNS)} FROM jobs"
 _FIXED: Final = (
     "id", "spec", "table_digest", "submitted", "submitter", "submitted_s", "dataset_digest", "prepared_digest"
 )  # fmt: skip
-_OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
-_ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
-"""These are word by word the conditions of the indices in `schema`; SQLite uses a partial index for no other text."""
 
 _INDICES: Final = {
     ("all", "any"): "NOT INDEXED", ("all", "open"): "INDEXED BY open_jobs",
@@ -78,7 +76,7 @@ _INDICES: Final = {
 """Whose jobs, and which -> the index that has them in order, so that only rows of the answer are read."""
 
 _WHOSE: Final = {"all": "TRUE", "own": "submitter = :name", "shared": "shared"}
-_WHICH: Final = {"any": "TRUE", "open": _OPEN, "state": "state = :state"}
+_WHICH: Final = {"any": "TRUE", "open": OPEN, "state": "state = :state"}
 _SEEN: Final = "(submitter = ? OR shared)"
 
 MAX_COUNTED: Final = 1000
@@ -102,7 +100,7 @@ class JobStore(OpenFile):
 
     def open_jobs(self) -> tuple[JobRecord, ...]:
         """Return the jobs that have not ended, in the order of submission."""
-        return tuple(JobRecord(*row) for row in self._rows(f"{_SELECT} WHERE {_OPEN} ORDER BY number"))
+        return tuple(JobRecord(*row) for row in self._rows(f"{_SELECT} WHERE {OPEN} ORDER BY number"))
 
     def job_page(
         self, prefix: str = "", *, is_open: bool = False, before: int | None = None, limit: int = 1,
@@ -186,7 +184,8 @@ class JobStore(OpenFile):
     def views(self, jobs: Iterable[str]) -> dict[str, str]:
         """Return the stored views (JSON) of ended jobs, by id."""
         with self._reading() as sql:
-            return dict(_views(sql, jobs))
+            found = {job: first_value(sql, "SELECT view FROM views WHERE job = ?", job) for job in jobs}
+        return {job: view for job, view in found.items() if view is not None}
 
     def oldest_ended_job(self, of: Viewer | None = None) -> JobRecord | None:
         """Return the job that ended first, of all jobs or one user's; None when none has ended."""
@@ -235,20 +234,10 @@ def end(
     """
     done = sql.execute(
         "UPDATE jobs SET state = ?, result = ?, result_bytes = ?, reason = ?, finished = ?, prepared_digest = NULL "
-        f"WHERE id = ? AND {_OPEN}",
-        (state, result, size_of(result), reason, finished, job),
+        f"WHERE id = ? AND {OPEN}",
+        (state, result, len((result or "").encode()), reason, finished, job),
     )
     return done.rowcount == 1
-
-
-def size_of(result: str | None) -> int:
-    """Return the bytes of a result."""
-    return len((result or "").encode())
-
-
-def result_bytes(sql: sqlite3.Connection, job: str) -> int:
-    """Return the bytes of the result of a job."""
-    return int(first_value(sql, "SELECT result_bytes FROM jobs WHERE id = ?", job) or 0)
 
 
 def keep_view(sql: sqlite3.Connection, job: str, view: str) -> None:
@@ -256,27 +245,12 @@ def keep_view(sql: sqlite3.Connection, job: str, view: str) -> None:
     sql.execute("INSERT OR REPLACE INTO views SELECT id, ? FROM jobs WHERE id = ?", (view, job))
 
 
-def share_view(sql: sqlite3.Connection, job: str, is_shared: bool) -> None:
-    """Change whether the stored view of a job says that the job is shared."""
-    sql.execute(
-        "UPDATE views SET view = json_set(view, '$.shared', json(?)) WHERE job = ? AND json_valid(view)",
-        ("true" if is_shared else "false", job),
-    )
-
-
-def _views(sql: sqlite3.Connection, jobs: Iterable[str]) -> Iterator[tuple[str, str]]:
-    for job in jobs:
-        view = first_value(sql, "SELECT view FROM views WHERE job = ?", job)
-        if view is not None:
-            yield job, view
-
-
 def oldest_ended(sql: sqlite3.Connection, viewer: Viewer | None = None) -> JobRecord | None:
     """Return the job that ended first, of all jobs or of a user's own; None when none has ended."""
     own, name = ("AND submitter IS ? ", (viewer.name,)) if viewer is not None else ("", ())
     index = "ended_jobs_by_submitter" if viewer is not None else "ended_jobs"
     row = sql.execute(
-        f"SELECT {', '.join(_COLUMNS)} FROM jobs INDEXED BY {index} WHERE {_ENDED} {own}"
+        f"SELECT {', '.join(_COLUMNS)} FROM jobs INDEXED BY {index} WHERE {ENDED} {own}"
         "ORDER BY ended_at, coalesce(finished, submitted), number LIMIT 1",
         name,
     ).fetchone()

@@ -35,16 +35,12 @@ CREATE TABLE archipelagos (
 );
 """
 
-_LAYOUT_2_PRIORITIES: Final = "ALTER TABLE jobs ADD COLUMN priority INTEGER NOT NULL DEFAULT 0"
-
-_LAYOUT_2_EVENTS: Final = """
+_LAYOUT_2: Final = """
+ALTER TABLE jobs ADD COLUMN priority INTEGER NOT NULL DEFAULT 0;
 CREATE TABLE events (
     number INTEGER PRIMARY KEY AUTOINCREMENT, job TEXT, time TEXT NOT NULL, kind TEXT NOT NULL, contents TEXT NOT NULL
 );
 CREATE INDEX events_of_job ON events (job, number);
-"""
-
-_LAYOUT_2_CHECKPOINTS: Final = """
 CREATE TABLE checkpoints (
     job TEXT NOT NULL, variable TEXT NOT NULL, epoch INTEGER NOT NULL, progress BLOB NOT NULL,
     PRIMARY KEY (job, variable, epoch), FOREIGN KEY (job, variable) REFERENCES archipelagos
@@ -54,9 +50,8 @@ CREATE TABLE states (
     data BLOB NOT NULL, PRIMARY KEY (job, variable, epoch, island),
     FOREIGN KEY (job, variable, epoch) REFERENCES checkpoints ON DELETE CASCADE
 );
+CREATE TABLE submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)
 """
-
-_LAYOUT_2_SUBMITTERS: Final = "CREATE TABLE submitters (job TEXT PRIMARY KEY, name TEXT NOT NULL)"
 
 _LAYOUT_3_DEATHS: Final = """
 CREATE TABLE deaths (
@@ -105,8 +100,9 @@ CREATE TABLE usage (
 )
 """
 
-_OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
-_ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
+OPEN: Final = "state NOT IN ('done', 'failed', 'cancelled')"
+ENDED: Final = "state IN ('done', 'failed', 'cancelled')"
+"""Conditions of partial indices; SQLite uses these only for a query that has the condition word by word."""
 
 _LAYOUT_8_HOLDINGS: Final = f"""
 ALTER TABLE jobs ADD COLUMN prepared_digest TEXT;
@@ -115,14 +111,14 @@ CREATE INDEX jobs_by_prepared ON jobs (prepared_digest) WHERE prepared_digest IS
 DROP INDEX jobs_by_submitter;
 CREATE INDEX jobs_by_submitter ON jobs (submitter);
 CREATE INDEX jobs_by_submitter_and_state ON jobs (submitter, state);
-CREATE INDEX open_jobs_by_submitter ON jobs (submitter) WHERE {_OPEN};
+CREATE INDEX open_jobs_by_submitter ON jobs (submitter) WHERE {OPEN};
 CREATE INDEX shared_jobs ON jobs (number) WHERE shared;
 CREATE INDEX shared_jobs_by_state ON jobs (state) WHERE shared;
-CREATE INDEX shared_open_jobs ON jobs (number) WHERE shared AND {_OPEN};
+CREATE INDEX shared_open_jobs ON jobs (number) WHERE shared AND {OPEN};
 CREATE INDEX jobs_by_submitter_and_id ON jobs (submitter, id);
 CREATE INDEX shared_jobs_by_id ON jobs (id) WHERE shared;
 CREATE INDEX ended_jobs_by_submitter ON jobs (submitter, ended_at, coalesce(finished, submitted), number)
-    WHERE {_ENDED};
+    WHERE {ENDED};
 ALTER TABLE realm ADD COLUMN blob_bytes INTEGER NOT NULL DEFAULT 0;
 UPDATE realm SET blob_bytes = (SELECT coalesce(sum(size), 0) FROM blobs);
 DROP INDEX sizes_of_blobs;
@@ -130,9 +126,9 @@ CREATE TABLE uses (
     owner TEXT NOT NULL, digest TEXT NOT NULL, kind TEXT NOT NULL, size INTEGER NOT NULL, live INTEGER NOT NULL,
     ended INTEGER NOT NULL, PRIMARY KEY (owner, digest, kind)
 ) WITHOUT ROWID;
-INSERT INTO uses SELECT coalesce(submitter, ''), table_digest, 'table', coalesce(size, 0), sum({_OPEN}), sum({_ENDED})
+INSERT INTO uses SELECT coalesce(submitter, ''), table_digest, 'table', coalesce(size, 0), sum({OPEN}), sum({ENDED})
     FROM jobs LEFT JOIN blobs ON digest = table_digest GROUP BY 1, 2;
-INSERT INTO uses SELECT coalesce(submitter, ''), dataset_digest, 'made', coalesce(size, 0), sum({_OPEN}), sum({_ENDED})
+INSERT INTO uses SELECT coalesce(submitter, ''), dataset_digest, 'made', coalesce(size, 0), sum({OPEN}), sum({ENDED})
     FROM jobs LEFT JOIN blobs ON digest = dataset_digest WHERE dataset_digest IS NOT NULL GROUP BY 1, 2;
 INSERT INTO uses SELECT '*', digest, kind, max(size), sum(live), sum(ended) FROM uses GROUP BY digest, kind;
 CREATE TABLE holdings (
@@ -170,24 +166,17 @@ UPDATE holdings SET freeable = (
 """So that what jobs of other users need counts as freeable for nobody."""
 
 _LAYOUTS: Final = (
-    _LAYOUT_1,
-    ";".join((_LAYOUT_2_PRIORITIES, _LAYOUT_2_EVENTS, _LAYOUT_2_CHECKPOINTS, _LAYOUT_2_SUBMITTERS)),
-    _LAYOUT_3_DEATHS,
-    _LAYOUT_4_DELETED_JOBS,
-    _LAYOUT_5_SERVED,
-    _LAYOUT_6_ENDED_JOBS,
-    _LAYOUT_7_USERS,
-    _LAYOUT_8_HOLDINGS,
-    _LAYOUT_9_SHARED_BLOBS,
-)
+    _LAYOUT_1, _LAYOUT_2, _LAYOUT_3_DEATHS, _LAYOUT_4_DELETED_JOBS, _LAYOUT_5_SERVED, _LAYOUT_6_ENDED_JOBS,
+    _LAYOUT_7_USERS, _LAYOUT_8_HOLDINGS, _LAYOUT_9_SHARED_BLOBS,
+)  # fmt: skip
 """What each version of the layout adds to the one before. A new store goes through all of them, an old one through
-those that it lacks."""
+the missing ones."""
 
 SCHEMA_VERSION: Final = len(_LAYOUTS)
 
 
 def connect(directory: Path | None) -> sqlite3.Connection:
-    """Open the store's file in `directory` (None: in memory), making it if there is none; raise its incarnation.
+    """Open the store's file in `directory` (None: in memory), creating it if necessary; raise its incarnation.
 
     Raises:
         StoreError: the file is damaged, foreign or of a newer version, or cannot be written.
@@ -195,9 +184,14 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     file = directory / FILE_NAME if directory else None
     with translated(file):
         if file is not None:
-            _require_no_orphan(file)
-            with contextlib.suppress(OSError):  # of which SQLite tells
-                file.touch(mode=0o600)  # what users have measured is nobody else's, nor what SQLite puts beside it
+            wal = file.with_name(f"{file.name}-wal")
+            if not file.exists() and wal.exists() and wal.stat().st_size:  # SQLite would delete the last changes
+                raise WrongStoreError(
+                    f"{wal} is there, but its store {file.name} is not; put the store back, create one from a copy "
+                    "with `coordinator restore`, or move both away"
+                )
+            with contextlib.suppress(OSError):  # SQLite reports it
+                file.touch(mode=0o600)  # measurements are private, and SQLite gives its other files the same mode
         connection = sqlite3.connect(
             file or ":memory:", isolation_level=None, check_same_thread=False, timeout=BUSY_LIMIT_S
         )
@@ -210,18 +204,8 @@ def connect(directory: Path | None) -> sqlite3.Connection:
     return connection
 
 
-def _require_no_orphan(file: Path) -> None:
-    """Raise WrongStoreError where a store was moved away without what it had written last: SQLite would delete that."""
-    wal = file.with_name(f"{file.name}-wal")
-    if not file.exists() and wal.exists() and wal.stat().st_size:
-        raise WrongStoreError(
-            f"{wal} is there, but not its store {file.name}; put that back, make a store of a copy with "
-            "`coordinator restore`, or move both away"
-        )
-
-
 def connect_to_read(directory: Path) -> sqlite3.Connection:
-    """Connect to the store's file in `directory`, which is open already, to read alone: it waits for no writer."""
+    """Open a second connection to an open store's file, for reading only: it does not wait for writers."""
     file = directory / FILE_NAME
     with translated(file):
         connection = sqlite3.connect(file, isolation_level=None, check_same_thread=False, timeout=1.0)
@@ -231,7 +215,7 @@ def connect_to_read(directory: Path) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def translated(place: Path | None) -> Iterator[None]:
-    """Turn what SQLite raises about the store at `place` into a StoreError, of a damaged one a WrongStoreError."""
+    """Turn errors of SQLite at the store `place` into StoreError, or WrongStoreError if the file is damaged."""
     try:
         yield
     except sqlite3.Error as error:
@@ -243,11 +227,7 @@ def translated(place: Path | None) -> Iterator[None]:
 
 
 def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
-    """Return the version of the layout of a file, 0 of an empty one.
-
-    Raises:
-        StoreError: it is foreign, or of a newer version.
-    """
+    """Return the layout version of a file, 0 for an empty one; raises StoreError for a foreign or newer file."""
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
@@ -262,51 +242,30 @@ def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
 
 
 def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
+    """Set up the connection, look for damage (in a large file only when it is met), and bring the layout up to date."""
     version = check_kind(connection, file)
-    # What is deleted is not overwritten, whatever SQLite was compiled with: that took 0.9 s for 100 MB.
+    # Deleted data are not overwritten, whatever SQLite was compiled with: that took 0.9 s for 100 MB.
     for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON", "secure_delete = FAST"):
         connection.execute(f"PRAGMA {pragma}")
-    _check(connection, file)
+    if file is not None and file.stat().st_size <= _CHECKED_BYTES:
+        (finding,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+        if finding != "ok":
+            raise WrongStoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
     connection.execute("BEGIN IMMEDIATE")
-    _migrate(connection, version)
+    for layout in _LAYOUTS[version:]:
+        for statement in filter(str.strip, layout.split(";")):
+            connection.execute(statement)
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     if not version:
-        _baptize(connection)
-    # What a coordinator was writing when it ended, nobody goes on with: it is deleted like an upload that was given up.
+        connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+        connection.execute("INSERT INTO realm (id, incarnation) VALUES (?, 0)", (new_cluster_name(),))
+    # Blobs that an earlier coordinator did not finish are deleted like abandoned uploads.
     connection.execute("INSERT OR IGNORE INTO uploads SELECT digest FROM blobs WHERE NOT complete")
     if connection.execute("UPDATE realm SET incarnation = incarnation + 1").rowcount != 1:
         raise WrongStoreError(f"the store {file} is damaged (it has no name); restore it from a copy")
     connection.execute("COMMIT")
 
 
-def _check(connection: sqlite3.Connection, file: Path | None) -> None:
-    """Look for damage; in a large file only later, when it is met."""
-    if file is None or file.stat().st_size > _CHECKED_BYTES:
-        return
-    (finding,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    if finding != "ok":
-        raise WrongStoreError(f"the store {file} is damaged ({finding.splitlines()[-1]}); restore it from a copy")
-
-
-def _migrate(connection: sqlite3.Connection, version: int) -> None:
-    """Add what is missing in a file of an older version (0: nothing is there); part of the opening transaction."""
-    for layout in _LAYOUTS[version:]:
-        for statement in filter(str.strip, layout.split(";")):
-            connection.execute(statement)
-    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-
-
-def _baptize(connection: sqlite3.Connection) -> None:
-    """Mark a new file as ours and give it a name."""
-    connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-    connection.execute("INSERT INTO realm (id, incarnation) VALUES (?, 0)", (_new_name(),))
-
-
-def rename_cluster(connection: sqlite3.Connection) -> str:
-    """Give a file another random name, in a transaction of the caller; return it."""
-    name = _new_name()
-    connection.execute("UPDATE realm SET id = ?", (name,))
-    return name
-
-
-def _new_name() -> str:
+def new_cluster_name() -> str:
+    """Return a random name for a cluster."""
     return uuid.uuid4().hex[:12]

@@ -3,12 +3,14 @@
 Functions that take `sql` are part of the caller's transaction.
 """
 
+import contextlib
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from atoll_coordinator.service.store.jobs import JobStore, find, require, update
 from atoll_coordinator.service.store.open_file import first_value
+from atoll_coordinator.service.store.schema import ENDED
 from atoll_core.wire.state_pieces import IslandState
 
 MAX_FAILED: Final = 4
@@ -94,7 +96,11 @@ class SearchStore(JobStore):
         """
         key = (job, variable)
         with self._transaction() as sql:
-            if find(sql, job) is None or _has_ended(sql, job, variable):
+            if find(sql, job) is None:
+                return False
+            _ensure_archipelago(sql, job, variable)
+            ended = f"SELECT cut IS NOT NULL OR {ENDED} FROM archipelagos JOIN jobs ON jobs.id = job "
+            if first_value(sql, f"{ended} WHERE job = ? AND variable = ?", *key):
                 return False
             sql.execute("DELETE FROM checkpoints WHERE job = ? AND variable = ? AND epoch >= ?", (*key, epoch))
             sql.execute("INSERT INTO checkpoints VALUES (?, ?, ?, ?)", (*key, epoch, progress))
@@ -120,8 +126,11 @@ class SearchStore(JobStore):
         with self._transaction() as sql:
             query = "SELECT variable, epoch, progress FROM checkpoints WHERE job = ? ORDER BY epoch DESC"
             for variable, epoch, progress in sql.execute(query, (job,)).fetchall():
-                if variable not in whole and _is_whole(sql, job, variable, epoch, islands):
-                    whole[variable] = (epoch, progress)
+                with contextlib.suppress(KeyError):
+                    if variable not in whole and all(
+                        _state(sql, job, variable, epoch, island).is_whole for island in range(islands)
+                    ):
+                        whole[variable] = (epoch, progress)
         return whole
 
     def state(self, job: str, variable: str, epoch: int, island: int) -> IslandState:
@@ -167,22 +176,6 @@ def forget_deaths(sql: sqlite3.Connection, job: str, variable: str | None = None
 def _ensure_archipelago(sql: sqlite3.Connection, job: str, variable: str) -> None:
     require(sql, job)
     sql.execute("INSERT OR IGNORE INTO archipelagos (job, variable) VALUES (?, ?)", (job, variable))
-
-
-def _has_ended(sql: sqlite3.Connection, job: str, variable: str) -> bool:
-    _ensure_archipelago(sql, job, variable)
-    query = (
-        "SELECT cut IS NOT NULL OR state IN ('done', 'failed', 'cancelled') FROM archipelagos JOIN jobs "
-        "ON jobs.id = job WHERE job = ? AND variable = ?"
-    )
-    return bool(first_value(sql, query, job, variable))
-
-
-def _is_whole(sql: sqlite3.Connection, job: str, variable: str, epoch: int, islands: int) -> bool:
-    try:
-        return all(_state(sql, job, variable, epoch, island).is_whole for island in range(islands))
-    except KeyError:
-        return False
 
 
 def _state(sql: sqlite3.Connection, job: str, variable: str, epoch: int, island: int) -> IslandState:

@@ -15,6 +15,7 @@ from atoll_coordinator.service.store.blobs import BlobStore
 from atoll_coordinator.service.store.events import EventStore
 from atoll_coordinator.service.store.holdings import HoldingStore, Kind
 from atoll_coordinator.service.store.jobs import JobRecord, Viewer
+from atoll_coordinator.service.store.open_file import first_value
 from atoll_coordinator.service.store.searches import SearchStore
 from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages.views import FINAL_STATES
@@ -40,7 +41,10 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
         with self._transaction() as sql:
             job_table.require(sql, job)
             job_table.update(sql, job, {"shared": int(is_shared)})
-            job_table.share_view(sql, job, is_shared)
+            sql.execute(
+                "UPDATE views SET view = json_set(view, '$.shared', json(?)) WHERE job = ? AND json_valid(view)",
+                ("true" if is_shared else "false", job),
+            )
             sql.execute("UPDATE events SET shared = ? WHERE job = ?", (int(is_shared), job))
 
     def keep_prepared(self, job: str, dataset: bytes, prepared: bytes) -> str | None:
@@ -87,7 +91,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
             if not job_table.end(sql, job, state, result, reason, finished):
                 return False
             _release_made(sql, record.submitter, [record.prepared_digest])
-            holdings.add_result(sql, record.submitter, job_table.size_of(result))
+            holdings.add_result(sql, record.submitter, len((result or "").encode()))
             for digest, kind in _used_blobs(record):
                 holdings.use(sql, record.submitter, digest, kind, live=-1, ended=1)
             if keeps_checkpoints:
@@ -125,7 +129,8 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
             searches.forget_deaths(sql, job)
             sql.execute("DELETE FROM archipelagos WHERE job = ?", (job,))
             sql.execute("DELETE FROM events WHERE job = ?", (job,))
-            holdings.add_result(sql, record.submitter, -job_table.result_bytes(sql, job))
+            size = first_value(sql, "SELECT result_bytes FROM jobs WHERE id = ?", job) or 0
+            holdings.add_result(sql, record.submitter, -size)
             job_table.delete(sql, job)
             for digest, kind in _used_blobs(record):
                 holdings.use(sql, record.submitter, digest, kind, ended=-1)

@@ -1,11 +1,9 @@
-"""The tasks of jobs that are leased to workers: preparing, refining.
+"""The tasks of jobs that are leased to workers: preparing, refining, and questions about results.
 
-``task_table`` has the tasks and their states (pure), ``dispatch`` says which task goes to which worker and who helps
-with which (pure), ``task_controller`` sends leases, takes in what workers say of them, and posts outcomes to the
-service's loop. ``outcomes`` are these, and ``results`` reads them. ``background`` works on large values, on a thread of
-its own: it reads results of tasks, and composes those of jobs that are not refined. ``dependencies`` names all that a
-test puts in the place of clock and thread.
+`task_table` has the tasks, their states and the plan of leases (pure); `task_controller` sends leases, handles workers'
+reports, and posts outcomes to the service's loop; `analyses` has the questions (pure); `background` works on large
+values in a thread of its own, and has the outcomes.
 
-A job is to be prepared -> `task_controller.TaskController.prepare` -> `dispatch.plan` -> Lease -> a worker's result ->
-`background.Background.read_result` -> `task_controller.TaskController.take_result` -> `JobPrepared` is posted.
+A job is to be prepared -> `TaskController.prepare` -> `task_table.plan` -> Lease -> a worker's result ->
+`Background.read_result` -> `TaskController.take_result` -> `JobPrepared` is posted.
 """

@@ -1,21 +1,165 @@
-"""Work on large values, done in turn on a thread of its own: checkpoints are written, tables checked, results of tasks
-read, and results of jobs composed that are not refined.
+"""Work on large values in a thread of its own, one piece after the other, and the outcomes that it posts to the loop.
 
-The service's loop answers everybody, so that it handles no more bytes at a time than one message has.
+The thread writes checkpoints, checks tables, reads results of tasks, and composes results of jobs that are not refined.
+The service's loop answers everything else, so that it never handles more bytes at a time than one message has.
 """
 
+import hashlib
+import json
 from collections.abc import Callable
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
-from atoll_coordinator.service.monitoring.drafts import Draft
+from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.service.jobs.job import Fault
+from atoll_coordinator.service.monitoring.job_views import Draft
 from atoll_coordinator.service.search.archipelago import Checkpoint
+from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.tasks.outcomes import CheckpointWritten, JobPrepared, ResultComposed, TableChecked
-from atoll_coordinator.service.tasks.results import ResultRead, TaskResult, read_result
+from atoll_coordinator.service.tasks.task_table import ANALYSES
+from atoll_coordinator.tasks.preparing import PreparationOutcome, Prepared
+from atoll_core.errors import RemoteProtocolError
+from atoll_core.wire.messages.tasks import TaskFunction
+from atoll_core.wire.values import decode_value
+
+
+def iso_now() -> str:
+    """Return the time of day, UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+@dataclass(frozen=True, slots=True)
+class Dependencies:
+    """What a service needs besides bus and store; tests replace it.
+
+    `clock` returns the time of day as ISO text, `background` executes what it is given, one after the other, and
+    `retention` says which ended jobs are kept.
+    """
+
+    clock: Callable[[], str] = iso_now
+    retention: Retention = KEEP_ALL
+    background: Callable[[Callable[[], None]], object] = field(
+        default_factory=lambda: ThreadPoolExecutor(1, "background").submit
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------- outcomes
+
+
+@dataclass(frozen=True, slots=True)
+class TableChecked:
+    """The table of a job was read: whether it is stored undamaged; `error`: why it could not be read."""
+
+    job: str
+    is_sound: bool
+    error: Exception | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationBegun:
+    """A loaded process prepares a job: its time counts from now on."""
+
+    job: str
+
+
+@dataclass(frozen=True, slots=True)
+class JobPrepared:
+    """A job is prepared. `encoded` are the prepared data as bytes with the SHA-256 `digest`, `data` is its dataset.
+
+    When it is posted, both are stored, and `data` is left out; `former` is the digest of the dataset that was stored of
+    the job before (None: there was none).
+    """
+
+    job: str
+    prepared: Prepared
+    encoded: bytes
+    digest: str
+    data: bytes = b""
+    former: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationFailed:
+    """A job cannot be prepared, for the reason in `sentence`."""
+
+    job: str
+    fault: Fault
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class JobRefined:
+    """A job is refined: its result as JSON, without the seconds that it took (`result.result.timed`)."""
+
+    job: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class RefiningFailed:
+    """A job could not be refined: `refinement` has a warning instead."""
+
+    job: str
+    refinement: Refinement
+
+
+@dataclass(frozen=True, slots=True)
+class ResultComposed:
+    """The result of a job was composed: as JSON, without the seconds; `error`: why it could not be."""
+
+    draft: Draft
+    text: str = ""
+    error: Exception | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CheckpointWritten:
+    """A checkpoint was written; `error`: why it is not durable."""
+
+    checkpoint: Checkpoint
+    error: Exception | None = None
+
+
+Outcome = (
+    TableChecked | PreparationBegun | JobPrepared | PreparationFailed | JobRefined | RefiningFailed | CheckpointWritten
+)
+"""What is posted to the loop and handled by `JobController.take_outcome`."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskResult:
+    """All parts of the result of a task under a term, whose SHA-256 must be `digest`; the task ran for `seconds`."""
+
+    task: str
+    term: int
+    job: str
+    function: TaskFunction
+    parts: tuple[bytes, ...]
+    digest: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class ResultRead:
+    """The result of a task was read.
+
+    `outcome` is what is posted for its job, or the bytes of an answer. Without one, the result was damaged on its way,
+    is `unreadable` for this reason, or reading it raised `error`.
+    """
+
+    result: TaskResult
+    outcome: JobPrepared | JobRefined | PreparationFailed | bytes | None = None
+    is_damaged: bool = False
+    unreadable: str | None = None
+    error: Exception | None = None
+
+
+# --------------------------------------------------------------------------------------------------------- background
 
 
 class Background:
-    """Has work done where `act` does what it is given, in the order in which it came; posts what comes of it."""
+    """Executes work by `act`, in order, and posts its outcomes."""
 
     def __init__(
         self, act: Callable[[Callable[[], None]], object], store: Store, post: Callable[[object], None]
@@ -25,49 +169,85 @@ class Background:
         self._post = post
 
     def write_checkpoint(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> None:
-        """Make a checkpoint durable after those that came before it; `CheckpointWritten` is posted."""
-        self._act(lambda: self._post(self._write_checkpoint(checkpoint, progress, elapsed)))
+        """Make a checkpoint durable; `CheckpointWritten` is posted."""
+
+        def write() -> CheckpointWritten:
+            key = checkpoint.job, checkpoint.variable, checkpoint.epoch
+            try:
+                self._store.commit_checkpoint(*key, progress, checkpoint.states, elapsed)
+            except Exception as error:  # ends the service's loop
+                return CheckpointWritten(checkpoint, error)
+            return CheckpointWritten(checkpoint)
+
+        self._act(lambda: self._post(write()))
 
     def check_table(self, job: str, digest: str) -> None:
         """Read the table of a job, which takes a second for 100 MB; `TableChecked` is posted."""
-        self._act(lambda: self._post(self._check_table(job, digest)))
+
+        def check() -> TableChecked:
+            try:
+                return TableChecked(job, self._store.is_sound(digest))
+            except Exception as error:  # ends the service's loop
+                return TableChecked(job, False, error)
+
+        self._act(lambda: self._post(check()))
 
     def read_result(self, result: TaskResult) -> None:
-        """Read what came of a task, and keep what preparing a job gave; `ResultRead` is posted."""
-        self._act(lambda: self._post(self._read_result(result)))
+        """Read the result of a task, and store prepared data; `ResultRead` is posted."""
+
+        def read() -> ResultRead:
+            unread = replace(result, parts=())
+            try:
+                done = read_result(result)
+                if isinstance(done.outcome, JobPrepared):
+                    made = done.outcome
+                    former = self._store.keep_prepared(made.job, made.data, made.encoded)
+                    done = replace(done, outcome=replace(made, data=b"", former=former))
+                return replace(done, result=unread)
+            except Exception as error:  # a StoreError ends the service's loop, any other error the job
+                return ResultRead(unread, error=error)
+
+        self._act(lambda: self._post(read()))
 
     def compose_result(self, draft: Draft) -> None:
-        """Compose the result of a job, for which equations are judged on all rows; `ResultComposed` is posted."""
-        self._act(lambda: self._post(self._compose_result(draft)))
+        """Compose the result of a job, which judges equations on all rows; `ResultComposed` is posted."""
 
-    def _compose_result(self, draft: Draft) -> ResultComposed:
-        try:
-            return ResultComposed(draft, draft.compose())
-        except Exception as error:  # ends the job
-            return ResultComposed(draft, error=error)
+        def compose() -> ResultComposed:
+            try:
+                return ResultComposed(draft, draft.compose())
+            except Exception as error:  # ends the job
+                return ResultComposed(draft, error=error)
 
-    def _read_result(self, result: TaskResult) -> ResultRead:
-        unread = replace(result, parts=())
-        try:
-            read = read_result(result)
-            if isinstance(read.outcome, JobPrepared):
-                made = read.outcome
-                former = self._store.keep_prepared(made.job, made.data, made.encoded)
-                read = replace(read, outcome=replace(made, data=b"", former=former))
-            return replace(read, result=unread)
-        except Exception as error:  # one of the store ends the service's loop, another one the job
-            return ResultRead(unread, error=error)
+        self._act(lambda: self._post(compose()))
 
-    def _check_table(self, job: str, digest: str) -> TableChecked:
-        try:
-            return TableChecked(job, self._store.is_sound(digest))
-        except Exception as error:  # ends the service's loop
-            return TableChecked(job, False, error)
 
-    def _write_checkpoint(self, checkpoint: Checkpoint, progress: bytes, elapsed: float) -> CheckpointWritten:
-        key = checkpoint.job, checkpoint.variable, checkpoint.epoch
+def read_result(result: TaskResult) -> ResultRead:
+    """Join, check and decode the result of a task."""
+    data = b"".join(result.parts)
+    if hashlib.sha256(data).hexdigest() != result.digest:
+        return ResultRead(result, is_damaged=True)
+    try:
+        return ResultRead(result, _outcome(result, data))
+    except RemoteProtocolError as error:
+        return ResultRead(result, unreadable=f"its result cannot be read: {error}")
+
+
+def _outcome(result: TaskResult, data: bytes) -> JobPrepared | JobRefined | PreparationFailed | bytes:
+    if result.function in ANALYSES:
+        return data
+    if result.function == "refine":
         try:
-            self._store.commit_checkpoint(*key, progress, checkpoint.states, elapsed)
-        except Exception as error:  # ends the service's loop
-            return CheckpointWritten(checkpoint, error)
-        return CheckpointWritten(checkpoint)
+            text = data.decode()
+            content = json.loads(text)
+        except ValueError as error:
+            raise RemoteProtocolError(f"it is no JSON ({error})") from error
+        if not isinstance(content, dict) or content.get("job") != result.job:
+            raise RemoteProtocolError("it belongs to another job")
+        return JobRefined(result.job, text)
+    made = decode_value(data, PreparationOutcome)
+    if not made.is_prepared:
+        return PreparationFailed(result.job, "data", made.sentence)
+    prepared = made.prepared
+    if hashlib.sha256(made.data).hexdigest() != prepared.blob or len(made.data) != prepared.size:
+        raise RemoteProtocolError("its dataset is not the one that it names")  # workers would ask for that for ever
+    return JobPrepared(result.job, prepared, made.encoded, hashlib.sha256(made.encoded).hexdigest(), made.data)

@@ -1,26 +1,27 @@
-"""What becomes of tasks: leases them to workers, takes in results, and posts outcomes to the service's loop.
+"""Task controller: leases tasks to workers, handles their reports, and posts outcomes to the service's loop.
 
-What is leased is nowhere but here and on the workers: a coordinator that starts again leases anew, and takes over what
-workers still have of the same tasks.
+Leases are not stored: a coordinator that starts again creates the tasks again, and takes over those that workers still
+have under the same ids.
 """
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from atoll_coordinator.model.refinement import Refinement
 from atoll_coordinator.service.monitoring.breakages import what_to_send
 from atoll_coordinator.service.tasks.analyses import MAX_KEPT, Analyses, Analysis, key_of
-from atoll_coordinator.service.tasks.dispatch import Slot, plan
-from atoll_coordinator.service.tasks.outcomes import (
+from atoll_coordinator.service.tasks.background import (
     JobPrepared,
     PreparationBegun,
-    preparation_failed,
-    refinement_failed,
+    PreparationFailed,
+    RefiningFailed,
+    ResultRead,
+    TaskResult,
 )
-from atoll_coordinator.service.tasks.results import ResultRead, TaskResult
-from atoll_coordinator.service.tasks.task_table import Task, TaskTable, task_id
+from atoll_coordinator.service.tasks.task_table import Slot, Task, TaskTable, plan, task_id
 from atoll_coordinator.service.workers.channel import WorkerChannel
 from atoll_coordinator.service.workers.membership import NO_WORKER, Membership
 from atoll_coordinator.tasks.preparing import Prepared
@@ -28,36 +29,26 @@ from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import JobConfig
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.task_frames import Failure
+from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.clients import AskAnalysis
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
-from atoll_core.wire.messages.tasks import (
-    MAX_RESULT,
-    Help,
-    Release,
-    TaskChunk,
-    TaskFailed,
-    TaskFunction,
-    TaskInput,
-    TaskReport,
-    TaskStatus,
-)
 from atoll_core.wire.messages.views import TaskView
 from atoll_core.wire.messages.workers import WorkerStatus
 from atoll_core.wire.values import decode_value
 
 INLINE: Final = 64 * 1024
-"""Inputs of at most so many bytes travel with the lease."""
+"""Inputs of at most so many bytes are sent with the lease."""
 
 HELP_AFTER_S: Final = 1.0
-"""A task that has run for so long is helped with: a helper's process takes about as long to be ready."""
+"""A task that has run for so long gets helpers: a helper's process takes about as long to start."""
 
 SETTLED_S: Final = 2.5
-"""After so long a heartbeat must show what was leased before, or the lease was lost: heartbeats come once a second."""
+"""A heartbeat so long after a lease must show the task, or the lease was lost: heartbeats come once a second."""
 
 
 @dataclass(slots=True)
 class _Blob:
-    """An input that is not in the store, and the jobs whose it is: jobs with the same data have the same."""
+    """An input that is not in the store, and the jobs that have it: jobs with the same data share it."""
 
     data: bytes
     jobs: set[str]
@@ -66,7 +57,7 @@ class _Blob:
 class TaskController:
     """The tasks of all jobs."""
 
-    def __init__(  # noqa: PLR0913  # what decides whose turn it is
+    def __init__(  # noqa: PLR0913  # what decides about turns
         self, channel: WorkerChannel, membership: Membership, post: Callable[[object], None],
         read: Callable[[TaskResult], object],
         order: Callable[[Collection[str], Collection[str]], Sequence[str]] = lambda waiting, _: tuple(waiting),
@@ -77,14 +68,14 @@ class TaskController:
         """Set up.
 
         Args:
-            channel: reaches the workers that `membership` knows.
+            channel: reaches the workers in `membership`.
             post: hands outcomes to the loop.
-            read: reads a result in the background; what it reads is for `take_result`.
-            order: is given those whose turn tasks wait for (`Task.turn`), in the order in which they came, and those of
-                tasks that run; returns those that may be leased one, the next one first.
-            may_follow: tells whether a job may soon want a task that is not known: a worker that has one keeps it.
-            charge: is told of each turn for how many seconds workers have run its tasks, or helped with them.
-            forget: is told of turns that do not come again but jobs'.
+            read: reads a result in the background; `take_result` gets it.
+            order: takes the turns (`Task.turn`) of waiting tasks, in the order of their creation, and of running tasks;
+                returns the turns that may get a lease, the next one first.
+            may_follow: returns whether a job may soon create a task that is not known yet: its worker keeps it.
+            charge: charges a turn for the seconds for which workers have run its tasks, or helped with them.
+            forget: forgets the turn of a question.
         """
         self.table: Final = TaskTable()
         self.analyses: Final = Analyses()
@@ -108,11 +99,11 @@ class TaskController:
     def prepare(self, job: str, table: str, size: int, config: JobConfig, now: float) -> None:
         """Have a table prepared; `PreparationBegun`, then `JobPrepared` or `PreparationFailed` is posted."""
         specification = self._input(job, config.model_dump_json().encode())
-        inputs = (TaskInput(digest=table, size=size), specification)
+        inputs = (messages.TaskInput(digest=table, size=size), specification)
         self._add(job, "prepare", inputs, config.budget.max_time, now, config)
 
     def refine(self, searched: Searched, config: JobConfig, seconds: float | None, now: float) -> None:
-        """Have the result made of what was searched, in so many seconds if that is not None.
+        """Have the equations of a search refined in `seconds` (None: any time).
 
         `JobRefined` or `RefiningFailed` is posted.
         """
@@ -121,13 +112,13 @@ class TaskController:
         self._add(job, "refine", inputs, seconds, now, config)
 
     def analyse(self, asked: AskAnalysis, result: bytes, table_size: int, user: str | None, now: float) -> Analysis:
-        """Have a question about a job answered, of the job's result as JSON, for a `user`.
+        """Have a question about the `result` (JSON) of a job answered for a `user`.
 
         Raises:
-            RefusedError: the user has asked too much already.
+            RefusedError: the user has too many open questions.
         """
         self.analyses.check(user)
-        tables = () if asked.table is None else (TaskInput(digest=asked.table, size=table_size),)
+        tables = () if asked.table is None else (messages.TaskInput(digest=asked.table, size=table_size),)
         inputs = (self._input(asked.job, result), self._input(asked.job, asked.question), *tables)
         analysis = Analysis(task_id(asked.job, asked.function, inputs), key_of(asked), asked.job, user, now, now)
         self.analyses.add(analysis)
@@ -135,7 +126,7 @@ class TaskController:
         return analysis
 
     def _expire_analyses(self, now: float) -> None:
-        """End the tasks of questions that nobody wants answered any more."""
+        """End the tasks of questions that no client repeats."""
         for expired in self.analyses.expire(now):
             task = self.table.get(expired)
             if task is not None:
@@ -143,17 +134,17 @@ class TaskController:
             self._forget(expired)
 
     def encoded(self, job: str) -> bytes:
-        """Return what preparing a job gave, as bytes; none before it has."""
+        """Return the prepared data of a job as bytes; empty before they are there."""
         return self._prepared.get(job, ("", b""))[1]
 
     def take_prepared(self, job: str, digest: str, encoded: bytes) -> Prepared:
-        """Take what preparing a job gave before a restart, and return it; raises RemoteProtocolError."""
+        """Keep and return data that were prepared before a restart; raises RemoteProtocolError."""
         prepared = decode_value(encoded, Prepared)
         self._prepared[job] = digest, encoded
         return prepared
 
     def cancel(self, job: str) -> None:
-        """End the tasks of a job, also those that run; nothing is posted for them."""
+        """End the tasks of a job, running ones too, without an outcome."""
         for task in self.table.of_job(job):
             self._end(task)
         for analysis in self.analyses.forget_job(job):
@@ -163,13 +154,12 @@ class TaskController:
         self._near.pop(job, None)
 
     def _forget_inputs(self, job: str) -> None:
-        """Forget what the tasks of a job were given."""
         for held in self._blobs.values():
             held.jobs.discard(job)
         self._blobs = {digest: held for digest, held in self._blobs.items() if held.jobs}
 
     def views(self, job: str) -> tuple[TaskView, ...]:
-        """Return the tasks of a job that have not ended, as they are shown; none of questions about its result."""
+        """Return the views of the tasks of a job, without questions about its result."""
         return tuple(
             TaskView(function=task.function, worker=task.worker, helpers=len(task.helpers), compared=task.compared)
             for task in self.table.of_job(job)
@@ -177,11 +167,11 @@ class TaskController:
         )
 
     def waits(self, job: str) -> bool:
-        """Tell whether a job has a task that no worker has."""
+        """Return whether a job has a task without a worker."""
         return any(task.worker is None for task in self.table.of_job(job))
 
     def waiting_reason(self, job: str) -> str | None:
-        """Return in words what the tasks of a job wait for; None: they do not."""
+        """Return in words what the tasks of a job wait for; None: they do not wait."""
         if not self.waits(job):
             return None
         if self._keeping or any(task.worker is not None for task in self.table):
@@ -189,67 +179,62 @@ class TaskController:
         return NO_WORKER
 
     def chunk(self, digest: str, index: int) -> bytes | None:
-        """Return a chunk of an input that is not in the store; None: it is not here either."""
+        """Return a chunk of an input that is not in the store; None: it is unknown."""
         held = self._blobs.get(digest)
         return held.data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE] if held is not None else None
 
-    def _input(self, job: str, data: bytes) -> TaskInput:
+    def _input(self, job: str, data: bytes) -> messages.TaskInput:
         return self._keep_input(job, hashlib.sha256(data).hexdigest(), data)
 
-    def _keep_input(self, job: str, digest: str, data: bytes) -> TaskInput:
-        """Keep an input whose digest is known, unless it travels with the lease."""
+    def _keep_input(self, job: str, digest: str, data: bytes) -> messages.TaskInput:
+        """Keep an input for workers to fetch, unless it is sent with the lease."""
         size = len(data)
         if size <= INLINE:
-            return TaskInput(digest=digest, size=size, data=data)
+            return messages.TaskInput(digest=digest, size=size, data=data)
         self._blobs.setdefault(digest, _Blob(data, set())).jobs.add(job)
-        return TaskInput(digest=digest, size=size)
+        return messages.TaskInput(digest=digest, size=size)
 
     def _add(
-        self, job: str, function: TaskFunction, inputs: tuple[TaskInput, ...], seconds: float | None, now: float,
-        config: JobConfig | None = None,
+        self, job: str, function: messages.TaskFunction, inputs: tuple[messages.TaskInput, ...],
+        seconds: float | None, now: float, config: JobConfig | None = None,
     ) -> None:  # fmt: skip
-        """Add a task; `config` is that of its job, which a sentence on what breaks needs."""
+        """Add a task; the `config` of its job is needed for a sentence about an error."""
         task = Task(task_id(job, function, inputs), job, function, inputs, seconds, now)
         if config is not None:
             self._configs[task.id] = config
         self.table.add(task)
-        self._adopt_kept(task, now)
-        self.dispatch(now)
-
-    def _adopt_kept(self, task: Task, now: float) -> None:
-        """Leave a task to the worker that has kept it since a coordinator before us leased it there, if one has."""
-        for worker, member in self._membership.attending():
+        for worker, member in self._membership.attending():  # a worker may have it since before a restart
             status = member.status
-            if status is not None and self._can_adopt(task, worker, status) and _has(status, task):
+            has_task = status is not None and any(
+                held.task == task.id and held.state != "helping" for held in status.tasks
+            )
+            if status is not None and has_task and self._can_adopt(task, worker, status):
                 self._adopt(task, worker, now)
+        self.dispatch(now)
 
     # --------------------------------------------------------------------------------------------- leases
 
     def dispatch(self, now: float) -> None:
-        """Lease what waits, as far as there are workers for it, and have the others help."""
+        """Lease waiting tasks to workers, and have idle workers help."""
         waiting = [task for task in self.table if task.state == "waiting"]
         running = [task for task in self.table if task.state == "running"]
         if not waiting and not running:
             return
-        waiting = self._in_turn(waiting, running)
-        lasting = [task for task in running if task.began_at is not None and now - task.began_at >= self.help_after_s]
-        made = plan(waiting, lasting, self._slots(), self._hosts(self.table), self._hosts(self.table, is_alone=True))
-        for worker in made.recalled:
-            self._recall(worker)
-        for task, worker, threads in made.leases:
-            self._lease(task, worker, now, threads)
-        for task, worker in made.helps:
-            task.helpers[worker] = now
-            if task.worker is not None:
-                self._channel.send(worker, Help(task=task.id, job=task.job, worker=task.worker))
-
-    def _in_turn(self, waiting: Sequence[Task], running: Sequence[Task]) -> list[Task]:
-        """Return the tasks that may be leased now, the next one first."""
         turns = dict.fromkeys(task.turn for task in waiting), dict.fromkeys(task.turn for task in running)
         ranks = {turn: rank for rank, turn in enumerate(self._order(*turns))} if waiting else {}
-        return sorted(
+        waiting = sorted(
             (task for task in waiting if task.turn in ranks), key=lambda task: (ranks[task.turn], task.waiting_since)
         )
+        lasting = [task for task in running if task.began_at is not None and now - task.began_at >= self.help_after_s]
+        planned = plan(waiting, lasting, self._slots(), self._hosts(), self._hosts(is_alone=True))
+        for worker in planned.recalled:
+            self._recall(worker)
+        for task, worker, threads in planned.leases:
+            self._lease(task, worker, now, threads)
+        for task, worker in planned.helps:
+            task.helpers[worker] = now
+            if task.worker is not None:
+                self._channel.send(worker, messages.Help(task=task.id, job=task.job, worker=task.worker))
 
     def _lease(self, task: Task, worker: str, now: float, threads: int = 1) -> None:
         self.table.lease(task, worker, now, threads)
@@ -272,23 +257,23 @@ class TaskController:
             if name not in owners and name not in self._keeping and self._membership.service(name) == "open"
         ]  # fmt: skip
 
-    def _hosts(self, tasks: Iterable[Task], *, is_alone: bool = False) -> Counter[str]:
-        """Return how many tasks each host has; `is_alone`: of those that must be alone there."""
-        owners = (task.worker for task in tasks if task.worker is not None and (task.is_alone or not is_alone))
+    def _hosts(self, *, is_alone: bool = False) -> Counter[str]:
+        """Return the number of tasks on each host; `is_alone`: only of tasks that must be alone there."""
+        owners = (task.worker for task in self.table if task.worker is not None and (task.is_alone or not is_alone))
         members = (self._membership.member(owner) for owner in owners)
         return Counter(member.hello.host for member in members if member is not None)
 
     def _recall(self, worker: str) -> None:
-        """Have a worker stop helping; what it computes at the moment it finishes."""
+        """Have a worker stop helping after the batch that it computes now."""
         for task in self.table:
             if task.helpers.pop(worker, None) is not None:
-                self._channel.send(worker, Release(task=task.id))
+                self._channel.send(worker, messages.Release(task=task.id))
 
     def tick(self, now: float) -> None:
-        """Let time pass: users are charged, what takes too long or nobody wants ends, what waits is leased."""
+        """Let time pass: charge users, end tasks that take too long or are not wanted, lease waiting ones."""
         self._expire_analyses(now)
         for task in self.table:
-            self._count(task, now)
+            self._charge_user(task, now)
             for worker in [*task.helpers]:
                 if self._membership.service(worker) == "draining":
                     self._recall(worker)
@@ -296,8 +281,8 @@ class TaskController:
             self._fail(task, "time", f"it took longer than {task.limit_s:,.0f} s and was ended", now)
         self.dispatch(now)
 
-    def _count(self, task: Task, now: float) -> None:
-        """Charge for the time for which a task has run since it was last charged for, helpers included."""
+    def _charge_user(self, task: Task, now: float) -> None:
+        """Charge for the time since the last charge, helpers included."""
         if task.began_at is not None:
             seconds = now - task.began_at - task.charged
             task.charged += seconds
@@ -306,41 +291,46 @@ class TaskController:
     # -------------------------------------------------------------------------------------------- workers
 
     def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Take in which tasks a worker has; correct what it should not have, or should and has not."""
+        """Compare the tasks that a worker has with the table, and correct differences by messages."""
         self._keeping.discard(worker)
         for held in status.tasks:
             self._compare(worker, held, status, now)
-        self._correct(worker, {held.task for held in status.tasks}, now)
+        shown = {held.task for held in status.tasks}
+        for task in self.table:  # what the worker has missed
+            if task.worker == worker and task.id not in shown and not task.is_read and now - task.sent_at > SETTLED_S:
+                self._send_again(task, worker, now)
+            if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
+                del task.helpers[worker]
         self.dispatch(now)
 
-    def _compare(self, worker: str, held: TaskStatus, status: WorkerStatus, now: float) -> None:
-        """Take in how far a worker is with a task; have it forget what is not its own."""
+    def _compare(self, worker: str, held: messages.TaskStatus, status: WorkerStatus, now: float) -> None:
+        """Record a worker's progress with a task; release tasks that are not its own."""
         task = self.table.get(held.task)
         if task is None:
-            self._let_keep(worker, held)
+            self._keep_or_release(worker, held)
         elif held.state == "helping":
             if worker not in task.helpers:
-                self._channel.send(worker, Release(task=held.task))
+                self._channel.send(worker, messages.Release(task=held.task))
         elif self._can_adopt(task, worker, status):
-            self._adopt(task, worker, now)  # a coordinator that was here before has leased it, or its worker is back
+            self._adopt(task, worker, now)  # leased by an earlier coordinator, or its worker is back
         elif task.worker != worker:
-            self._channel.send(worker, Release(task=held.task))
+            self._channel.send(worker, messages.Release(task=held.task))
         elif held.state == "running":
             task.compared = held.compared
             if self.table.begin(task, now) and task.function == "prepare":
                 self.post(PreparationBegun(task.job))
-        elif held.state in ("done", "failed") and not task.is_read and now - task.said_at > SETTLED_S:
-            self._say_again(task, worker, now)  # its report was lost, or the lease that has it tried again
+        elif held.state in ("done", "failed") and not task.is_read and now - task.sent_at > SETTLED_S:
+            self._send_again(task, worker, now)  # its report was lost, or the lease for another try
 
-    def _let_keep(self, worker: str, held: TaskStatus) -> None:
-        """Leave to a worker what may be wanted soon, and have it forget what nobody needs."""
+    def _keep_or_release(self, worker: str, held: messages.TaskStatus) -> None:
+        """Leave to a worker a task that may be needed soon, such as after a restart; release any other one."""
         if held.state == "helping" or not self._may_follow(held.job):
-            self._channel.send(worker, Release(task=held.task))
+            self._channel.send(worker, messages.Release(task=held.task))
         elif held.state in ("waiting", "running"):
-            self._keeping.add(worker)  # what is leased to it would wait behind that
+            self._keeping.add(worker)  # another task leased to it would wait for this one
 
     def _can_adopt(self, task: Task, worker: str, status: WorkerStatus) -> bool:
-        """Tell whether a worker may go on with a task; one that failed is leased anew, alone if memory ran out."""
+        """Return whether a worker may go on with a task; one that failed needs a new lease, perhaps alone on a host."""
         is_free = task.worker is None and not task.failures
         return is_free and status.state != "leaving" and self.table.on(worker) is None
 
@@ -349,20 +339,12 @@ class TaskController:
         self._keeping.discard(worker)
         self._lease(task, worker, now)
 
-    def _say_again(self, task: Task, worker: str, now: float) -> None:
-        task.said_at = now
+    def _send_again(self, task: Task, worker: str, now: float) -> None:
+        task.sent_at = now
         self._channel.send(worker, task.lease())
 
-    def _correct(self, worker: str, shown: Collection[str], now: float) -> None:
-        """Say again what a worker has missed."""
-        for task in self.table:
-            if task.worker == worker and task.id not in shown and not task.is_read and now - task.said_at > SETTLED_S:
-                self._say_again(task, worker, now)
-            if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
-                del task.helpers[worker]
-
     def lose(self, worker: str, now: float, *, had_left: bool = False) -> tuple[str, ...]:
-        """Take in that a worker is lost, which `had_left` if it had said so: its tasks go to others at once.
+        """Give the tasks of a lost worker, which `had_left` if it had announced its end, to others at once.
 
         Returns the jobs of the tasks that it had or helped with.
         """
@@ -370,39 +352,38 @@ class TaskController:
         had = [task for task in self.table if task.worker == worker or worker in task.helpers]
         for task in self.table:
             if task.worker == worker:
-                self._count(task, now)
+                self._charge_user(task, now)
         for task, why in self.table.lose(worker, now, had_left=had_left):
             if why is not None:
                 self._conclude_failed(task, "crash", why)
         self.dispatch(now)
         return tuple(dict.fromkeys(task.job for task in had if not task.is_analysis))
 
-    def add_report(self, worker: str, report: TaskReport, now: float) -> None:
-        """Take in what came of a task; raises RemoteProtocolError when it cannot be."""
+    def add_report(self, worker: str, report: messages.TaskReport, now: float) -> None:
+        """Handle a worker's report on a task; raises RemoteProtocolError when it is impossible."""
         body = report.body
         task = self.table.get(body.task)
         if task is None:
-            return  # a heartbeat says whose it is, which may want it soon
+            return  # its heartbeat says of which job it is, which may need it soon
         if task.worker != worker:
-            self._channel.send(worker, Release(task=body.task))
+            self._channel.send(worker, messages.Release(task=body.task))
             return
         match body:
-            case TaskFailed() if body.term == task.term:  # else it is counted already
+            case messages.TaskFailed() if body.term == task.term:  # else it has been counted
                 self._fail(task, body.failure, body.sentence, now)
-            case TaskChunk() if body.size > _most_bytes(task):
-                most = _most_bytes(task) / 1024**2
-                sentence = f"its result has {body.size / 1024**2:,.0f} MB, and {most:,.0f} are taken in at most"
-                self._fail(task, "error", sentence, now)
-            case TaskChunk() if not task.is_read:
+            case messages.TaskChunk() if body.size > (most := _most_bytes(task)):
+                size, most_mb = body.size / 1024**2, most / 1024**2
+                self._fail(task, "error", f"its result has {size:,.0f} MB; at most {most_mb:,.0f} MB are accepted", now)
+            case messages.TaskChunk() if not task.is_read:
                 self._add_chunk(task, body, now)
 
-    def _add_chunk(self, task: Task, body: TaskChunk, now: float) -> None:
-        """Take in a part of a result; when all have come, have it read."""
-        task.said_at = now
+    def _add_chunk(self, task: Task, body: messages.TaskChunk, now: float) -> None:
+        """Add a part of a result; when all have come, have it read."""
+        task.sent_at = now
         if body.offset == 0:
             task.drop_result()
         if body.offset != task.received or body.offset + len(body.data) > body.size:
-            raise RemoteProtocolError(f"bytes {body.offset} to come of a task came out of order")
+            raise RemoteProtocolError(f"part of a task's result from byte {body.offset} came out of order")
         task.parts.append(body.data)
         task.received += len(body.data)
         if task.received == body.size:
@@ -410,7 +391,7 @@ class TaskController:
             self._read(TaskResult(task.id, task.term, task.job, task.function, parts, body.digest, body.seconds))
 
     def take_result(self, read: ResultRead, now: float) -> None:
-        """Take in that the result of a task was read; without effect where the task ended, or was lost, meanwhile.
+        """Handle the result of a task; without effect when the task has ended, or was lost, in the meantime.
 
         Raises:
             RemoteProtocolError: it was damaged on its way; its worker sends it again.
@@ -427,7 +408,7 @@ class TaskController:
         if read.unreadable is not None:
             self._fail(task, "error", read.unreadable, now)
             return
-        # What it ran before its first heartbeat told so; what a coordinator before us has counted is left out.
+        # The time before its first heartbeat is charged here, without what an earlier coordinator has charged.
         self._charge(task.turn, max(0.0, min(result.seconds, now - task.leased_at) - task.charged))
         self._end(task)
         if isinstance(read.outcome, JobPrepared):
@@ -439,8 +420,8 @@ class TaskController:
         self.dispatch(now)
 
     def _fail(self, task: Task, failure: Failure, sentence: str, now: float) -> None:
-        """Take in that a task failed on its worker; it is tried again, or its job learns why not."""
-        self._count(task, now)
+        """Handle a task that failed on its worker: try it again, or post why not."""
+        self._charge_user(task, now)
         self._release(task)
         why = self.table.fail(task, failure, sentence, now)
         if why is not None:
@@ -453,8 +434,11 @@ class TaskController:
             self._forget_unused_inputs(task.job)
             return
         to_send = what_to_send(self._configs.pop(task.id), is_certain=failure == "error")
-        failed = preparation_failed if task.function == "prepare" else refinement_failed
-        self.post(failed(task.job, why, to_send))
+        if task.function == "prepare":
+            self.post(PreparationFailed(task.job, "internal", f"preparing the data broke ({why}){to_send}"))
+            return
+        warning = f"Refining broke ({why}); equations are as found{to_send}."
+        self.post(RefiningFailed(task.job, Refinement(warnings=(warning,), end="not refined")))
 
     def _end(self, task: Task) -> None:
         self._release(task)
@@ -468,18 +452,13 @@ class TaskController:
             self._forget_inputs(job)
 
     def _release(self, task: Task) -> None:
-        """Tell who has a task, or helps with it, that nobody needs it there any more."""
+        """Tell the worker and the helpers of a task to drop it."""
         holders: Sequence[str] = [*([task.worker] if task.worker is not None else []), *task.helpers]
         for worker in holders:
-            self._channel.send(worker, Release(task=task.id))
+            self._channel.send(worker, messages.Release(task=task.id))
         task.helpers.clear()
 
 
-def _has(status: WorkerStatus, task: Task) -> bool:
-    """Tell whether a worker had a task as its own when it last said so."""
-    return any(held.task == task.id and held.state != "helping" for held in status.tasks)
-
-
 def _most_bytes(task: Task) -> int:
-    """Return how long a result may be: an answer as all that are kept, a job's result as the message that gives it."""
-    return MAX_KEPT if task.is_analysis else MAX_RESULT if task.function == "prepare" else MAX_MESSAGE
+    """Return the largest size of a result: what is kept for answers, and what one message holds for a job's result."""
+    return MAX_KEPT if task.is_analysis else messages.MAX_RESULT if task.function == "prepare" else MAX_MESSAGE

@@ -1,7 +1,13 @@
-"""The tasks of all jobs: who has each, how often it was lost, and whether it is tried again. Pure; time comes in."""
+"""The tasks of all jobs: their states, which worker gets which, and which are tried again. Pure; time comes in.
+
+A worker has one task at a time: its own, or another worker's that it helps with. Waiting tasks come first, in the order
+in which they are given; idle workers help with running ones. A task that ran out of memory gets a host for itself:
+`plan` keeps a host free of other tasks and helpers for it.
+"""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
@@ -10,14 +16,20 @@ from atoll_core.task_frames import Failure
 from atoll_core.wire.messages.tasks import AnalysisFunction, Lease, TaskFunction, TaskInput
 
 MAX_LOSSES: Final = 5
-"""So many workers may be lost with a task; as many deaths fail an archipelago (`workers.crash_loops`)."""
+"""Workers that may be lost with a task; as many deaths fail an archipelago (`workers.crash_loops`)."""
 
 ANALYSES: Final[frozenset[TaskFunction]] = frozenset(get_args(AnalysisFunction))
-"""Functions that answer questions about jobs that have ended."""
+"""Functions that answer questions about ended jobs."""
 
 LIMIT_S: Final = 3_600.0
-"""Far above what preparing or refining takes: a task that takes longer hangs, and is ended, unless its job was given
-more time."""
+"""Far more than preparing or refining takes: a task that takes longer hangs and is ended, unless its job has more
+time."""
+
+MOST_THREADS: Final = 2
+"""Of a task: Python runs one thread at a time between kernels, so that helpers use the further cores of a host."""
+
+HELPED: frozenset[TaskFunction] = frozenset({"refine", "profile"})
+"""Functions whose work comes in batches, with which other workers can help."""
 
 State = Literal["waiting", "leased", "running", "ended"]
 Step = Literal["lease", "begin", "lose", "retry", "end"]
@@ -28,14 +40,14 @@ TASK_TRANSITIONS: Final[Mapping[State, Mapping[Step, State]]] = {
     "running": {"begin": "running", "lose": "waiting", "retry": "waiting", "end": "ended"},
     "ended": {"end": "ended"},
 }
-"""State of a task -> what happens -> its next state. `lose`: its worker is lost; `retry`: it failed there."""
+"""State of a task -> event -> next state. `lose`: its worker is lost; `retry`: it failed on its worker."""
 
 
 def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput]) -> str:
-    """Return the SHA-256 that names a task: of its job, function and digests of inputs.
+    """Return the id of a task: the SHA-256 of its job, function and digests of inputs.
 
-    The time that it may take is left out: what is left of `--max-time` is another after a restart of the coordinator,
-    which takes over what workers have of the task all the same.
+    The time limit is no part of it: it is different after a restart of the coordinator, which takes over the tasks that
+    workers have all the same.
     """
     words = [job, function, *(given.digest for given in inputs)]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
@@ -43,14 +55,14 @@ def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput]) -> st
 
 @dataclass(slots=True)
 class Task:
-    """One task. `worker` has it while it is leased or running; `helpers` are the workers that
-    help with it, and since when.
+    """One task.
 
-    `is_alone`: memory ran out with it, so that it is tried once more where nothing else runs. `term` counts its
-    leases, `threads` is how many it may use there. `waiting_since`, `leased_at` and `said_at`, when its worker was last
-    told, are the bus's seconds. `compared` counts the candidates that its worker has compared. `charged` is for how
-    many seconds since `began_at` its user has been charged. `parts` of its result have come, `received` bytes; when all
-    have, the result `is_read` in the background.
+    `worker` has it while it is leased or running, `helpers` help with it since these times. `term` counts its leases;
+    `threads` may be used. `is_alone`: it ran out of memory and is tried once more where nothing else runs.
+    `waiting_since`, `leased_at`, `sent_at` (when its worker was last written to) and `began_at` are in seconds of the
+    bus. `compared` is the number of candidates that its worker has compared. `charged` seconds since `began_at` have
+    been charged to its user. `parts` of its result have come, `received` bytes; when all have come, the result is being
+    read in the background (`is_read`).
     """
 
     id: str
@@ -64,7 +76,7 @@ class Task:
     term: int = 0
     threads: int = 1
     leased_at: float = 0.0
-    said_at: float = 0.0
+    sent_at: float = 0.0
     began_at: float | None = None
     charged: float = 0.0
     compared: int = 0
@@ -78,28 +90,28 @@ class Task:
 
     @property
     def is_analysis(self) -> bool:
-        """Whether it answers a question about a job that has ended."""
+        """Whether it answers a question about an ended job."""
         return self.function in ANALYSES
 
     @property
     def turn(self) -> str:
-        """Whose turn it waits for: its job's or, of an analysis, its own."""
+        """The id by which it takes turns: the job's, or its own for an analysis."""
         return self.id if self.is_analysis else self.job
 
     def lease(self) -> Lease:
-        """Return what the worker is told."""
+        """Return the message to its worker."""
         return Lease(
             task=self.id, term=self.term, job=self.job, function=self.function, inputs=self.inputs,
             seconds=self.seconds, threads=self.threads,
         )  # fmt: skip
 
     def drop_result(self) -> None:
-        """Forget what has come of its result."""
+        """Forget the parts of its result."""
         self.parts, self.received, self.is_read = [], 0, False
 
     @property
     def limit_s(self) -> float:
-        """How many seconds after its lease it is taken for hung."""
+        """Seconds after its lease when it counts as hung."""
         return max(LIMIT_S, self.seconds or 0.0)
 
     def step(self, step: Step) -> None:
@@ -111,7 +123,7 @@ class Task:
 
 
 class TaskTable:
-    """All tasks that have not ended, by id, in the order in which they came."""
+    """All tasks that have not ended, by id, in the order of their creation."""
 
     def __init__(self) -> None:
         self._tasks: dict[str, Task] = {}
@@ -141,14 +153,14 @@ class TaskTable:
         self._tasks[task.id] = task
 
     def lease(self, task: Task, worker: str, now: float, threads: int = 1) -> None:
-        """Give a task to a worker, which may use so many threads."""
+        """Lease a task to a worker."""
         task.step("lease")
-        task.worker, task.leased_at, task.said_at, task.began_at = worker, now, now, None
+        task.worker, task.leased_at, task.sent_at, task.began_at = worker, now, now, None
         task.charged, task.compared = 0.0, 0
         task.term, task.threads = task.term + 1, threads
 
     def begin(self, task: Task, now: float) -> bool:
-        """Take in that a task runs; return whether that is news."""
+        """Record that a task runs; return whether it was not known to run."""
         is_new = task.state == "leased"
         if is_new:
             task.began_at = now
@@ -156,9 +168,9 @@ class TaskTable:
         return is_new
 
     def lose(self, worker: str, now: float, *, had_left: bool = False) -> list[tuple[Task, str | None]]:
-        """Take in that a worker is lost; return the tasks that it had, and why one of them is not tried again.
+        """Record that a worker is lost; return its tasks, each with the reason why it is not tried again, if any.
 
-        One that `had_left` said before that it would end, so that no task has ended it, and counts for none.
+        A worker that `had_left` announced its end, so that no task caused it, and the loss does not count.
         """
         lost: list[tuple[Task, str | None]] = []
         for task in tuple(self._tasks.values()):
@@ -175,9 +187,10 @@ class TaskTable:
         return lost
 
     def fail(self, task: Task, failure: Failure, sentence: str, now: float) -> str | None:
-        """Take in that a task failed; return why it is not tried again, None when it is.
+        """Record that a task failed; return why it is not tried again, None when it is.
 
-        What breaks, or a process that dies, is tried once more; where memory ran out, alone; what took too long, never.
+        After an error or the death of a process it is tried once more, after a lack of memory once more and alone,
+        after a timeout never.
         """
         task.failures.append(failure)
         if failure == "time" or len(task.failures) > 1:
@@ -194,7 +207,7 @@ class TaskTable:
         return [task for task in held if now - task.leased_at > task.limit_s]
 
     def end(self, task: Task) -> None:
-        """Take in that a task has ended: done, failed for good, or needed by nobody."""
+        """Remove a task that is done, has failed for good, or is no longer needed."""
         task.step("end")
         del self._tasks[task.id]
 
@@ -213,3 +226,79 @@ class TaskTable:
         task.worker, task.began_at, task.waiting_since = None, None, now
         task.helpers.clear()
         task.drop_result()
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A worker that can get a task.
+
+    `is_loaded`: its task process runs already; `near` are the jobs whose tasks it has done; `islands` is the number of
+    islands that it computes; `helps` is the task of another worker that it helps with now.
+    """
+
+    worker: str
+    host: str
+    is_loaded: bool = False
+    near: frozenset[str] = frozenset()
+    islands: int = 0
+    helps: str | None = None
+
+
+@dataclass(slots=True)
+class TaskPlan:
+    """Leases: task, worker, threads. Helps: task, worker. Recalled: helpers that a waiting task needs."""
+
+    leases: list[tuple[Task, str, int]] = field(default_factory=list)
+    helps: list[tuple[Task, str]] = field(default_factory=list)
+    recalled: list[str] = field(default_factory=list)
+
+
+def plan(
+    waiting: Sequence[Task], running: Sequence[Task], slots: Sequence[Slot], busy_hosts: Counter[str],
+    closed_hosts: Collection[str] = (),
+) -> TaskPlan:  # fmt: skip
+    """Return which tasks to lease to which workers, and which workers help with which tasks.
+
+    Args:
+        waiting: tasks without a worker, the next one first.
+        running: tasks that run.
+        slots: workers without a task of their own.
+        busy_hosts: number of tasks on each host.
+        closed_hosts: hosts with a task that must be alone.
+    """
+    made = TaskPlan()
+    left = [slot for slot in slots if slot.host not in closed_hosts]
+    busy = Counter(busy_hosts)
+    for task in waiting:
+        slot = _best(task, left, busy)
+        if slot is not None:
+            left.remove(slot)
+            made.recalled += [slot.worker] if slot.helps is not None else []
+            idle = sum(other.host == slot.host and other.helps is None for other in left)
+            made.leases.append((task, slot.worker, 1 if task.is_alone else min(1 + idle, MOST_THREADS)))
+            busy[slot.host] += 1
+        if task.is_alone and left:
+            free = slot or min(left, key=lambda one: (busy[one.host], one.host))
+            host = free.host  # it gets nothing else, so that it will be free
+            made.recalled += [one.worker for one in left if one.host == host and one.helps is not None]
+            left = [one for one in left if one.host != host]
+    helped = [task for task in running if task.function in HELPED and not task.is_alone]
+    helped.sort(key=lambda task: (len(task.helpers), task.waiting_since))
+    idle_slots = [slot for slot in left if slot.helps is None]
+    if len(idle_slots) == 1 and len(helped) == 1 and helped[0].threads > 1 and busy_hosts[idle_slots[0].host]:
+        return made  # a second thread of the task uses that core, without sending anything
+    while idle_slots and helped:
+        for task in helped:
+            if idle_slots:
+                made.helps.append((task, idle_slots.pop(0).worker))
+    return made
+
+
+def _best(task: Task, slots: Sequence[Slot], busy: Counter[str]) -> Slot | None:
+    """Return the worker for a task: near its data, loaded, with few islands; None: it must wait."""
+    fit = [slot for slot in slots if not (task.is_alone and busy[slot.host])]
+
+    def cost(slot: Slot) -> tuple[bool, bool, bool, int, str]:
+        return slot.helps is not None, task.job not in slot.near, not slot.is_loaded, slot.islands, slot.worker
+
+    return min(fit, key=cost, default=None)

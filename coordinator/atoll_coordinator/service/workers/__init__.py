@@ -1,12 +1,9 @@
-"""The workers, and who computes what.
+"""Workers, and which worker computes what.
 
-``worker_controller`` takes in what happens to workers and has the others decide. ``membership`` knows who is there and
-notices who is lost; ``lease_backoff`` makes leases longer for slow work. ``crash_loops`` counts deaths by archipelago,
-``quarantine`` reserves workers for those that cost too many. ``scheduling`` plans placements, ``reconciliation``
-compares heartbeats with them, ``stalls`` finds who is waited for. ``channel`` sends,
-``worker_logs`` attaches to jobs what workers log of them.
+`worker_controller` handles what happens to workers; `membership` has their states and leases; `crash_loops` counts
+their deaths by archipelago, reserves workers for quarantined ones, and makes leases longer for slow ones; `placing`
+plans placements and corrects what workers have; `stalls` finds why there is no progress; `channel` sends.
 
-Heartbeat -> `worker_controller` -> `membership` -> `reconciliation` -> messages through `channel`.
-Lost worker -> `membership` -> `lease_backoff`, `crash_loops` -> `quarantine` -> `scheduling` ->
-placements through `channel`.
+Heartbeat -> `worker_controller` -> `membership` -> `placing.corrections` -> `channel`.
+Lost worker -> `membership` -> `crash_loops` -> `placing.Scheduler` -> placements through `channel`.
 """

@@ -1,4 +1,4 @@
-"""How the coordinator reaches workers over the bus."""
+"""Messages to workers over the bus."""
 
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
@@ -26,10 +26,10 @@ class WorkerChannel:
         self._bus.put(topics.control(self._cluster), encode(Control(body=body)))
 
     def pull(self, worker: str, body: PullReports | PullStates) -> None:
-        """Ask a worker for reports or states; the bus receives a reply, also when there is no answer."""
+        """Ask a worker for reports or states; a reply event follows, also without an answer."""
         key = topics.worker(self._cluster, worker, "pull")
         self._pulls[self._bus.get(key, encode(Pull(body=body)), PULL_TIMEOUT_S)] = (worker, body)
 
     def take_pull(self, token: int) -> tuple[str, PullReports | PullStates] | None:
-        """Return which worker was asked for what by the request of that token, once; None: there is no such pull."""
+        """Return worker and contents of the pull with this token, once; None: there is no such pull."""
         return self._pulls.pop(token, None)

@@ -1,22 +1,32 @@
-"""Crash loops: archipelagos whose workers die again and again, and what follows from that.
+"""Archipelagos whose workers are lost again and again: crash loops, quarantine, and longer leases.
 
-A death counts for each archipelago that the dead worker had islands of, and once for each term at most: a host that
-loses its power takes many workers at once, which says nothing about their islands. After three terms in a row that
-ended by a death, without a commit in between, an archipelago is quarantined: one worker computes it, and nothing else.
+A death counts for each archipelago of which the dead worker had islands, at most once a term: a host without power
+takes many workers with it, which says nothing about their islands. After three terms in a row that ended by a death,
+without a commit in between, an archipelago is quarantined: one worker is reserved for it and computes nothing else.
 After two more its job fails. Harmless archipelagos that shared a worker with it are quarantined as well, until their
 next commit.
+
+A worker that is given up although it is only slow would be given up again and again, without any progress. So each time
+that happens without a commit in between, the leases of the archipelago's workers are doubled.
 """
 
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, Literal
 
+from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.monitoring.event_log import EventLog
-from atoll_coordinator.service.search.archipelago import ArchipelagoKey
+from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
 from atoll_coordinator.service.store.searches import Death
 from atoll_coordinator.service.store.store import Store
+from atoll_coordinator.service.workers.membership import Membership
 
 QUARANTINE_AFTER: Final = 3
 FAIL_AFTER: Final = 5
 """Terms in a row that ended by a death."""
+
+MAX_FACTOR: Final = 64.0
+"""Largest factor on leases."""
 
 CrashLoopState = Literal["healthy", "suspicious", "quarantined", "failed"]
 
@@ -33,12 +43,12 @@ class CrashLoop:
 
     @property
     def deaths(self) -> int:
-        """How many terms have ended by a death."""
+        """Number of terms that ended by a death."""
         return len(self._processes)
 
     @property
     def state(self) -> CrashLoopState:
-        """What follows from the deaths."""
+        """The state that follows from the deaths."""
         if self.deaths >= FAIL_AFTER:
             return "failed"
         if self.deaths >= QUARANTINE_AFTER:
@@ -46,7 +56,7 @@ class CrashLoop:
         return "suspicious" if self.deaths else "healthy"
 
     def has_counted(self, process: Process) -> bool:
-        """Tell whether the death of a process is counted here."""
+        """Return whether the death of a process is counted."""
         return any(process in processes for processes in self._processes.values())
 
     def add_death(self, term: int, process: Process) -> bool:
@@ -58,7 +68,7 @@ class CrashLoop:
         return is_first
 
     def withdraw(self, process: Process) -> bool:
-        """Take back the death of a process that is alive; return whether a term counts no more by that."""
+        """Withdraw the death of a process that is alive; return whether a term no longer counts by that."""
         terms = [term for term, processes in self._processes.items() if processes == {process}]
         for processes in self._processes.values():
             processes.discard(process)
@@ -76,7 +86,7 @@ class CrashLoop:
 
 
 class CrashLoops:
-    """The crash loops of all archipelagos. Deaths that count are kept in the store until a commit."""
+    """The crash loops of all archipelagos. Deaths that count are stored until a commit."""
 
     def __init__(self, store: Store, events: EventLog) -> None:
         self._store = store
@@ -89,7 +99,7 @@ class CrashLoops:
         return self._loops.get(key) or CrashLoop()
 
     def recover(self, job: str) -> None:
-        """Take over the deaths that were counted for a job before the coordinator was started again."""
+        """Restore the deaths that were counted for a job before a restart of the coordinator."""
         for death in self._store.deaths(job):
             loop = self._loops.setdefault((death.job, death.variable), CrashLoop())
             loop.add_death(death.term, (death.worker, death.instance))
@@ -98,12 +108,13 @@ class CrashLoops:
         """Count a death for an archipelago; return the reason for which its job fails, if it does."""
         loop = self._loops.setdefault(key, CrashLoop())
         is_first = loop.add_death(term, process)
-        if loop.state != "failed":  # else its job ends now, and that is durable
+        if loop.state != "failed":  # else its job ends now, which is stored
             self._unsaved.append(Death(*key, term, *process))
         if not is_first:
             return None
         if loop.deaths == QUARANTINE_AFTER:
-            self._events.record_quarantine(key)
+            text = "three times in a row a worker died that computed its islands; they get one worker for themselves"
+            self._events.record("isolated", text, key[0], variable=key[1])
         if loop.state != "failed":
             return None
         return (
@@ -118,20 +129,21 @@ class CrashLoops:
         was_quarantined = loop.state == "quarantined"
         loop.add_commit(epoch)
         if was_quarantined and loop.state == "healthy":
-            self._events.record_release(key)
+            self._events.record("pardoned", "it gets on, and is isolated no more", key[0], variable=key[1])
 
     def withdraw(self, process: Process) -> None:
-        """Take back the death of a process that is alive."""
+        """Withdraw the death of a process that is alive."""
         counting = {key: loop for key, loop in self._loops.items() if loop.has_counted(process)}
         for key, loop in counting.items():
             if loop.withdraw(process):
-                self._events.record_withdrawn_death(key, process[0])
+                text = f"worker {process[0]} is alive after all; its loss does not count"
+                self._events.record("pardoned", text, key[0], variable=key[1], worker=process[0])
         self._unsaved = [death for death in self._unsaved if (death.worker, death.instance) != process]
         if counting:
             self._store.take_back_deaths(*process)
 
     def save(self) -> None:
-        """Make the deaths durable that were counted, before the islands are placed anew."""
+        """Store the counted deaths, before the islands are placed again."""
         if self._unsaved:
             deaths, self._unsaved = self._unsaved, []
             self._store.add_deaths(deaths)
@@ -140,3 +152,101 @@ class CrashLoops:
         """Forget a job that has ended."""
         self._loops = {key: loop for key, loop in self._loops.items() if key[0] != job}
         self._unsaved = [death for death in self._unsaved if death.job != job]
+
+
+class LeaseBackoff:
+    """The factor on the leases of each archipelago's workers. Pure."""
+
+    def __init__(self) -> None:
+        self._factors: dict[ArchipelagoKey, float] = {}
+        self._is_evicted: dict[ArchipelagoKey, bool] = {}
+
+    def add_eviction(self, key: ArchipelagoKey) -> None:
+        """Record that a worker of this archipelago was given up."""
+        if self._is_evicted.get(key, False):
+            self._factors[key] = min(MAX_FACTOR, 2.0 * self._factors.get(key, 1.0))
+        self._is_evicted[key] = True
+
+    def add_commit(self, key: ArchipelagoKey) -> None:
+        """Record that this archipelago has a new commit."""
+        self._is_evicted[key] = False
+
+    def factors(self, archipelagos: Iterable[Archipelago]) -> dict[str, float]:
+        """Return the factor of each worker: the largest of the archipelagos of which it has islands."""
+        factors: dict[str, float] = {}
+        for archipelago in archipelagos:
+            for worker in archipelago.workers:
+                factors[worker] = max(factors.get(worker, 1.0), self._factors.get(archipelago.key, 1.0))
+        return factors
+
+    def forget(self, job: str) -> None:
+        """Forget a job that has ended."""
+        for table in (self._factors, self._is_evicted):
+            for key in [key for key in table if key[0] == job]:
+                del table[key]
+
+
+class Quarantine:
+    """Reserves a worker for each quarantined archipelago, as far as there are workers. Pure."""
+
+    def __init__(self, membership: Membership, crash_loops: CrashLoops) -> None:
+        self._membership = membership
+        self._crash_loops = crash_loops
+        self._reserved: dict[ArchipelagoKey, str | None] = {}
+
+    def reserve(self, archipelagos: Sequence[Archipelago], guarded: JobGuard = unguarded) -> None:
+        """Reserve workers for quarantined ones of all open archipelagos, in order; each is checked under `guarded`."""
+        keys = [archipelago.key for archipelago in archipelagos]
+        quarantined: list[ArchipelagoKey] = []
+        for key in keys:
+            with guarded(key[0]):
+                quarantined += [key] if self._crash_loops.loop(key).state == "quarantined" else []
+        load = Counter(worker for archipelago in archipelagos for worker in archipelago.workers)
+        workers = {worker for worker in self._reserved.values() if worker and not self._membership.is_lost(worker)}
+        self._reserved = reserve_workers(
+            quarantined,
+            len(keys) > len(quarantined),
+            sorted(workers.union(self._membership.ready())),
+            self._reserved,
+            load,
+        )
+
+    def allows(self, key: ArchipelagoKey, worker: str) -> bool:
+        """Return whether a worker may compute an archipelago."""
+        if key in self._reserved:
+            return self._reserved[key] == worker
+        return worker not in self._reserved.values()
+
+    def waiting(self, archipelagos: Iterable[Archipelago]) -> list[str]:
+        """Return the variables of quarantined archipelagos without a worker."""
+        return [archipelago.variable for archipelago in archipelagos if self._reserved.get(archipelago.key, "") is None]
+
+    def ready_for(self, key: ArchipelagoKey) -> tuple[str, ...]:
+        """Return the workers that can compute an archipelago now, sorted."""
+        return tuple(worker for worker in self._membership.ready() if self.allows(key, worker))
+
+
+def reserve_workers(
+    quarantined: Sequence[ArchipelagoKey], has_others: bool, workers: Sequence[str],
+    reserved: Mapping[ArchipelagoKey, str | None], load: Mapping[str, int],
+) -> dict[ArchipelagoKey, str | None]:  # fmt: skip
+    """Return the worker reserved for each quarantined archipelago; None: it must wait.
+
+    Args:
+        quarantined: open ones, in the order in which they are served.
+        has_others: whether other archipelagos are open; at least one worker is left for them.
+        workers: all workers that are not lost.
+        reserved: previous reservations; an archipelago keeps its worker while that is among `workers`.
+        load: number of archipelagos of each worker; the worker with the lowest is chosen.
+    """
+    number = len(workers) - has_others
+    chosen: dict[ArchipelagoKey, str] = {}
+    for key in quarantined:
+        worker = reserved.get(key)
+        if worker is not None and worker in workers and len(chosen) < number:
+            chosen[key] = worker
+    for key in quarantined:
+        free = [worker for worker in workers if worker not in chosen.values()]
+        if key not in chosen and len(chosen) < number:
+            chosen[key] = min(free, key=lambda worker: (load.get(worker, 0), worker))
+    return {key: chosen.get(key) for key in quarantined}

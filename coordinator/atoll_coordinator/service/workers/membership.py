@@ -1,4 +1,4 @@
-"""The workers that the coordinator knows: who is there, in which state, and who is lost. Pure; time comes in."""
+"""The known workers: which are present, in which state, and which are lost. Pure; time comes in."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,25 +10,25 @@ from atoll_core.wire.messages.views import Counters, WorkerService, WorkerState,
 from atoll_core.wire.messages.workers import WorkerStatus
 
 LEASE_S: Final = 15.0
-"""Silence after which a worker is lost although its presence is still shown: a process that hangs."""
+"""Silence after which a worker is lost although it is still connected: its process hangs."""
 
 ABSENCE_S: Final = 0.5
-"""How long a worker's presence may be gone (its connection may come back) before it is lost. To take a worker for lost
-that is not costs what lies between two checkpoints; to wait costs the wait."""
+"""How long a worker's connection may be gone before it is lost, since it may come back. A worker that is wrongly given
+up costs the work between two checkpoints; waiting costs the wait."""
 
 STANDING_S: Final = 60.0
-"""How long a worker may compute without getting on before it is taken for hung; loading and compiling do not count."""
+"""How long a worker may compute without progress before it counts as hung, without loading and compiling."""
 
 GAP_S: Final = 3.0
-"""If the coordinator itself has not looked for this long, silence is its own fault: everybody gets a fresh lease."""
+"""If the coordinator itself has not checked for so long, silence is its own fault: all leases are renewed."""
 
 FORGET_S: Final = 3600.0
-"""How long lost workers stay in the list."""
+"""How long lost workers are listed."""
 
 NO_WORKER: Final = (
     "waits for a worker: none has joined since the coordinator was started, or all are lost, leaving or cordoned"
 )
-"""Who has joined is not stored: after a restart workers join again within seconds."""
+"""The known workers are not stored: after a restart workers join again within seconds."""
 
 MemberState = Literal["here", "absent", "hung", "lost"]
 MemberStep = Literal["heard", "gone", "back", "expired", "stands", "moves"]
@@ -41,8 +41,8 @@ MEMBER_TRANSITIONS: Final[Mapping[MemberState, Mapping[MemberStep, MemberState]]
     "hung": {"heard": "hung", "gone": "absent", "back": "hung", "expired": "lost", "stands": "hung", "moves": "here"},
     "lost": {"heard": "here", "gone": "lost", "back": "lost", "expired": "lost", "stands": "lost", "moves": "here"},
 }  # fmt: skip
-"""Whether a worker is there -> what happens -> whether it is there then. `stands`: it has computed for too long without
-getting on; `moves`: it gets on."""
+"""State of a worker -> event -> next state. `heard`: a heartbeat; `gone`, `back`: its connection; `expired`: the end of
+its lease; `stands`: it has computed for too long without progress; `moves`: it makes progress."""
 
 
 @dataclass(slots=True)
@@ -72,7 +72,7 @@ class Member:
 
     @property
     def is_leaving(self) -> bool:
-        """Whether it has said that it will end soon."""
+        """Whether it has announced its end."""
         return self.status is not None and self.status.state == "leaving"
 
 
@@ -80,25 +80,25 @@ class Membership:
     """All workers by name."""
 
     def __init__(self, fingerprint: str = "") -> None:
-        """`fingerprint` is that of this installation's kernels, which those of all workers must have; "": any."""
+        """`fingerprint` is of this installation's kernels; all workers must have the same kernels. "": any kernels."""
         self._fingerprint = fingerprint
         self._members: dict[str, Member] = {}
         self._checked_at: float | None = None
         self._cordons: dict[str, bool] = {}
 
     def set_cordons(self, cordons: Mapping[str, bool]) -> None:
-        """Give these workers no more islands; whether they hand over those that they have, by name."""
+        """Set the cordoned workers, which get no more islands, and whether each is drained of its islands."""
         self._cordons = dict(cordons)
 
     def service(self, worker: str) -> WorkerService:
-        """Return whether a worker is given islands, as far as admins decide."""
+        """Return whether admins let a worker have islands."""
         if worker not in self._cordons:
             return "open"
         return "draining" if self._cordons[worker] else "cordoned"
 
     @property
     def checked_at(self) -> float:
-        """When it was last checked who is there; the bus's seconds."""
+        """Time of the last check of leases, in seconds of the bus."""
         return self._checked_at or 0.0
 
     def member(self, worker: str) -> Member | None:
@@ -106,7 +106,7 @@ class Membership:
         return self._members.get(worker)
 
     def register(self, hello: Hello, now: float) -> str | None:
-        """Take in a worker; return a sentence instead when it must be refused."""
+        """Add a worker; return a sentence instead when it must be refused."""
         refusal = version_refusal(hello) or self._name_refusal(hello) or self._fingerprint_refusal(hello)
         if refusal is not None:
             return refusal
@@ -116,11 +116,11 @@ class Membership:
             known = self._members[hello.name]
             known.hello, known.heard_at = hello, now
         if hello.fingerprint == self._fingerprint or not self._fingerprint:
-            self._members[hello.name].has_our_kernels = True  # a greeting from before, come late, takes nothing back
+            self._members[hello.name].has_our_kernels = True  # an old greeting that comes late changes nothing
         return None
 
     def record_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> bool:
-        """Take in a heartbeat; return False when this process is not known."""
+        """Record a heartbeat; return False when this process is not known."""
         member = self._members.get(worker)
         if member is None or member.hello.instance != status.instance:
             return False
@@ -132,7 +132,7 @@ class Membership:
         return True
 
     def record_presence(self, worker: str, present: bool, now: float) -> None:
-        """Take in that a worker's presence came or went."""
+        """Record that a worker's connection came or went."""
         member = self._members.get(worker)
         if member is None:
             return
@@ -143,18 +143,18 @@ class Membership:
             member.gone_at = now
 
     def send_away(self, worker: str) -> Member | None:
-        """Forget a worker that may not take part any more: it is asked to greet, and refused; None: it is not known."""
+        """Remove a worker that may no longer take part, so that it must greet again; None: it is not known."""
         return self._members.pop(worker, None)
 
     def renew_leases(self, now: float) -> None:
-        """Give everybody a fresh lease: their words may have been lost on our side."""
+        """Renew all leases: messages may have been lost on the coordinator's side."""
         for member in self._members.values():
             member.heard_at = member.progressed_at = now
             if member.gone_at is not None:
                 member.gone_at = now
 
     def expire(self, now: float, factors: Mapping[str, float] | None = None) -> list[Member]:
-        """Mark the workers whose leases are over as lost or hung; return those whose islands nobody computes by that.
+        """Mark workers whose leases are over as lost or hung; return those that had been computing until now.
 
         `factors`, by worker, make leases longer; `Member.lost_by` says why a worker is lost.
         """
@@ -180,25 +180,25 @@ class Membership:
         return tuple(sorted(name for name in self._members if self.is_ready(name)))
 
     def attending(self) -> Iterator[tuple[str, Member]]:
-        """Yield the workers that are here and do not leave, sorted by name: their kernels may still be on their way."""
+        """Yield the workers that are present and do not leave, sorted by name; their kernels may still be compiling."""
         for name, member in sorted(self._members.items()):
             if member.state == "here" and member.status is not None and not member.is_leaving:
                 yield name, member
 
     def is_ready(self, worker: str) -> bool:
-        """Tell whether islands can be placed on this worker."""
+        """Return whether islands can be placed on this worker."""
         member = self._members.get(worker)
         return member is not None and member.is_ready and worker not in self._cordons
 
     def arriving(self) -> int:
-        """Return how many workers are there but not ready yet."""
+        """Return the number of present workers that are not ready yet."""
         return sum(
             member.state == "here" and not member.is_ready and not member.is_leaving
             for member in self._members.values()
         )
 
     def waiting_reason(self) -> str:
-        """Return in words what an archipelago waits for that has no workers."""
+        """Return in words what an archipelago without workers waits for."""
         arriving = self.arriving()
         if arriving:
             return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
@@ -207,33 +207,33 @@ class Membership:
         return "waits for the other workers to join"
 
     def has_dataset(self, worker: str, job: str) -> bool:
-        """Tell whether a worker has said that a job's dataset is there, or on its way."""
+        """Return whether a worker has a job's dataset, or is fetching it."""
         member = self._members.get(worker)
         return member is not None and member.status is not None and job in member.status.jobs
 
     def has_room(self, worker: str, needed: int) -> bool:
-        """Tell whether a worker's machine has room for so many bytes more, as far as is known."""
+        """Return whether a worker's machine has so many bytes of memory left, as far as is known."""
         member = self._members.get(worker)
         available = member.status.available_bytes if member is not None and member.status is not None else None
         return available is None or available >= needed
 
     def is_lost(self, worker: str) -> bool:
-        """Tell whether islands placed on this worker have nobody to compute them."""
+        """Return whether a worker does not compute the islands that are placed on it."""
         member = self._members.get(worker)
         return member is None or member.state in ("lost", "hung")
 
     def is_leaving(self, worker: str) -> bool:
-        """Tell whether this worker has said that it will end soon, or is drained: it hands over what it has."""
+        """Return whether this worker has announced its end, or is drained: its islands move to other workers."""
         member = self._members.get(worker)
         return self._cordons.get(worker, False) or (member is not None and member.is_leaving)
 
     def is_new(self, hello: Hello) -> bool:
-        """Tell whether this process has not borne its name before."""
+        """Return whether the process of this name is another one than before."""
         member = self._members.get(hello.name)
         return member is None or member.hello.instance != hello.instance
 
     def views(self, now: float) -> tuple[WorkerView, ...]:
-        """Return what people are shown, sorted by name."""
+        """Return the views of all workers, sorted by name."""
         return tuple(
             _view(name, self._members[name], now).model_copy(update={"service": self.service(name)})
             for name in sorted(self._members)
@@ -249,7 +249,7 @@ class Membership:
         )
 
     def _fingerprint_refusal(self, hello: Hello) -> str | None:
-        """Refuse kernels other than ours: they might give other bits. No worker decides which are right."""
+        """Refuse other kernels than the coordinator's: they might give other bits."""
         if not (self._fingerprint and hello.fingerprint) or hello.fingerprint == self._fingerprint:
             return None
         return (
@@ -259,7 +259,7 @@ class Membership:
 
 
 def lease_end(member: Member, now: float, factor: float) -> tuple[MemberStep, str] | None:
-    """Return what happens to a worker whose lease is over, and why; None: it is not. `factor` makes leases longer."""
+    """Return the event for a worker whose lease is over, and why; None: it is not. `factor` makes leases longer."""
     if member.state == "absent":
         is_over = member.is_leaving or now - (member.gone_at or 0.0) >= ABSENCE_S
         return ("expired", "its connection has gone") if is_over else None
@@ -276,7 +276,7 @@ def _is_computing(member: Member) -> bool:
 
 
 def version_refusal(hello: Hello) -> str | None:
-    """Return a sentence naming both sides' versions when they do not fit; clients need the same protocol only."""
+    """Return a sentence about both sides' versions when they do not fit; clients need the same protocol only."""
     ours = f"Atoll {VERSION} (protocol {PROTOCOL_VERSION}, engine {ENGINE_REVISION})"
     theirs = f"Atoll {hello.version} (protocol {hello.protocol}, engine {hello.engine})"
     fits = hello.protocol == PROTOCOL_VERSION
@@ -312,7 +312,7 @@ def _view(name: str, member: Member, now: float) -> WorkerView:
 
 
 def _doing(status: WorkerStatus) -> str:
-    """Return in words what a worker computes, the job first: an island, or a task beside or without islands."""
+    """Return in words what a worker computes, the job first: an island, else a task."""
     words = [f"{one.job}/{one.variable} island {one.island} epoch {one.epoch}" for one in [status.doing] if one]
     words += [f"{held.job}/a task" for held in status.tasks if held.state == "running"]
     words += [f"{held.job}/a task of another worker" for held in status.tasks if held.state == "helping"]

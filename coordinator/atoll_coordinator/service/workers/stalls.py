@@ -1,7 +1,7 @@
-"""Why an archipelago stands still: a pure function of what the coordinator knows of placement, reports and workers."""
+"""Why an archipelago makes no progress: a pure function of placement, reports and workers, as far as they are known."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Literal
 
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
@@ -15,7 +15,7 @@ PATIENCE_S: Final[dict[Cause, float]] = {
     "silence": 5.0, "absence": 3.0, "compiling": 5.0, "not taken up": 5.0, "lost report": 5.0, "standing": 10.0,
     "others": 30.0, "migrants": 5.0, "slow": 60.0,
 }  # fmt: skip
-"""For how many seconds an archipelago must stand still, and the cause last, before that is a stall."""
+"""Seconds without progress, and of the cause, after which that is a stall; causes that hold up others come first."""
 
 _SILENT_S: Final = 3.0
 _STANDING_S: Final = 5.0
@@ -36,12 +36,12 @@ class Stall:
 
 
 def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -> Stall | None:
-    """Return why no further epoch of an archipelago is complete, or None when it is no stall.
+    """Return why no further epoch of an archipelago is complete; None: it is no stall.
 
     Args:
-        archipelago: any one; only one that is placed and not cut can stand still.
-        membership: who is there, as of its last check.
-        still_s: seconds since an epoch was completed, or since the archipelago was placed.
+        archipelago: only one that is placed and not cut can stall.
+        membership: workers, as of its last check.
+        still_s: seconds since an epoch was completed, or since the placement.
     """
     placement = archipelago.placement
     if placement is None or archipelago.cut is not None or still_s < min(PATIENCE_S.values()):
@@ -53,12 +53,7 @@ def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -
         for worker in workers
     ]
     lasting = [stall for stall in stalls if min(still_s, stall.seconds) >= PATIENCE_S[stall.cause]]
-    return min(lasting, key=_gravity, default=None)
-
-
-def _gravity(stall: Stall) -> tuple[int, str]:
-    """Order causes from those that hold up others to those that are held up."""
-    return (list(PATIENCE_S).index(stall.cause), stall.worker)
+    return min(lasting, key=lambda stall: (list(PATIENCE_S).index(stall.cause), stall.worker), default=None)
 
 
 def _stall(
@@ -67,7 +62,6 @@ def _stall(
     placement = archipelago.placement
     assert placement is not None
     epoch, member = archipelago.collector.state.epochs, membership.member(worker)
-    stall = Stall("absence", worker, islands, epoch, placement.term, still_s, "")
     waits = f"waiting for {named(islands)} on worker {worker}"
     cause, words, seconds = _cause(archipelago, member, membership.checked_at, epoch, still_s)
     sentence = {
@@ -76,13 +70,13 @@ def _stall(
         "standing": f"computing slowly: {words} on worker {worker}, {seconds:.0f} s without progress",
         "slow": f"computing slowly: {named(islands)} on worker {worker}, epoch {epoch}, for {seconds:.0f} s",
     }.get(cause, f"{waits}, {words}")
-    return replace(stall, cause=cause, seconds=seconds, sentence=sentence)
+    return Stall(cause, worker, islands, epoch, placement.term, seconds, sentence)
 
 
 def _cause(
     archipelago: Archipelago, member: Member | None, now: float, epoch: int, still_s: float
 ) -> tuple[Cause, str, float]:
-    """Return the cause, words on it, and its seconds."""
+    """Return the cause, words about it, and its seconds."""
     if member is None or member.state == "absent":
         gone = now - (member.gone_at or now) if member is not None else still_s
         return "absence", f"whose connection has been gone for {gone:.0f} s", gone
@@ -111,48 +105,43 @@ def _cause(
 
 
 def named(islands: Sequence[int]) -> str:
-    """Return islands by number, as people read them."""
+    """Return islands by number, as text."""
     shown = ", ".join(str(island) for island in islands[:_MOST_NAMED])
     more = f" and {len(islands) - _MOST_NAMED} more" if len(islands) > _MOST_NAMED else ""
     return f"island {shown}" if len(islands) == 1 else f"islands {shown}{more}"
 
 
 class StallDetector:
-    """Since when each archipelago stands still, and the stalls that last."""
+    """Finds stalls, and remembers since when each archipelago makes no progress."""
 
     def __init__(self, membership: Membership) -> None:
         self._membership = membership
-        self._seen: dict[ArchipelagoKey, tuple[tuple[int, int], float]] = {}
+        self._marks: dict[ArchipelagoKey, tuple[tuple[int, int], float]] = {}
         self._stalls: dict[ArchipelagoKey, Stall] = {}
 
     def check(self, archipelagos: Sequence[Archipelago], now: float) -> list[tuple[ArchipelagoKey, Stall | None]]:
-        """Return the stalls of open archipelagos that are new or have another cause, and (None) those that are over."""
+        """Return stalls of open archipelagos that are new or have another cause, and (None) stalls that are over."""
         changes: list[tuple[ArchipelagoKey, Stall | None]] = []
         for archipelago in archipelagos:
             key, before = archipelago.key, self._stalls.pop(archipelago.key, None)
             stall = stall_of(archipelago, self._membership, self._still_s(archipelago, now))
             if stall is not None:
                 self._stalls[key] = stall
-            if _identity(stall) != _identity(before):
+            if (stall and (stall.cause, stall.worker)) != (before and (before.cause, before.worker)):
                 changes.append((key, stall))
         open_keys = {archipelago.key for archipelago in archipelagos}
         self._stalls = {key: stall for key, stall in self._stalls.items() if key in open_keys}
-        self._seen = {key: seen for key, seen in self._seen.items() if key in open_keys}
+        self._marks = {key: mark for key, mark in self._marks.items() if key in open_keys}
         return changes
 
     def sentences(self, job: str) -> tuple[str, ...]:
-        """Return the stalls of a job as people read them, by variable."""
+        """Return sentences about the stalls of a job, by variable."""
         return tuple(f"{key[1]}: {stall.sentence}" for key, stall in sorted(self._stalls.items()) if key[0] == job)
 
     def _still_s(self, archipelago: Archipelago, now: float) -> float:
-        """Return for how many seconds neither term nor complete epochs of an archipelago have changed."""
+        """Return the seconds since term or complete epochs of an archipelago changed."""
         term = archipelago.placement.term if archipelago.placement is not None else 0
         mark = (term, archipelago.collector.state.epochs)
-        seen, since = self._seen.get(archipelago.key, (None, now))
-        self._seen[archipelago.key] = (mark, since if seen == mark else now)
-        return now - self._seen[archipelago.key][1]
-
-
-def _identity(stall: Stall | None) -> tuple[str, str] | None:
-    """Return by what a stall differs from another: one that only lasts longer is the same."""
-    return (stall.cause, stall.worker) if stall is not None else None
+        before, since = self._marks.get(archipelago.key, (None, now))
+        self._marks[archipelago.key] = (mark, since if before == mark else now)
+        return now - self._marks[archipelago.key][1]

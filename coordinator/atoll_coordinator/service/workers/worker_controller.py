@@ -1,7 +1,7 @@
-"""What becomes of workers and placements: takes in greetings, heartbeats and silence, and begins terms.
+"""Worker controller: handles greetings, heartbeats and silence of workers, and begins terms of archipelagos.
 
-A job that cannot go on because of its workers is handed to `LiveJobs.fail_job`. What is sent has been stored before.
-What is done for one job after the other is guarded by job: whatever breaks over one, the others have their turn.
+What is sent has been stored before. What is done for several jobs is guarded by job, so that an error in one of them
+does not affect the others. Jobs that cannot go on because of their workers are failed by `LiveJobs.fail_job`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,49 +10,37 @@ from typing import Final, Protocol
 
 from atoll_coordinator.service.jobs.job import Fault, Job
 from atoll_coordinator.service.monitoring.breakages import Breakages, JobGuard, what_to_send
-from atoll_coordinator.service.monitoring.counters import CounterRegistry
 from atoll_coordinator.service.monitoring.event_log import EventLog
+from atoll_coordinator.service.monitoring.job_views import CounterRegistry
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
 from atoll_coordinator.service.store.store import Store
 from atoll_coordinator.service.workers.channel import WorkerChannel
-from atoll_coordinator.service.workers.crash_loops import CrashLoops
-from atoll_coordinator.service.workers.lease_backoff import LeaseBackoff
+from atoll_coordinator.service.workers.crash_loops import CrashLoops, LeaseBackoff, Quarantine
 from atoll_coordinator.service.workers.membership import Member, Membership
-from atoll_coordinator.service.workers.quarantine import Quarantine
-from atoll_coordinator.service.workers.reconciliation import corrections
-from atoll_coordinator.service.workers.scheduling import Assignment, Scheduler
+from atoll_coordinator.service.workers.placing import Assignment, Scheduler, corrections
 from atoll_coordinator.service.workers.stalls import StallDetector
 from atoll_core.compilation.cache import WORKER, source_digest
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.wire.codec import encode
+from atoll_core.wire.messages import workers as messages
 from atoll_core.wire.messages.epochs import PullReports
 from atoll_core.wire.messages.handshake import Hello
-from atoll_core.wire.messages.workers import (
-    AssignmentStatus,
-    Close,
-    IslandFailure,
-    Placement,
-    Placements,
-    Reregister,
-    Shutdown,
-    WorkerStatus,
-)
 
 
 class LiveJobs(Protocol):
-    """The part of `atoll_coordinator.service.job_controller.JobController` that workers have to do with."""
+    """The part of `atoll_coordinator.service.job_controller.JobController` that the worker controller uses."""
 
     @property
-    def jobs(self) -> Mapping[str, Job]: ...  # by id, as they come and go
+    def jobs(self) -> Mapping[str, Job]: ...  # by id
 
     @property
-    def ending(self) -> Mapping[str, object]: ...  # those whose ends are decided and not in the store
+    def ending(self) -> Mapping[str, object]: ...  # jobs whose ends are decided but not stored
 
     @property
-    def begun(self) -> Mapping[str, Job]: ...  # those that do not wait any more: others have no islands
+    def begun(self) -> Mapping[str, Job]: ...  # jobs that may have islands
 
     @property
-    def breakages(self) -> Breakages: ...  # for what breaks over no job in particular
+    def breakages(self) -> Breakages: ...  # for errors that concern no particular job
 
     def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None: ...
 
@@ -90,9 +78,9 @@ class WorkerController:
         self._stalls = StallDetector(self.membership)
 
     def register(self, hello: Hello, now: float) -> str | None:
-        """Take in a worker; return a sentence instead when it must be refused.
+        """Add a worker; return a sentence instead when it must be refused.
 
-        A new process under a known name does not have the islands of the old one: they are placed anew.
+        A new process under a known name does not have the islands of the old one: they are placed again.
         """
         is_new, before = self.membership.is_new(hello), self.membership.member(hello.name)
         was_ready = self.membership.is_ready(hello.name)
@@ -100,7 +88,8 @@ class WorkerController:
         if refusal is not None:
             self._events.record_refusal(hello.name, refusal)
         elif is_new:
-            self._events.record_joining(hello)
+            text = f"process {hello.pid} on {hello.host or 'an unnamed host'}"
+            self._events.record("worker-joined", text, worker=hello.name)
             self.crash_loops.withdraw((hello.name, hello.instance))
             if before is not None:
                 self._lose(before, "a new process has its name", now)
@@ -113,40 +102,47 @@ class WorkerController:
             self.place(now)
         return refusal
 
-    def add_heartbeat(self, worker: str, status: WorkerStatus, now: float) -> bool:
-        """Take in a heartbeat, and correct what the worker holds and should not, or should and does not.
+    def add_heartbeat(self, worker: str, status: messages.WorkerStatus, now: float) -> bool:
+        """Handle a heartbeat, and correct by messages what the worker has too much or too little.
 
         Returns False when this process is not known; it is asked to greet.
 
         Raises:
-            RemoteProtocolError: The worker has heard of an incarnation that there is not, or speaks for islands that
-                are placed elsewhere.
-            StoreError: There is: another coordinator has taken over.
+            RemoteProtocolError: The worker names a later incarnation that does not exist, or islands that are placed
+                elsewhere.
+            StoreError: The later incarnation exists: another coordinator has taken over.
         """
-        self._check_incarnation(worker, status)
+        if status.incarnation > self._store.incarnation:
+            self._store.check()
+            raise RemoteProtocolError(
+                f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
+            )
         self._check_places(worker, status, now)
         was_ready, was_lost = self.membership.is_ready(worker), self.membership.is_lost(worker)
         if not self.membership.record_heartbeat(worker, status, now):
-            self._channel.send(worker, Reregister())
+            self._channel.send(worker, messages.Reregister())
             return False
         if was_lost and not self.membership.is_lost(worker):
-            self._events.record_return(worker)
+            self._events.record("worker-back", "it is there again, as the same process", worker=worker)
             self.crash_loops.withdraw((worker, status.instance))
         if not was_ready and self.membership.is_ready(worker):
             self.place(now)
         for failure in status.failures:
-            with self._guarded(failure.job, "taking in that an island failed", now):
-                self._add_failure(worker, failure, now)
+            with self._guarded(failure.job, "handling a failed island", now):
+                if self._placed(failure.job, failure.variable, failure.term) is not None:
+                    to_send = what_to_send(self._jobs[failure.job].config)
+                    sentence = f"{failure.sentence} (on worker {worker}){to_send}"
+                    self._fail_job(failure.job, "internal", sentence, now)
         for assignment_status in status.holdings:
-            with self._guarded(assignment_status.job, "taking in how far islands are", now):
+            with self._guarded(assignment_status.job, "recording the progress of islands", now):
                 self._update_assignment_status(worker, assignment_status)
         self._correct(worker, status, now)
         if status.state == "leaving":
             self._let_leave(worker, now)
         return True
 
-    def _correct(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Send a worker what it lacks, and what it may forget."""
+    def _correct(self, worker: str, status: messages.WorkerStatus, now: float) -> None:
+        """Send a worker what it lacks, and what it may drop."""
 
         def guarded(job: str) -> AbstractContextManager[None]:
             return self._guarded(job, "correcting what a worker holds", now)
@@ -157,38 +153,25 @@ class WorkerController:
             else:
                 self._channel.send(worker, correction)
 
-    def _check_incarnation(self, worker: str, status: WorkerStatus) -> None:
-        if status.incarnation > self._store.incarnation:
-            self._store.check()
-            raise RemoteProtocolError(
-                f"worker {worker} has heard of incarnation {status.incarnation}, but this is {self._store.incarnation}"
-            )
-
-    def _check_places(self, worker: str, status: WorkerStatus, now: float) -> None:
-        """Raise RemoteProtocolError when a worker speaks for islands that are placed elsewhere."""
+    def _check_places(self, worker: str, status: messages.WorkerStatus, now: float) -> None:
+        """Raise RemoteProtocolError when a worker names islands that are placed elsewhere."""
         wrong: list[str] = []
-        claims: tuple[AssignmentStatus | IslandFailure, ...] = (*status.holdings, *status.failures)
+        claims: tuple[messages.AssignmentStatus | messages.IslandFailure, ...] = (*status.holdings, *status.failures)
         for claim in claims:
-            with self._guarded(claim.job, "looking where islands are placed", now):
+            with self._guarded(claim.job, "checking where islands are placed", now):
                 archipelago = self._placed(claim.job, claim.variable, claim.term)
                 islands = archipelago.islands_of(worker) if archipelago is not None else None
-                if islands is not None and isinstance(claim, AssignmentStatus) and not islands:
+                if islands is not None and isinstance(claim, messages.AssignmentStatus) and not islands:
                     placed = f"{claim.variable} of job {claim.job}"
                     wrong.append(f"worker {worker} holds {placed}, which is placed elsewhere")
-                elif islands is not None and isinstance(claim, IslandFailure) and claim.island not in islands:
+                elif islands is not None and isinstance(claim, messages.IslandFailure) and claim.island not in islands:
                     island = f"island {claim.island} of {claim.variable} of job {claim.job}"
                     wrong.append(f"worker {worker} says that {island} failed, which is placed elsewhere")
         if wrong:
             raise RemoteProtocolError(wrong[0])
 
-    def _add_failure(self, worker: str, failure: IslandFailure, now: float) -> None:
-        """Let the job of an island that broke on a worker fail."""
-        if self._placed(failure.job, failure.variable, failure.term) is not None:
-            to_send = what_to_send(self._jobs[failure.job].config)
-            self._fail_job(failure.job, "internal", f"{failure.sentence} (on worker {worker}){to_send}", now)
-
-    def _update_assignment_status(self, worker: str, assignment_status: AssignmentStatus) -> None:
-        """Take in how far a worker is with what is placed on it; publish a commit that is due by that."""
+    def _update_assignment_status(self, worker: str, assignment_status: messages.AssignmentStatus) -> None:
+        """Record a worker's progress with its islands; publish a commit that is due by that."""
         archipelago = self._placed(assignment_status.job, assignment_status.variable, assignment_status.term)
         if archipelago is not None:
             archipelago.update_assignment_status(worker, assignment_status)
@@ -198,14 +181,14 @@ class WorkerController:
                 self._channel.publish(commit)
 
     def _let_leave(self, worker: str, now: float) -> None:
-        """Place elsewhere what a worker has that wants to end; when it has nothing, tell it so."""
+        """Place the islands of a leaving worker elsewhere; let it end when it has none."""
         self.place(now)
         has_islands = any(worker in archipelago.workers for archipelago in self._open_archipelagos())
         if not has_islands and not self._has_task(worker):
-            self._channel.send(worker, Shutdown(sentence="nothing is placed here any more"))
+            self._channel.send(worker, messages.Shutdown(sentence="nothing is placed here any more"))
 
     def send_away(self, worker: str, why: str, now: float) -> None:
-        """Give up a worker that may not take part any more; its islands are placed anew."""
+        """Give up a worker that may no longer take part; its islands are placed again."""
         member = self.membership.send_away(worker)
         if member is not None:
             self._lose(member, why, now)
@@ -217,9 +200,9 @@ class WorkerController:
             self._lose(member, member.lost_by, now)
 
     def _lose(self, member: Member, why: str, now: float) -> None:
-        """Take in that a process is lost, and let the jobs fail that have cost one worker too many by that.
+        """Record that a process is lost, and fail jobs that have now lost too many workers.
 
-        One that had said that it would leave was not ended by what it computed.
+        A process that had announced its end was not ended by its islands.
         """
         name = member.hello.name
         of_tasks = self._lose_tasks(name, now, had_left=member.is_leaving)
@@ -228,25 +211,25 @@ class WorkerController:
         if not jobs:
             self._events.record("worker-lost", why, worker=name)
         for job in jobs:
-            with self._guarded(job, "taking in that a worker is lost", now):
+            with self._guarded(job, "recording that a worker is lost", now):
                 self._events.record("worker-lost", why, job, worker=name)
         reasons: list[tuple[str, str]] = []
         for archipelago in lost if not member.is_leaving else ():
-            with self._guarded(archipelago.job, "taking in that a worker is lost", now):
+            with self._guarded(archipelago.job, "recording that a worker is lost", now):
                 reason = self._add_death(archipelago, member, why)
                 reasons += [(archipelago.job, reason)] if reason is not None else []
         for job_id, reason in reasons:
             self._fail_job(job_id, "poison", reason, now)
 
     def _add_death(self, archipelago: Archipelago, member: Member, why: str) -> str | None:
-        """Count the loss of a process for an archipelago; return the reason for which its job fails, if it does."""
+        """Count the loss of a process for an archipelago; return the reason why its job fails, if it does."""
         self._leases.add_eviction(archipelago.key)
         self.counters.add(archipelago.job, deaths=1)
         term = archipelago.placement.term if archipelago.placement is not None else 0
         return self.crash_loops.add_death(archipelago.key, term, (member.hello.name, member.hello.instance), why)
 
     def place(self, now: float) -> None:
-        """Begin the terms that are due. A job over which something breaks ends, and the others are placed."""
+        """Begin the terms that are due. An error ends only the job that it concerns."""
 
         def guarded(job: str) -> AbstractContextManager[None]:
             return self._guarded(job, "placing islands", now)
@@ -255,27 +238,32 @@ class WorkerController:
         plan = self._scheduler.plan(tuple(self._begun.values()), now, guarded)
         for key in plan.broken:
             with guarded(key[0]):
-                self._events.record_broken_placement(key)
+                text = "a worker of its placement is lost, or kept for another archipelago"
+                self._events.record("unplaced", text, key[0], variable=key[1])
         for placement in plan.released:
             for worker in dict.fromkeys(placement.workers):
-                self._channel.send(worker, Close(job=placement.job, variable=placement.variable, term=placement.term))
+                self._channel.send(
+                    worker, messages.Close(job=placement.job, variable=placement.variable, term=placement.term)
+                )
         for assignment, placement in self._begin_terms(plan.assignments, guarded):
             with guarded(placement.job):
                 self._place(assignment, placement, now)
 
-    def _begin_terms(self, assignments: Sequence[Assignment], guarded: JobGuard) -> list[tuple[Assignment, Placement]]:
-        """Make terms durable: all of them at once, since each commit takes its time; where that breaks, one by one."""
+    def _begin_terms(
+        self, assignments: Sequence[Assignment], guarded: JobGuard
+    ) -> list[tuple[Assignment, messages.Placement]]:
+        """Store terms: all of them in one transaction, which is faster; after an error, one by one."""
         live = [assignment for assignment in assignments if assignment.job.id in self._jobs]
         with self._breakages.tolerated("beginning terms"):
             return self._store_terms(live)
-        begun: list[tuple[Assignment, Placement]] = []
+        begun: list[tuple[Assignment, messages.Placement]] = []
         for assignment in live:
             with guarded(assignment.job.id):
                 begun += self._store_terms([assignment]) if assignment.job.id in self._jobs else []
         return begun
 
-    def _store_terms(self, assignments: Sequence[Assignment]) -> list[tuple[Assignment, Placement]]:
-        placements: list[Placement] = []
+    def _store_terms(self, assignments: Sequence[Assignment]) -> list[tuple[Assignment, messages.Placement]]:
+        placements: list[messages.Placement] = []
 
         def encode_placement(index: int, term: int) -> bytes:
             placements.append(assignments[index].placement(self._store.incarnation, term))
@@ -285,23 +273,23 @@ class WorkerController:
             self._store.begin_terms([assignment.archipelago.key for assignment in assignments], encode_placement)
         return list(zip(assignments, placements, strict=True))
 
-    def _place(self, assignment: Assignment, placement: Placement, now: float) -> None:
-        """Begin a term that is durable, unless its job has ended meanwhile."""
+    def _place(self, assignment: Assignment, placement: messages.Placement, now: float) -> None:
+        """Begin a stored term, unless its job has ended in the meantime."""
         if placement.job not in self._jobs:
             return
         assignment.archipelago.place(placement, now)
         assignment.job.start_search(now)
-        self._channel.publish(Placements(placements=(placement,)))
+        self._channel.publish(messages.Placements(placements=(placement,)))
         self.counters.add(placement.job, placements=1)
         self._events.record_placement(placement)
 
     def add_commit(self, checkpoint: Checkpoint) -> None:
-        """Take in that a checkpoint is durable: its archipelago gets on."""
+        """Record that a checkpoint is durable: its archipelago makes progress."""
         self._leases.add_commit(checkpoint.key)
         self.crash_loops.add_commit(checkpoint.key, checkpoint.epoch)
 
     def check_stalls(self, now: float) -> None:
-        """Record which archipelagos stand still, and which get on again."""
+        """Record which archipelagos make no progress, and which make progress again."""
         for (job, variable), stall in self._stalls.check(self._open_archipelagos(), now):
             if stall is None:
                 self._events.record("moving", "it gets on again", job, variable=variable)
@@ -313,11 +301,11 @@ class WorkerController:
             )  # fmt: skip
 
     def stalls(self, job_id: str) -> tuple[str, ...]:
-        """Return why archipelagos of a job stand still, in words, by variable."""
+        """Return in words why archipelagos of a job make no progress, by variable."""
         return self._stalls.sentences(job_id)
 
     def waiting_reason(self, job: Job) -> str | None:
-        """Return in words what the archipelagos of a job wait for that have no workers; None: all have."""
+        """Return in words what archipelagos of a job without workers wait for; None: all have workers."""
         quarantined = self._quarantine.waiting(job.open_archipelagos)
         if quarantined:
             return f"islands of {', '.join(quarantined)} are isolated and wait for a worker of their own"
@@ -333,7 +321,7 @@ class WorkerController:
         return [archipelago for job in self._begun.values() for archipelago in job.open_archipelagos]
 
     def _placed(self, job_id: str, variable: str, term: int) -> Archipelago | None:
-        """Return the archipelago that is placed under a term now; None: there is none."""
+        """Return the archipelago that is placed under this term now; None: there is none."""
         job = self._jobs.get(job_id)
         archipelago = job.open_archipelago(variable) if job is not None else None
         placement = archipelago.placement if archipelago is not None else None

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from atoll_coordinator.model.result.result import VariableOutcome
-from atoll_coordinator.service.tasks.outcomes import RefiningFailed
+from atoll_coordinator.service.tasks.background import RefiningFailed
 from atoll_coordinator.settings import Settings, with_changes
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_coordinator.tasks.refining import Searched

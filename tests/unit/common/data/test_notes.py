@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from atoll.text.render import render_text
-from atoll.web.progress import progress
+from atoll.web.pictures import progress
 from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import Dataset
 from atoll_core.data.notes import Note, notes_of

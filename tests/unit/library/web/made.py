@@ -4,8 +4,8 @@ import atexit
 from typing import Any
 
 from atoll.web.access import LOCAL_HOSTS, Access, digest_of
-from atoll.web.application import build_application
 from atoll.web.reading import Readers
+from atoll.web.server import build_application
 from atoll_core.errors import RefusedError, UnknownJobError, UnreachableError
 from atoll_core.wire.addresses import destination
 from atoll_core.wire.messages.clients import JobList, QueueDepth

@@ -10,9 +10,8 @@ import pytest
 from uvicorn.server import ServerState
 
 from atoll.web import connections
-from atoll.web.application import build_application
 from atoll.web.connections import Connection
-from atoll.web.server import Listener, configure
+from atoll.web.server import Listener, build_application, configure
 from tests.unit.library.web.made import READERS, Asked, AtHand, access
 
 GET = b"GET /api/v1/version HTTP/1.1\r\nhost: localhost\r\n\r\n"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from atoll.web.access import LOCAL_HOSTS, Access, digest_of
-from atoll.web.application import build_application
 from atoll.web.description import describe
+from atoll.web.server import build_application
 from atoll_core.data.table import Table
 from atoll_core.wire.codec import encode
 from atoll_core.wire.messages.clients import ClientRequest as Question

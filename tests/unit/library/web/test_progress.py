@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from atoll.web.progress import MAX_CURVES, MAX_POINTS, progress, some
+from atoll.web.pictures import MAX_CURVES, MAX_POINTS, progress, some
 from atoll_coordinator.result.result import Result
 
 

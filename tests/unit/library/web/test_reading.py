@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.web import api
+from atoll.web import operations
 from atoll.web.access import LOCAL_HOSTS, Access, digest_of
 from atoll.web.api import MAX_COMING
-from atoll.web.application import build_application
 from atoll.web.reading import LATE, Limits, Readers
+from atoll.web.server import build_application
 from tests.http import LOCAL, Answer, ask, ask_async
 from tests.unit.library.web.made import AUTHORIZED, READERS, Asked, AtHand, access
 
@@ -237,7 +237,7 @@ def test_one_user_sends_few_files_at_a_time_and_others_go_on(readers) -> None:
 
 
 def test_a_body_that_comes_too_slowly_is_cut_off(readers, monkeypatch) -> None:
-    monkeypatch.setattr(api, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(operations, "PATIENCE_S", 0.0)
     app = build_application(access(AtHand(Asked())), readers)
 
     async def go() -> Answer:

@@ -7,8 +7,7 @@ import pytest
 from atoll.client.options import OPTIONS
 from atoll.text.render import pick
 from atoll.web.options import LABELS
-from atoll.web.progress import progress
-from atoll.web.simulation import simulation_of
+from atoll.web.pictures import progress, simulation_of
 from atoll_coordinator.result.result import Result
 from tests.unit.library.report.results import dynamics, regression
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from atoll.web.temporary import PREFIX, held, remove_left
+from atoll.web.reading import PREFIX, locked, remove_left
 
 LINE = """
 import os, pathlib, signal, sys, tempfile
-from atoll.web.temporary import PREFIX, held
-with tempfile.TemporaryDirectory(prefix=PREFIX) as folder, held(pathlib.Path(folder)):
+from atoll.web.reading import PREFIX, locked
+with tempfile.TemporaryDirectory(prefix=PREFIX) as folder, locked(pathlib.Path(folder)):
     pathlib.Path(folder, "body").write_bytes(b"t,x")
     os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -26,7 +26,7 @@ def test_what_a_killed_process_has_left_is_removed(tmp_path: Path, monkeypatch: 
     used, other, making = (tmp_path / name for name in (f"{PREFIX}used", "other", f"{PREFIX}making"))
     for folder in (used, other, making):
         folder.mkdir()
-    with held(used):
+    with locked(used):
         remove_left()
         assert (left.exists(), used.exists(), other.exists(), making.exists()) == (False, True, True, True)
 
@@ -43,7 +43,7 @@ def test_a_folder_that_is_being_made_is_not_removed(tmp_path: Path, monkeypatch:
         lock(descriptor, operation)
 
     monkeypatch.setattr(fcntl, "flock", interrupted)
-    with tempfile.TemporaryDirectory(prefix=PREFIX) as folder, held(Path(folder)):
+    with tempfile.TemporaryDirectory(prefix=PREFIX) as folder, locked(Path(folder)):
         remove_left()
         assert looked
         assert Path(folder).exists()

@@ -8,31 +8,26 @@ import pytest
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.pools import Pool
 from atoll_coordinator.service.jobs.job import (
-    JOB_TRANSITIONS,
     CommitCuts,
     CommitResult,
     Job,
     JobAction,
     Prepared,
-    PublishCommit,
     Refine,
-    check_program,
     commit_order_of,
     measure_of,
 )
-from atoll_coordinator.service.monitoring.views import outcomes_of
-from atoll_coordinator.service.search.checkpoint_gathering import StoredSearchState
+from atoll_coordinator.service.monitoring.job_views import outcomes_of
+from atoll_coordinator.service.search.checkpoints import StoredSearchState
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.cut import Cut, stored
-from atoll_coordinator.service.search.ending import Stagnation
+from atoll_coordinator.service.search.ending import Cut, Stagnation
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig
 from atoll_core.data.dataset import Dataset, Target
-from atoll_core.errors import LocalProtocolError, RemoteProtocolError
+from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.epochs import Addition, EpochReport, IslandReport, SliceCounters
-from atoll_core.wire.messages.views import FINAL_STATES
 from atoll_core.wire.messages.workers import AssignmentStatus, Placement
 
 VALUES = np.linspace(0.0, 1.0, 30)
@@ -88,12 +83,6 @@ def report(island: int, epoch: int, variable: str = "x", term: int = 2, program:
     return EpochReport(job="job", variable=variable, term=term, epoch=epoch, islands=(archipelago,))
 
 
-def test_nothing_leads_out_of_a_final_state_and_everything_can_be_cancelled_before() -> None:
-    for state, row in JOB_TRANSITIONS.items():
-        assert (not row) == (state in FINAL_STATES)
-        assert state in FINAL_STATES or {"cancel", "fail"} <= row.keys()
-
-
 def test_a_job_runs_until_every_variable_is_cut() -> None:
     job = running(max_epochs=1)
     for variable in ("x", "y"):
@@ -119,22 +108,6 @@ def test_the_fronts_of_all_variables_are_refined_before_a_job_is_done() -> None:
         for name, pool in Searched("j", tuple(outcomes_of(job))).pools.items()
     }
     assert errors == {"x": [0.5], "y": [0.5]}
-
-
-def test_a_job_can_be_cancelled_while_it_is_refined() -> None:
-    job = running(max_epochs=1)
-    for variable in ("x", "y"):
-        for island in (0, 1):
-            job.add_report(f"w{island}", report(island, 0, variable), 1.0)
-    assert job.cancel() == [CommitResult()]
-    assert job.state == "cancelled"
-
-
-def test_a_variable_can_have_fewer_epochs_than_the_others() -> None:
-    job = running(max_epochs=9, max_epochs_of={"y": 1})
-    job.add_report("w0", report(0, 0, "y"), 1.0)
-    job.add_report("w1", report(1, 0, "y"), 1.0)
-    assert [archipelago.variable for archipelago in job.open_archipelagos] == ["x"]
 
 
 def test_time_cuts_every_variable() -> None:
@@ -201,14 +174,6 @@ def test_refining_gets_what_is_left_of_the_time_and_is_ended_with_it() -> None:
     assert "--max-time" in job.refinement.warnings[0]
 
 
-def test_refining_takes_any_time_without_a_limit() -> None:
-    job = running(max_epochs=1)
-    *_, last = searched(job, 4.0)
-    assert isinstance(last, Refine)
-    assert last.seconds is None
-    assert job.tick(1e6) == []
-
-
 def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
     job = running()
     job.add_report("w0", report(0, 0), 1.0)
@@ -221,19 +186,6 @@ def test_cancelling_keeps_what_was_found_and_happens_once() -> None:
     assert "was cancelled before refining had ended" in job.refinement.warnings[0]
     assert job.cancel() == job.fail("internal", "too late") == []
     assert job.reason is None
-
-
-def test_a_job_can_be_cancelled_before_it_is_prepared() -> None:
-    assert job_with().cancel() == [CommitResult()]
-
-
-def test_divergence_fails_the_job() -> None:
-    job = running()
-    job.add_report("w0", report(0, 0), 1.0)
-    other = report(0, 0)
-    changed = other.islands[0].model_copy(update={"digest": "f" * 32})
-    assert job.add_report("w0", other.model_copy(update={"islands": (changed,)}), 1.0) == [CommitResult()]
-    assert (job.state, job.fault) == ("failed", "diverged")
 
 
 @pytest.mark.parametrize(
@@ -253,22 +205,6 @@ def test_reports_that_cannot_be_are_refused_and_change_nothing(worker: str, wron
     with pytest.raises(RemoteProtocolError):
         job.add_report(worker, wrong, 1.0)
     assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
-
-
-def test_reports_of_a_lower_term_are_dropped() -> None:
-    job = running()
-    assert job.add_report("w0", report(0, 0, term=1), 1.0) == []
-    assert job.archipelagos["x"].collector.first_missing([0], 1) == 0
-
-
-def test_workers_are_told_in_steps_what_all_islands_have_reported() -> None:
-    job = running(stagnation=1000)
-    commits = []
-    for epoch in range(40):
-        for island in (0, 1):
-            actions = job.add_report(f"w{island}", report(island, epoch), 1.0)
-            commits += [(epoch, action.commit) for action in actions if isinstance(action, PublishCommit)]
-    assert [(epoch, commit.reported, commit.epoch) for epoch, commit in commits] == [(16, 16, 0), (32, 32, 0)]
 
 
 def test_under_a_new_term_old_epochs_count_once() -> None:
@@ -327,20 +263,6 @@ def test_reports_that_a_heartbeat_promises_and_that_did_not_come_are_pulled() ->
     assert job.archipelagos["x"].missing_reports("w0", assignment_status) is None
 
 
-def test_cuts_that_were_committed_before_a_restart_stand() -> None:
-    job = job_with()
-    job.start_preparing()
-    job.start_clock(0.0)
-    cut = Cut(variable="x", epochs=3, generation=None, why="max-time", front=(), evaluations={}, seconds=1.0)
-    assert job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {"x": cut}, 0.0) == []
-    assert [archipelago.variable for archipelago in job.open_archipelagos] == ["y"]
-    other = job_with()
-    other.start_preparing()
-    other.start_clock(0.0)
-    both = {name: cut.model_copy(update={"variable": name}) for name in ("x", "y")}
-    assert other.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), both, 0.0) == [Refine()]
-
-
 def test_a_noisy_target_s_search_goes_on_below_its_floor() -> None:
     """Many a wrong equation lies below the floor; that they get better is progress all the same."""
     fronts = [(FrontEntry(3, error, error * error, 0, 0, 0, bytes([1, 0, 0, 0, 0, 0])),) for error in (0.05, 0.01)]
@@ -368,20 +290,6 @@ def test_the_number_of_runners_up_and_the_patience_are_those_of_the_configuratio
     assert (limits.runners_up, limits.stagnation) == (3, Stagnation(7))
 
 
-def test_impossible_steps_are_our_bug() -> None:
-    job = job_with()
-    with pytest.raises(LocalProtocolError, match="queued and cannot prepared"):
-        job.start(Prepared(Preparation(DATASET), job.config, BLOB, 100), {}, 0.0)
-    with pytest.raises(LocalProtocolError, match="before it is prepared"):
-        job.announcement()
-
-
-def test_programs_are_checked() -> None:
-    check_program(bytes([1, 0, 1, 0, 0, 0]), 2)
-    with pytest.raises(RemoteProtocolError):
-        check_program(bytes([1, 0, 2, 0, 0, 0]), 2)
-
-
 def test_runners_up_are_handed_on_beside_the_front() -> None:
     job = job_with()
     job.start_preparing()
@@ -392,8 +300,8 @@ def test_runners_up_are_handed_on_beside_the_front() -> None:
         epochs=3,
         generation=None,
         why="stagnation",
-        front=(stored(best),),
-        runners_up=(stored(next_best),),
+        front=(best,),
+        runners_up=(next_best,),
         evaluations={},
         seconds=1.0,
     )

@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.recording import STENCIL_ROWS, Recording, Smoothing
-from atoll_coordinator.service.jobs.stagnation import (
+from atoll_coordinator.service.jobs.job import (
     STAGNATION_CLEAN,
     STAGNATION_GIVEN,
     STAGNATION_NOISY,

@@ -92,7 +92,8 @@ def test_scrapes_are_answered_while_the_block_lasts() -> None:
 
 def test_every_metric_of_the_board_is_in_the_exposition() -> None:
     metrics = Metrics()
-    metrics.observe_task("preparing", 1.0)
+    metrics.note_state("j", "preparing", 0.0, 0.0)
+    metrics.note_state("j", None, 0.0, 1.0)
     metrics.note_event("done")
     metrics.set_jobs({("ann", "running"): 1})
     metrics.set_tasks(3, {("refine", "running"): 1}, 2)

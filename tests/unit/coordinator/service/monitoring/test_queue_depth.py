@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 from typing import Any
 
-from atoll_coordinator.service.monitoring.queue_depth import queue_depth
+from atoll_coordinator.service.monitoring.job_views import queue_depth
 from atoll_core.config import EvolutionConfig, JobConfig
 
 

@@ -18,36 +18,11 @@ from atoll_coordinator.service.scheduling.limits import Limits, Total
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_coordinator.service.tasks.analyses import Analyses
-from atoll_coordinator.service.tasks.outcomes import JobPrepared
+from atoll_coordinator.service.tasks.background import JobPrepared, TableChecked
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, StoreError
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.clients import (
-    Answer,
-    Cancel,
-    ClientRequest,
-    Delete,
-    Deleted,
-    Failure,
-    FindJob,
-    GetIslands,
-    GetQueueDepth,
-    GetResult,
-    GetTable,
-    IslandList,
-    JobFound,
-    JobList,
-    JobStatus,
-    ListJobs,
-    ListWorkers,
-    QueueDepth,
-    Status,
-    Submit,
-    TableChunk,
-    Upload,
-    Uploaded,
-    WorkerList,
-)
+from atoll_core.wire.messages import clients as messages
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from tests.blobs import put_blob
 
@@ -66,7 +41,7 @@ class Tasks:
     def check_table(self, job: str, digest: str) -> None:
         """Find every table sound, at once."""
         if self.controller is not None:
-            self.controller.prepare_checked(job, True, None, Now.s)
+            self.controller.take_outcome(TableChecked(job, True), Now.s)
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *arguments: self.calls.append((name, *arguments))
@@ -110,33 +85,29 @@ def clients(tasks: Tasks) -> Iterator[ClientRequests]:
         yield ClientRequests(controller, store, Authorization(None, store), deletion, lambda: Now.s)
 
 
-def chunk(data: bytes = TABLE, **changes: object) -> ClientRequest:
+def ask(clients: ClientRequests, body: messages.RequestBody, client: str = "ann") -> messages.AnswerBody:
+    return clients.answer(client, messages.ClientRequest(body=body))
+
+
+def chunk(data: bytes = TABLE, **changes: object) -> messages.ClientRequest:
     fields = {"blob": BLOB, "size": len(TABLE), "index": 0, "sha256": hashlib.sha256(data).hexdigest(), "data": data}
-    return ClientRequest(body=Upload.model_validate({**fields, **changes}))
+    return messages.ClientRequest(body=messages.Upload.model_validate({**fields, **changes}))
 
 
-def failure(answer: object) -> Failure:
-    assert isinstance(answer, Failure)
+def failure(answer: object) -> messages.Failure:
+    assert isinstance(answer, messages.Failure)
     return answer
 
 
 def test_the_depth_of_the_queue_counts_a_job_that_was_submitted(clients: ClientRequests) -> None:
-    empty = clients.answer("c", ClientRequest(body=GetQueueDepth()))
-    assert isinstance(empty, QueueDepth)
+    empty = ask(clients, messages.GetQueueDepth(), "c")
+    assert isinstance(empty, messages.QueueDepth)
     assert empty.workers_wanted == 0
-    clients.answer("c", ClientRequest(body=Upload(blob=BLOB, size=len(TABLE), sha256=BLOB, data=TABLE)))
-    clients.answer("c", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    depth = clients.answer("c", ClientRequest(body=GetQueueDepth()))
-    assert isinstance(depth, QueueDepth)
+    ask(clients, messages.Upload(blob=BLOB, size=len(TABLE), sha256=BLOB, data=TABLE), "c")
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB), "c")
+    depth = ask(clients, messages.GetQueueDepth(), "c")
+    assert isinstance(depth, messages.QueueDepth)
     assert (depth.queued + depth.preparing, depth.workers_wanted) == (1, JobConfig().evolution.islands)
-
-
-def test_a_table_is_uploaded_in_chunks_any_number_of_times(clients: ClientRequests) -> None:
-    question = ClientRequest(body=Upload(blob=BLOB, size=len(TABLE)))
-    assert clients.answer("ann", question) == Uploaded(blob=BLOB, missing=(0,))
-    for _ in range(2):
-        assert clients.answer("ann", chunk()) == Uploaded(blob=BLOB, missing=())
-    assert clients.answer("ann", question) == Uploaded(blob=BLOB, missing=())
 
 
 @pytest.mark.parametrize(
@@ -149,17 +120,9 @@ def test_a_table_is_uploaded_in_chunks_any_number_of_times(clients: ClientReques
     ],
 )
 def test_chunks_that_are_not_what_they_claim_are_refused(
-    clients: ClientRequests, upload: ClientRequest, said: str
+    clients: ClientRequests, upload: messages.ClientRequest, said: str
 ) -> None:
     assert said in failure(clients.answer("ann", upload)).sentence
-
-
-def test_an_upload_that_does_not_fit_the_store_is_refused(
-    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(uploads_module, "MAX_STORED_BYTES", 5)
-    answer = failure(clients.answer("ann", ClientRequest(body=Upload(blob=BLOB, size=len(TABLE)))))
-    assert "at most 5" in answer.sentence
 
 
 def test_uploads_that_were_given_up_make_room_and_those_that_go_on_do_not(
@@ -170,18 +133,16 @@ def test_uploads_that_were_given_up_make_room_and_those_that_go_on_do_not(
     clients.answer("bob", chunk())
     for _ in range(3):  # ann needs the room that bob takes, who goes on with his
         Now.s += uploads_module.LEASE_S - 1.0
-        clients.answer("bob", ClientRequest(body=Upload(blob=BLOB, size=len(TABLE))))
-        assert (
-            "in 10 minutes" in failure(clients.answer("ann", ClientRequest(body=Upload(blob=other, size=4)))).sentence
-        )
+        ask(clients, messages.Upload(blob=BLOB, size=len(TABLE)), "bob")
+        assert "in 10 minutes" in failure(ask(clients, messages.Upload(blob=other, size=4))).sentence
         clients.uploads.expire()
         assert clients._store.has_blob(BLOB)
     Now.s += uploads_module.LEASE_S + 1.0
-    assert clients.answer("ann", ClientRequest(body=Upload(blob=other, size=4))) == Uploaded(blob=other, missing=(0,))
+    assert ask(clients, messages.Upload(blob=other, size=4)) == messages.Uploaded(blob=other, missing=(0,))
     assert not clients._store.has_blob(BLOB)
-    assert clients.answer("ann", chunk()) == Uploaded(blob=BLOB, missing=())
-    clients.answer("ann", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    sentence = failure(clients.answer("ann", ClientRequest(body=Upload(blob=other, size=4)))).sentence
+    assert clients.answer("ann", chunk()) == messages.Uploaded(blob=BLOB, missing=())
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+    sentence = failure(ask(clients, messages.Upload(blob=other, size=4))).sentence
     assert "coordinator delete ID" in sentence
 
 
@@ -194,7 +155,7 @@ def test_the_last_chunk_of_an_upload_finds_the_room_that_was_kept_for_it(
     for index, missing in ((0, (1,)), (1, ())):
         part = data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]
         answer = clients.answer("ann", chunk(part, blob=blob, size=len(data), index=index))
-        assert answer == Uploaded(blob=blob, missing=missing)
+        assert answer == messages.Uploaded(blob=blob, missing=missing)
 
 
 def test_an_upload_that_is_never_submitted_is_deleted_after_its_lease(clients: ClientRequests) -> None:
@@ -205,33 +166,31 @@ def test_an_upload_that_is_never_submitted_is_deleted_after_its_lease(clients: C
         Now.s += uploads_module.LEASE_S / 3 + 1.0
     clients.uploads.expire()
     assert not clients._store.has_blob(BLOB)
-    answer = failure(
-        clients.answer("ann", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    )
+    answer = failure(ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
     assert answer.failure == "no-table"
 
 
 def test_an_ended_job_is_deleted_and_a_live_one_refused(clients: ClientRequests) -> None:
     clients.answer("ann", chunk())
-    clients.answer("ann", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    assert "cancel it" in failure(clients.answer("ann", ClientRequest(body=Delete(job="j")))).sentence
-    clients.answer("ann", ClientRequest(body=Cancel(job="j")))
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+    assert "cancel it" in failure(ask(clients, messages.Delete(job="j"))).sentence
+    ask(clients, messages.Cancel(job="j"))
     for _ in range(2):
-        assert clients.answer("ann", ClientRequest(body=Delete(job="j"))) == Deleted(job="j")
-    assert clients.answer("ann", ClientRequest(body=ListJobs())) == JobList(jobs=())
+        assert ask(clients, messages.Delete(job="j")) == messages.Deleted(job="j")
+    assert ask(clients, messages.ListJobs()) == messages.JobList(jobs=())
     assert not clients._store.has_blob(BLOB)
 
 
 def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, tasks: Tasks) -> None:
     clients.answer("ann", chunk())
-    answer = clients.answer("ann", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB)))
-    assert isinstance(answer, JobStatus)
+    answer = ask(clients, messages.Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB))
+    assert isinstance(answer, messages.JobStatus)
     assert (answer.job.state, answer.job.seed) == ("preparing", 3)
     assert tasks.prepared == [("j", BLOB)]
-    listed = clients.answer("ann", ClientRequest(body=ListJobs()))
-    assert isinstance(listed, JobList)
+    listed = ask(clients, messages.ListJobs())
+    assert isinstance(listed, messages.JobList)
     assert [view.job for view in listed.jobs] == ["j"]
-    assert failure(clients.answer("ann", ClientRequest(body=GetResult(job="j")))).failure == "too-early"
+    assert failure(ask(clients, messages.GetResult(job="j"))).failure == "too-early"
 
 
 def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
@@ -240,31 +199,24 @@ def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
     clients._controller.queue.limits = Limits(total=Total(running=1))
     clients.answer("ann", chunk())
     for name in ("a", "b"):
-        answer = clients.answer("ann", ClientRequest(body=Submit(job=name, name="", config=JobConfig(), table=BLOB)))
-    assert isinstance(answer, JobStatus)
+        answer = ask(clients, messages.Submit(job=name, name="", config=JobConfig(), table=BLOB))
+    assert isinstance(answer, messages.JobStatus)
     assert (answer.job.state, answer.job.reason) == ("queued", "waits for its turn (it is next; 1 job is under way)")
-    cancelled = clients.answer("ann", ClientRequest(body=Cancel(job="a")))
-    assert isinstance(cancelled, JobStatus)
+    cancelled = ask(clients, messages.Cancel(job="a"))
+    assert isinstance(cancelled, messages.JobStatus)
     assert cancelled.job.state == "cancelled"
     assert ("b", BLOB) in tasks.prepared
     assert ("cancel", "a") in tasks.calls  # it may be at work still
-    assert "before its search began" in failure(clients.answer("ann", ClientRequest(body=GetResult(job="a")))).sentence
+    assert "before its search began" in failure(ask(clients, messages.GetResult(job="a"))).sentence
 
 
 def test_the_table_of_a_job_is_given_to_whoever_sees_the_job(clients: ClientRequests) -> None:
     clients.answer("ann", chunk())
-    clients.answer("ann", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    answer = clients.answer("ann", ClientRequest(body=GetTable(job="j")))
-    assert answer == TableChunk(job="j", index=0, size=len(TABLE), digest=BLOB, data=TABLE)
-    assert "has no part 1" in failure(clients.answer("ann", ClientRequest(body=GetTable(job="j", index=1)))).sentence
-    assert failure(clients.answer("ann", ClientRequest(body=GetTable(job="none")))).failure == "unknown-job"
-
-
-def test_a_job_that_is_not_searched_has_no_islands(clients: ClientRequests) -> None:
-    clients.answer("ann", chunk())
-    clients.answer("ann", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    assert clients.answer("ann", ClientRequest(body=GetIslands(job="j"))) == IslandList(islands=())
-    assert failure(clients.answer("ann", ClientRequest(body=GetIslands(job="none")))).failure == "unknown-job"
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+    answer = ask(clients, messages.GetTable(job="j"))
+    assert answer == messages.TableChunk(job="j", index=0, size=len(TABLE), digest=BLOB, data=TABLE)
+    assert "has no part 1" in failure(ask(clients, messages.GetTable(job="j", index=1))).sentence
+    assert failure(ask(clients, messages.GetTable(job="none"))).failure == "unknown-job"
 
 
 @pytest.mark.parametrize("is_deleted", [False, True])
@@ -273,22 +225,17 @@ def test_the_dataset_of_a_job_that_ended_while_it_was_prepared_is_not_kept(
 ) -> None:
     """Nobody would ever delete it."""
     clients.answer("ann", chunk())
-    clients.answer("ann", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    clients.answer("ann", ClientRequest(body=Cancel(job="j")))
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+    ask(clients, messages.Cancel(job="j"))
     if is_deleted:
-        clients.answer("ann", ClientRequest(body=Delete(job="j")))
+        ask(clients, messages.Delete(job="j"))
     controller, store = clients._controller, clients._store
     before = store.blob_bytes()
     store.keep_prepared("j", b"its dataset", b"the rest")
-    controller.start_search(JobPrepared("j", None, b"", ""), 6.0)  # type: ignore[arg-type]
+    controller.take_outcome(JobPrepared("j", None, b"", ""), 6.0)  # type: ignore[arg-type]
     assert store.blob_bytes() == before
     assert not store.has_blob(hashlib.sha256(b"its dataset").hexdigest())
     assert controller.jobs == {}
-
-
-def test_questions_about_unknown_jobs_say_so(clients: ClientRequests) -> None:
-    for body in (Status(job="j"), GetResult(job="j"), Cancel(job="j")):
-        assert failure(clients.answer("ann", ClientRequest(body=body))).failure == "unknown-job"
 
 
 @pytest.mark.slow
@@ -306,20 +253,23 @@ def test_twenty_thousand_jobs_are_listed_in_pages_and_found_by_the_beginnings_of
             controller, store, Authorization(None, store), JobDeletion(controller, store), lambda: 5.0
         )
 
-        def listed(question: ListJobs) -> list[str]:
-            answer = decode(encode(Answer(body=clients.answer("ann", ClientRequest(body=question)))), Answer).body
-            assert isinstance(answer, JobList)
+        def listed(question: messages.ListJobs) -> list[str]:
+            answer = decode(
+                encode(messages.Answer(body=ask(clients, question))),
+                messages.Answer,
+            ).body
+            assert isinstance(answer, messages.JobList)
             rest = () if answer.before is None else listed(question.model_copy(update={"before": answer.before}))
             return [*rest, *(view.job for view in answer.jobs)]
 
         def find(prefix: str) -> object:
-            return clients.answer("ann", ClientRequest(body=FindJob(prefix=prefix)))
+            return ask(clients, messages.FindJob(prefix=prefix))
 
-        assert listed(ListJobs(prefix="job-19")) == [row[0] for row in rows[19_000:]]
-        assert listed(ListJobs(is_open=True)) == [row[0] for row in rows[::100]]
-        assert listed(ListJobs(prefix="job-1999")) == [row[0] for row in rows[19_990:]]
-        assert find("job-12345") == find("job-12345") == JobFound(job="job-12345")
-        assert isinstance(clients.answer("ann", ClientRequest(body=Status(job="job-12344"))), JobStatus)
+        assert listed(messages.ListJobs(prefix="job-19")) == [row[0] for row in rows[19_000:]]
+        assert listed(messages.ListJobs(is_open=True)) == [row[0] for row in rows[::100]]
+        assert listed(messages.ListJobs(prefix="job-1999")) == [row[0] for row in rows[19_990:]]
+        assert find("job-12345") == find("job-12345") == messages.JobFound(job="job-12345")
+        assert isinstance(ask(clients, messages.Status(job="job-12344")), messages.JobStatus)
         assert "1000 and more jobs begin with 'job' (job-19995, job-19996" in failure(find("job")).sentence
         assert "and many more" in failure(find("job")).sentence
         assert "no job 'other'; the last that came are job-19995" in failure(find("other")).sentence
@@ -330,19 +280,15 @@ def test_a_page_of_jobs_is_no_larger_than_an_answer_bears(
 ) -> None:
     clients.answer("ann", chunk())
     for name in "abc":
-        clients.answer("ann", ClientRequest(body=Submit(job=name, name="n" * 200, config=JobConfig(), table=BLOB)))
+        ask(clients, messages.Submit(job=name, name="n" * 200, config=JobConfig(), table=BLOB))
     monkeypatch.setattr(clients_module, "MAX_PAGE_BYTES", 700)
     seen, before = [], None
     for _ in range(3):
-        page = clients.answer("ann", ClientRequest(body=ListJobs(before=before)))
-        assert isinstance(page, JobList)
+        page = ask(clients, messages.ListJobs(before=before))
+        assert isinstance(page, messages.JobList)
         seen += [view.job for view in page.jobs]
         before = page.before
     assert (seen, before) == (["c", "b", "a"], None)
-
-
-def test_without_workers_the_list_is_empty(clients: ClientRequests) -> None:
-    assert clients.answer("ann", ClientRequest(body=ListWorkers())) == WorkerList(workers=())
 
 
 def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(tasks: Tasks) -> None:
@@ -372,7 +318,7 @@ def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
     clients.answer("ann", chunk())
     with monkeypatch.context() as full:
         full.setattr(Store, "update_job", is_full)
-        request = ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB))
+        request = messages.ClientRequest(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
         assert "full" in failure(clients.answer("ann", request)).sentence
     assert tasks.prepared == []
     clients._controller.tick(6.0)
@@ -386,23 +332,15 @@ def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(
         raise StoreError("the disk is full")
 
     clients.answer("ann", chunk())
-    clients.answer("ann", ClientRequest(body=Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
+    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
     monkeypatch.setattr(Store, "update_job", is_full)
     with pytest.raises(StoreError, match="full"):
-        clients.answer("ann", ClientRequest(body=Cancel(job="j")))
+        ask(clients, messages.Cancel(job="j"))
 
 
 # ---------------------------------------------------------------------------------------- a disk nearly full
 
 MB = 1024**2
-
-
-@pytest.mark.parametrize(
-    ("total", "reserve"),
-    [(60 * MB, 15 * MB), (2_000 * MB, 256 * MB), (20_000 * MB, 1_000 * MB), (2_000_000 * MB, 2_048 * MB)],
-)
-def test_uploads_leave_a_share_of_the_disk(total: int, reserve: int) -> None:
-    assert uploads_module.reserve_of(Room(total, total)) == reserve
 
 
 def test_an_upload_that_would_fill_the_disk_is_refused_in_one_sentence(
@@ -416,9 +354,9 @@ def test_an_upload_that_would_fill_the_disk_is_refused_in_one_sentence(
         f"the coordinator's disk has room for {15 * MB + 7} bytes more, of which {15 * MB} are kept"
     )
     room = Room(15 * MB + len(TABLE), 60 * MB)
-    assert isinstance(clients.answer("ann", chunk()), Uploaded)
+    assert isinstance(clients.answer("ann", chunk()), messages.Uploaded)
     room = Room(0, 60 * MB)  # what is there is not refused
-    assert isinstance(clients.answer("ann", chunk()), Uploaded)
+    assert isinstance(clients.answer("ann", chunk()), messages.Uploaded)
 
 
 def test_on_a_disk_nearly_full_uploads_that_no_job_uses_go_first(
@@ -452,7 +390,7 @@ def test_half_uploads_end_no_coordinator_on_a_small_disk(tmp_path: Path, monkeyp
         refused = 0
         for number in range(14):
             data = bytes([number]) * CHUNK_SIZE
-            half = Upload(
+            half = messages.Upload(
                 blob=f"{number:064}", size=2 * CHUNK_SIZE, index=0, sha256=hashlib.sha256(data).hexdigest(), data=data
             )
             try:

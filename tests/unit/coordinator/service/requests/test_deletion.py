@@ -75,16 +75,6 @@ def test_an_ended_job_is_deleted_and_its_end_is_noted(store: Store) -> None:
     deletes.delete("a", "the answer was lost, and it is asked for again")
 
 
-def test_a_live_job_is_not_deleted(store: Store) -> None:
-    add(store, "a", None)
-    deletes, controller = deletion(store, Retention(0.0, 0))
-    with pytest.raises(RefusedError, match="job a is queued; cancel it, or wait for its end, before you delete it"):
-        deletes.delete("a", "")
-    deletes.delete_expired(0.0)
-    assert "a" in controller.jobs
-    assert store.job("a") is not None
-
-
 def test_the_id_of_a_deleted_job_is_not_given_again(store: Store) -> None:
     """A worker that missed the end of the deleted job would compute the new one on the old data."""
     add(store, "a", "10")
@@ -101,12 +91,6 @@ def test_jobs_beyond_an_age_are_deleted_oldest_first(store: Store) -> None:
     for name, finished in (("late", "30"), ("old", "10"), ("oldest", "09"), ("live", None)):
         add(store, name, finished)
     assert deleted_in_turn(store, Retention(age_s=2 * DAY)) == ["oldest", "old"]
-
-
-def test_jobs_beyond_a_size_are_deleted_oldest_first(store: Store) -> None:
-    for name, finished in (("second", "11"), ("first", "10"), ("third", "12"), ("live", None)):
-        add(store, name, finished)
-    assert deleted_in_turn(store, Retention(size_bytes=store.held(ALL).freeable - 900_000)) == ["first", "second"]
 
 
 def test_tables_that_wait_delete_nobodys_results(store: Store) -> None:
@@ -167,11 +151,6 @@ def test_uploads_that_no_job_uses_cost_no_job_its_life(store: Store) -> None:
     for number in range(6):
         store.put_chunk(str(number) * 64, 0, bytes(CHUNK_SIZE))
     assert deleted_in_turn(store, Retention(size_bytes=size)) == []
-
-
-def test_everything_is_kept_unless_it_is_said_otherwise(store: Store) -> None:
-    add(store, "a", "02")
-    assert deleted_in_turn(store, Retention()) == []
 
 
 def test_the_store_is_asked_now_and_then(store: Store) -> None:

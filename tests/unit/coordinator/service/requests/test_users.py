@@ -93,7 +93,7 @@ class Lab:
 
     def heard(self) -> set[tuple[str, str | None]]:
         """Return who has been told of which jobs since the last call."""
-        self.followers.tell(NOW + 100.0)
+        self.followers.notify(NOW + 100.0)
         told, self.told[:] = [*self.told], []
         return {(client, event.job) for client, change in told for event in change.events}
 
@@ -375,22 +375,6 @@ def test_tables_of_few_bytes_are_bounded_by_their_number(lab: Lab, monkeypatch: 
     assert not isinstance(lab.upload("eve", b"e"), Failure)
 
 
-def test_no_question_about_an_upload_asks_the_store_for_every_table(lab: Lab) -> None:
-    limit(lab, user=Allowance(stored=10**6))
-
-    def queries() -> int:
-        made = list[str]()
-        lab.store._connection.set_trace_callback(made.append)
-        lab.ask("ann", messages.Upload(blob="0" * 64, size=3))
-        lab.store._connection.set_trace_callback(None)
-        return len(made)
-
-    before = queries()
-    for number in range(30):
-        lab.upload("ann", b"table %d" % number)
-    assert queries() == before
-
-
 def test_without_a_roster_everything_is_open() -> None:
     with Store.open(None) as store:
         lab = Lab(store, None)
@@ -422,12 +406,6 @@ def test_jobs_from_before_a_roster_are_those_of_admins(lab: Lab) -> None:
     assert {job.job for job in admins.jobs} == {"old", "open", "ended"}
     assert isinstance(lab.ask("eve", messages.Delete(job="ended")), Deleted)
     assert store.job("ended") is None
-
-
-def test_only_admins_change_workers_and_the_queue(lab: Lab) -> None:
-    assert "only an admin" in said(lab.ask("ann", messages.SetQueue(paused=True)))
-    assert "only an admin" in said(lab.ask("ann", messages.SetWorker(worker="w", service="open")))
-    assert "no worker 'w'" in said(lab.ask("eve", messages.SetWorker(worker="w", service="cordoned")))
 
 
 def test_a_revoked_certificate_is_told_so(lab: Lab) -> None:
@@ -463,31 +441,6 @@ def test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart(lab: Lab
     assert view(again.ask("ann", messages.Pause(job="second", paused=False))).state == "preparing"
 
 
-def test_a_job_that_ends_in_the_line_waits_for_nothing_any_more(lab: Lab) -> None:
-    limit(lab, total=Total(running=1))
-    lab.submit("ann", "first")
-    assert view(lab.submit("ann", "second")).reason
-    lab.ask("ann", messages.Pause(job="second"))
-    assert view(lab.ask("ann", messages.Cancel(job="second"))).reason is None
-
-
-def test_what_has_ended_is_neither_paused_nor_given_a_priority(lab: Lab) -> None:
-    lab.submit("ann", "mine")
-    lab.fail("mine")
-    assert "has ended and cannot be paused" in said(lab.ask("ann", messages.Pause(job="mine")))
-    assert "has ended" in said(lab.ask("ann", messages.SetPriority(job="mine", priority=1)))
-
-
-def test_a_priority_is_kept(lab: Lab) -> None:
-    limit(lab, total=Total(running=1))
-    for job in ("a", "b", "c"):
-        lab.submit("ann", job)
-    assert view(lab.ask("ann", messages.SetPriority(job="c", priority=2))).ahead == 0
-    record = lab.store.job("c")
-    assert record is not None
-    assert record.priority == 2
-
-
 def test_a_failed_job_is_tried_again_under_another_id(lab: Lab) -> None:
     lab.submit("ann", "mine", config=JobConfig(seed=7), priority=3)
     assert "has not failed" in said(lab.ask("ann", messages.Retry(job="mine", again="second")))
@@ -503,29 +456,6 @@ def test_a_job_is_not_tried_again_under_the_id_of_anothers(lab: Lab) -> None:
     lab.submit("bob", "his", b"the same")
     lab.fail("his")
     assert "is taken" in said(lab.ask("bob", messages.Retry(job="his", again="mine")))
-
-
-def test_a_paused_queue_stays_so_after_a_restart(lab: Lab) -> None:
-    lab.ask("eve", messages.SetQueue(paused=True))
-    assert view(lab.submit("ann", "mine")).reason == "waits: the queue is paused by an admin"
-    again = Lab(lab.store)
-    again.controller.tick(NOW)
-    assert view(again.ask("ann", messages.Status(job="mine"))).state == "queued"
-    again.ask("eve", messages.SetQueue(paused=False))
-    assert view(again.ask("ann", messages.Status(job="mine"))).state == "preparing"
-
-
-def test_after_a_restart_everybody_sees_and_changes_what_was_their_own(lab: Lab) -> None:
-    lab.submit("ann", "mine")
-    lab.submit("ann", "shown", shared=True)
-    again = Lab(lab.store)
-    check_hidden(again, "mine", "bob")
-    assert (again.seen("bob"), again.seen("ann"), again.seen("eve")) == (["shown"], *[["mine", "shown"]] * 2)
-    assert "submitted by ann" in said(again.ask("bob", messages.Cancel(job="shown")))
-    assert "only an admin" in said(again.ask("ann", messages.SetQueue(paused=True)))
-    assert view(again.ask("ann", messages.Cancel(job="shown"))).state == "cancelled"
-    check_hidden(Lab(lab.store), "mine", "bob")
-    assert "submitted by ann" in said(Lab(lab.store).ask("bob", messages.Delete(job="shown")))
 
 
 def test_what_was_answered_holds_after_a_restart(lab: Lab) -> None:
@@ -586,15 +516,6 @@ def test_bytes_of_a_user_hold_to_the_byte(lab: Lab, monkeypatch: pytest.MonkeyPa
     view(lab.submit("bob", "z", bytes(90)))
 
 
-def test_uploads_that_are_not_submitted_count_as_well(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(admission, "RESULT_RESERVE", 10)
-    limit(lab, user=Allowance(stored=100))
-    assert not isinstance(lab.upload("ann", bytes(50)), Failure)
-    assert "are over the 100" in said(lab.upload("ann", bytes(41)))
-    assert not isinstance(lab.upload("ann", bytes(50)), Failure)
-    assert not isinstance(lab.upload("bob", bytes(41)), Failure)
-
-
 def test_tables_that_no_deletion_makes_room_for_are_refused_from_who_holds_most(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -612,14 +533,6 @@ def test_tables_that_no_deletion_makes_room_for_are_refused_from_who_holds_most(
         full.fail(job)
     full.fail("a1")
     assert isinstance(full.submit("ann", "more", b"m" * 30), JobStatus)
-
-
-def test_bytes_of_all_together_hold(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(admission, "RESULT_RESERVE", 10)
-    limit(lab, total=Total(stored=100))
-    lab.submit("ann", "a", bytes(60))
-    assert "all users store 60 bytes" in said(lab.submit("bob", "b", bytes(21)))
-    assert not isinstance(lab.submit("bob", "b", bytes(20)), Failure)
 
 
 def test_results_push_out_the_oldest_jobs_of_the_same_user_and_of_nobody_else(lab: Lab) -> None:

@@ -1,29 +1,18 @@
-"""Fair share: rounds between users, weights and age within one."""
+"""Fair share: rounds between users, age and priority within one, and turns of tasks."""
 
-from dataclasses import dataclass
-
-from atoll_coordinator.service.scheduling.fair_share import AGE_S, FairShare, Principal
+from atoll_coordinator.service.scheduling.fair_share import AGE_S, FairShare, TaskTurns, Turn
 
 
-@dataclass
-class Asked:
-    id: str
-    principal: str | None = None
-    priority: int = 0
-    since: float = 0.0
+def jobs(names: str, user: str | None = None) -> list[Turn]:
+    return [Turn(name, user, since=float(place)) for place, name in enumerate(names.split())]
 
 
-def jobs(names: str, principal: str | None = None) -> list[Asked]:
-    return [Asked(name, principal, since=float(place)) for place, name in enumerate(names.split())]
-
-
-def served(share: FairShare, asked: list[Asked], turns: int, seconds: float = 1.0) -> list[str]:
-    """Return who is served when the first is charged each time."""
-    order = []
+def served(share: FairShare, asked: list[Turn], turns: int, seconds: float = 1.0) -> list[str]:
+    """Return which jobs are served when the user of the first is charged each time."""
+    order, user_of = [], {job.id: job.user for job in asked}
     for _ in range(turns):
-        first = share.order(asked)[0]
-        share.charge(first, seconds)
-        order.append(first)
+        order.append(share.order(asked)[0])
+        share.charge(user_of[order[-1]], seconds)
     return order
 
 
@@ -43,7 +32,7 @@ def test_what_is_overdrawn_is_taken_off_the_next_turns() -> None:
     share = FairShare(quantum_s=10.0)
     asked = [*jobs("a", "ann"), *jobs("b", "bob")]
     share.order(asked)
-    share.charge("a", 45.0)
+    share.charge("ann", 45.0)
     order = served(share, asked, 13, 5.0)
     assert "".join(order) == "bbbbbbbbabbaa"
 
@@ -62,7 +51,7 @@ def test_a_user_who_cannot_be_served_holds_nobody_up_and_owes_what_was_owed() ->
     share = FairShare(quantum_s=1.0)
     everybody = [*jobs("a", "ann"), *jobs("b", "bob"), *jobs("c", "cem")]
     share.order(everybody)
-    share.charge("c", 50.0)
+    share.charge("cem", 50.0)
     order = served(share, everybody, 40)
     assert "c" not in order
     share.forget("c")
@@ -74,39 +63,37 @@ def test_who_took_what_nobody_else_wanted_owes_nothing_for_it() -> None:
     both = [*jobs("a1 a2 a3", "ann"), *jobs("b", "bob")]
     for _ in range(100):
         share.order(both, content={"bob"})  # one job is all that bob has
-        for job in ("a1", "a2", "a3", "b"):
-            share.charge(job, 1.0)
+        for user in ("ann", "ann", "ann", "bob"):
+            share.charge(user, 1.0)
     order = served(share, [*both, *jobs("c", "cem")], 30)
     assert max(sum(name.startswith(who) for name in order) for who in "abc") <= 11
 
 
-def test_within_a_user_time_goes_by_the_weight_of_priorities() -> None:
-    share = FairShare()
-    order = served(share, [Asked("low", "ann", 0), Asked("high", "ann", 2)], 100)
-    assert order.count("high") == 80
-
-
 def test_within_a_user_priority_counts_then_age_and_age_overtakes_priority() -> None:
     share = FairShare()
-    asked = [Asked("late", since=5.0), Asked("early", since=1.0), Asked("high", priority=1, since=0.9 * AGE_S)]
+    asked = [
+        Turn("late", None, since=5.0),
+        Turn("early", None, since=1.0),
+        Turn("high", None, priority=1, since=0.9 * AGE_S),
+    ]
     assert share.order(asked) == ["high", "early", "late"]
-    assert share.order([Asked("old"), Asked("higher", priority=3, since=3.1 * AGE_S)]) == ["old", "higher"]
-
-
-def test_a_charge_of_a_user_counts_and_that_of_a_stranger_is_nobodys() -> None:
-    share = FairShare(quantum_s=1.0)
-    asked = [*jobs("a", "ann"), *jobs("b", "bob")]
-    share.order(asked)
-    share.charge(Principal("ann"), 3.0)
-    share.charge("nobody", 100.0)
-    assert served(share, asked, 4) == ["b", "b", "b", "a"]
+    assert share.order([Turn("old", None), Turn("higher", None, priority=3, since=3.1 * AGE_S)]) == ["old", "higher"]
 
 
 def test_whoever_has_gone_and_owes_nothing_is_forgotten() -> None:
     share = FairShare(quantum_s=1.0)
     for number in range(1000):
-        share.order([*jobs("a", "ann"), Asked(f"j{number}", f"u{number}")])
-        share.charge("a", 1.0)
+        share.order([*jobs("a", "ann"), Turn(f"j{number}", f"u{number}")])
+        share.charge("ann", 1.0)
         share.forget(f"j{number}")
     assert len(share._shares) <= 2
-    assert len(share._accounts) == 1
+    assert len(share._users) == 1
+
+
+def test_who_has_tasks_that_run_lets_others_go_before_and_who_was_charged_waits() -> None:
+    running, waiting = jobs("a0 a1", "ann"), [Turn("a2", "ann", 1), Turn("a3", "ann"), Turn("b", "bob", since=9.0)]
+    assert TaskTurns().order_tasks(waiting, running) == ["b", "a2", "a3"]
+    turns = TaskTurns()
+    assert turns.order_tasks(waiting, []) == ["a2", "b", "a3"]
+    turns.charge("ann", 200.0)
+    assert turns.order_tasks(waiting, []) == ["b", "a2", "a3"]

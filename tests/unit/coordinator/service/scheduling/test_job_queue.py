@@ -135,15 +135,6 @@ def test_a_job_that_is_paused_while_it_is_prepared_is_held_then() -> None:
     assert queue.under_way == 0
 
 
-def test_a_changed_priority_changes_the_place() -> None:
-    queue = queue_of(1)
-    for job in "abc":
-        queue.add(job, None, 0, 0.0)
-    queue.set_priority("c", 3)
-    queue.set_priority("gone", 3)
-    assert [queue.ahead_of(job) for job in "cab"] == [0, 1, 2]
-
-
 def test_a_user_has_no_more_places_than_allowed_and_others_pass() -> None:
     queue = queue_of(4, user=Allowance(running=1), users={"bob": Allowance(running=2)})
     for user in ("ann", "bob"):

@@ -1,7 +1,6 @@
 """Task time: what heartbeats say of it is counted once, by the day."""
 
-from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Total
-from atoll_coordinator.service.scheduling.task_time import TaskTime
+from atoll_coordinator.service.scheduling.limits import Allowance, Limits, TaskTime, Total
 
 LIMITS = Limits(user=Allowance(task_time=10.0), users={"bob": Allowance(task_time=100.0)})
 

@@ -3,8 +3,8 @@
 import pytest
 
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
-from atoll_coordinator.service.search.ending import Limits, Stagnation
+from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
+from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import EpochReport, IslandReport, SliceCounters, States
@@ -16,7 +16,7 @@ WORKERS = ("a", "b")
 
 
 def archipelago() -> Archipelago:
-    limits = Limits(islands=2, epochs=1000, stagnation=Stagnation(1000), commit_order=COMMIT_ORDER)
+    limits = SearchLimits(islands=2, epochs=1000, stagnation=Stagnation(1000), commit_order=COMMIT_ORDER)
     return Archipelago("job", "x", limits, lambda front: 0.0, lambda program: None)
 
 

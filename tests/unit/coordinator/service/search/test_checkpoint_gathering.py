@@ -7,20 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll_coordinator.service.search.checkpoint_gathering import Gathering, StoredSearchState
-from atoll_coordinator.service.search.checkpoint_schedule import (
-    COST_S,
-    COST_S_PER_BYTE,
-    LEAST_INTERVAL,
-    MOST_GROWTH,
-    PAUSE_S,
-    SHARE,
-    common_epoch,
-    interval_of,
-    schedule_after,
-)
+from atoll_coordinator.service.search import checkpoints
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.cut import Improvement
+from atoll_coordinator.service.search.ending import Improvement
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry
@@ -47,16 +36,16 @@ PLACEMENT = Placement(
 def test_checkpoints_cost_no_more_than_their_share_unless_epochs_are_long(
     epoch_s: float, size: int, former: int
 ) -> None:
-    interval = interval_of(epoch_s, size, former)
-    assert LEAST_INTERVAL <= interval <= max(LEAST_INTERVAL, MOST_GROWTH * former)
-    if interval not in (LEAST_INTERVAL, MOST_GROWTH * former):
+    interval = checkpoints.interval_of(epoch_s, size, former)
+    assert checkpoints.LEAST_INTERVAL <= interval <= max(checkpoints.LEAST_INTERVAL, checkpoints.MOST_GROWTH * former)
+    if interval not in (checkpoints.LEAST_INTERVAL, checkpoints.MOST_GROWTH * former):
         seconds = (interval + 0.5) * epoch_s
-        assert seconds >= PAUSE_S
-        assert (COST_S + COST_S_PER_BYTE * size) <= SHARE * seconds
+        assert seconds >= checkpoints.PAUSE_S
+        assert (checkpoints.COST_S + checkpoints.COST_S_PER_BYTE * size) <= checkpoints.SHARE * seconds
 
 
 def test_epochs_that_took_no_time_let_the_interval_grow() -> None:
-    assert interval_of(0.0, 100, 8) == 8 * MOST_GROWTH
+    assert checkpoints.interval_of(0.0, 100, 8) == 8 * checkpoints.MOST_GROWTH
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(4, 50), st.booleans()), min_size=1, max_size=20))
@@ -64,7 +53,7 @@ def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_barrier(steps: l
     """Whoever knows only the former schedule can have come as far as that allows."""
     schedule = Schedule(next=8, last=16)
     for skips, interval, wants_barrier in steps:
-        after = schedule_after(schedule, schedule.last if skips else schedule.next, interval, wants_barrier)
+        after = checkpoints.schedule_after(schedule, schedule.last if skips else schedule.next, interval, wants_barrier)
         for epoch in {after.next, after.last} - {schedule.last}:
             assert epoch > schedule.limit
         if after.holds:
@@ -74,22 +63,22 @@ def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_barrier(steps: l
 
 
 def test_a_barrier_lies_one_epoch_behind_what_is_known_and_stays() -> None:
-    assert schedule_after(Schedule(next=8, last=16), 8, 20, wants_barrier=True) == Schedule(
+    assert checkpoints.schedule_after(Schedule(next=8, last=16), 8, 20, wants_barrier=True) == Schedule(
         next=16, last=17, holds=True
     )
-    assert schedule_after(Schedule(next=8, last=16), 16, 20, wants_barrier=True) == Schedule(
+    assert checkpoints.schedule_after(Schedule(next=8, last=16), 16, 20, wants_barrier=True) == Schedule(
         next=17, last=17, holds=True
     )
     barrier = Schedule(next=16, last=17, holds=True)
-    assert schedule_after(barrier, 16, 20, wants_barrier=False) == Schedule(next=17, last=17, holds=True)
+    assert checkpoints.schedule_after(barrier, 16, 20, wants_barrier=False) == Schedule(next=17, last=17, holds=True)
 
 
 def test_the_latest_epoch_is_taken_of_which_all_have_snapshots() -> None:
-    assert common_epoch([(8, 16), (8, 16)], 0) == 16
-    assert common_epoch([(8, 16), (8,)], 0) == 8
-    assert common_epoch([(8, 16), (8,)], 8) is None
-    assert common_epoch([(8,), ()], 0) is None
-    assert common_epoch([], 0) is None
+    assert checkpoints.common_epoch([(8, 16), (8, 16)], 0) == 16
+    assert checkpoints.common_epoch([(8, 16), (8,)], 0) == 8
+    assert checkpoints.common_epoch([(8, 16), (8,)], 8) is None
+    assert checkpoints.common_epoch([(8,), ()], 0) is None
+    assert checkpoints.common_epoch([], 0) is None
 
 
 def answered(islands: tuple[int, ...], offset: int = 0, room: int = 1000) -> States:
@@ -97,7 +86,7 @@ def answered(islands: tuple[int, ...], offset: int = 0, room: int = 1000) -> Sta
 
 
 def test_every_worker_is_asked_one_question_at_a_time_until_all_states_are_there() -> None:
-    gathering = Gathering(PLACEMENT, 24)
+    gathering = checkpoints.Gathering(PLACEMENT, 24)
     ((worker, pull),) = gathering.next_pulls(1)
     assert (worker, pull.islands, pull.epoch, pull.term) == ("a", (0, 2), 24, 3)
     ((other, _),) = gathering.next_pulls(5)
@@ -117,7 +106,7 @@ def test_every_worker_is_asked_one_question_at_a_time_until_all_states_are_there
 
 
 def test_a_damaged_state_is_asked_for_again() -> None:
-    gathering = Gathering(PLACEMENT, 24)
+    gathering = checkpoints.Gathering(PLACEMENT, 24)
     gathering.next_pulls(5)
     (piece, *_) = answered((0, 2)).pieces
     with pytest.raises(RemoteProtocolError, match="damaged"):
@@ -140,7 +129,7 @@ def test_progress_comes_back_from_the_store_as_it_was(best_length: float) -> Non
         seconds=1.5,
         convergence={1: (Improvement(generation=3, error=0.5),)},
     )
-    stored = decode(encode(StoredSearchState.of(state, 3.5)), StoredSearchState)
+    stored = decode(encode(checkpoints.StoredSearchState.of(state, 3.5)), checkpoints.StoredSearchState)
     assert stored.search_state() == state
     assert stored.search_seconds == 3.5
     assert all(isinstance(one, int) and isinstance(two, int) for one, two in pairwise(stored.search_state().counted))

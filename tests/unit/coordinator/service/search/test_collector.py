@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atoll_coordinator.service.search.collector import Collector, DivergedError, additions_of
-from atoll_coordinator.service.search.cut import Cut
-from atoll_coordinator.service.search.ending import Limits, Stagnation
+from atoll_coordinator.service.search.collector import Collector, DivergedError, entries_of
+from atoll_coordinator.service.search.ending import Cut, SearchLimits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry, merge
@@ -19,9 +18,7 @@ from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
-LIMITS = Limits(islands=2, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
-
-LIMITS_OF_3 = Limits(islands=3, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
+LIMITS = SearchLimits(islands=2, epochs=50, stagnation=Stagnation(5), commit_order=COMMIT_ORDER)
 
 
 def best_error(front: tuple[FrontEntry, ...]) -> float:
@@ -78,20 +75,6 @@ def test_an_epoch_counts_when_all_islands_have_reported_it(collector: Collector)
     assert collector.state.seconds == 2.0
 
 
-def test_later_epochs_wait_for_earlier_ones(collector: Collector) -> None:
-    fill(collector, 1)
-    assert collector.state.epochs == 0
-    fill(collector, 0)
-    assert collector.state.epochs == 2
-
-
-def test_the_same_report_again_changes_nothing_not_even_counters(collector: Collector) -> None:
-    fill(collector, 0)
-    before = collector.state.evaluations
-    assert not collector.add_reports("w9", 0, [report(0), report(1)], 9.0)
-    assert collector.state.evaluations == before == {"fit": 40, "offspring": 20}
-
-
 def test_another_digest_for_the_same_key_is_divergence_and_names_both_workers(collector: Collector) -> None:
     collector.add_reports("first", 0, [report(0)], 1.0)
     with pytest.raises(DivergedError, match=r"first and second .* island 0 of x in epoch 0"):
@@ -117,7 +100,7 @@ def test_errors_that_are_not_finite_never_enter_the_front() -> None:
             "additions": (Addition.model_construct(complexity=1, error=math.inf, mse=0.0, generation=1, program=b""),)
         }
     )
-    assert merge((), additions_of(0, wild, 100)) == ()
+    assert merge((), entries_of(0, wild, wild.additions, 100)) == ()
 
 
 def test_convergence_has_the_improvements_of_each_island_in_order(collector: Collector) -> None:
@@ -140,62 +123,6 @@ def test_the_target_ends_the_search_with_the_least_generation_and_island(collect
     assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("target", 2, 120)
 
 
-def test_islands_count_up_to_the_slice_that_met_the_target_and_no_further() -> None:
-    """The islands before the hit, and itself, count up to its generation; the one after it, to the slice before."""
-    collector = Collector("x", LIMITS_OF_3, best_error)
-    generations = (10, 20, 30)
-    reports = [
-        report(0, error=3.0, found_at=generations),
-        report(1, error=1.5, found_at=generations[:2], hit=20),
-        report(2, found_at=generations),
-    ]
-    fill(collector, 0, *reports)
-    assert collector.cut is not None
-    assert collector.cut.evaluations == {"fit": 2 * (2 + 2 + 1), "offspring": 2 + 2 + 1}
-    kept = {(entry.island, entry.generation) for entry in collector.cut.entries()}
-    assert kept == {(2, 10), (1, 20)}
-
-
-def test_what_an_island_did_beyond_the_hit_does_not_matter() -> None:
-    cuts = []
-    for other in (20, 30, 100):
-        collector = Collector("x", LIMITS, best_error)
-        fill(collector, 0, report(0, generations=other, found_at=(10, 20, 30)[: other // 10]), report(1, hit=20))
-        cuts.append(collector.cut)
-    assert cuts[0] is not None
-    assert cuts == [cuts[0]] * 3
-
-
-def test_an_island_before_the_hit_must_have_come_as_far(collector: Collector) -> None:
-    assert not collector.add_reports("w", 0, [report(1, hit=20)], 1.0)
-    assert not collector.add_reports("w", 0, [report(0, generations=10)], 1.0)
-    assert collector.cut is None
-
-
-def test_an_island_after_the_hit_counts_to_the_slice_before_and_need_not_have_begun(collector: Collector) -> None:
-    fill(collector, 0, report(0, count=100), report(1, count=300))
-    assert collector.add_reports("w", 1, [report(0, hit=10, count=1100)], 2.0)
-    assert collector.cut is not None
-    assert (collector.cut.generation, collector.cut.evaluations["offspring"]) == (110, 110 + 300)
-
-
-def test_in_the_first_epoch_groups_of_islands_count_one_after_the_other() -> None:
-    limits = Limits(3, 50, Stagnation(5), COMMIT_ORDER.model_copy(update={"joining": 1}))
-    collector = Collector("x", limits, best_error)
-    collector.add_reports("w", 0, [report(1, hit=20)], 1.0)
-    assert collector.cut is None
-    collector.add_reports("w", 0, [report(0)], 2.0)
-    assert collector.cut is not None
-    assert collector.cut.evaluations["offspring"] == 10 + 2
-
-
-def test_an_island_of_which_nothing_counts_keeps_its_former_counters(collector: Collector) -> None:
-    fill(collector, 0, report(0, count=100), report(1, count=300))
-    fill(collector, 1, report(0, hit=10, count=1100), report(1, count=400))
-    assert collector.cut is not None
-    assert collector.cut.evaluations["offspring"] == 110 + 300
-
-
 def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: Collector) -> None:
     assert not collector.add_reports("w0", 0, [report(0, generations=20)], 1.0)
     assert collector.state.epochs == 0
@@ -215,11 +142,6 @@ def test_who_went_beyond_a_hit_contradicts_who_met_it(
         collector.add_reports("second", 0, [second], 2.0)
 
 
-def test_states_of_different_generations_are_not_compared(collector: Collector) -> None:
-    collector.add_reports("first", 0, [report(0, generations=40)], 1.0)
-    collector.add_reports("second", 0, [report(0, generations=60, digest="cd" * 16)], 2.0)
-
-
 @pytest.mark.parametrize(
     "broken",
     [
@@ -233,16 +155,6 @@ def test_states_of_different_generations_are_not_compared(collector: Collector) 
 def test_a_report_without_the_counters_of_its_slices_is_refused(collector: Collector, broken: IslandReport) -> None:
     with pytest.raises(RemoteProtocolError, match="slices missing"):
         collector.add_reports("w", 0, [broken], 1.0)
-
-
-def test_a_later_epoch_is_not_looked_at_once_there_is_a_cut(collector: Collector) -> None:
-    fill(collector, 1, report(0, error=0.1), report(1))
-    fill(collector, 0, report(0, hit=50), report(1))
-    assert collector.cut is not None
-    assert collector.cut.epochs == 1
-    assert [entry.error for entry in collector.cut.entries()] == [1.0]
-    fill(collector, 2)
-    assert collector.state.epochs == 1
 
 
 def test_a_search_that_does_not_get_better_stagnates(collector: Collector) -> None:
@@ -269,23 +181,9 @@ def test_what_took_the_longer_to_get_better_is_waited_for_the_longer(improved_at
     assert Stagnation(5).is_due(improved_at + 5, improved_at)
 
 
-def test_a_search_that_gets_better_goes_on(collector: Collector) -> None:
-    for epoch in range(20):
-        fill(collector, epoch, report(0, error=10.0 - 0.1 * epoch), report(1, error=20.0))
-    assert collector.cut is None
-
-
-def test_a_search_that_finds_nothing_at_all_stagnates(collector: Collector) -> None:
-    empty = [report(island).model_copy(update={"additions": ()}) for island in (0, 1)]
-    for epoch in range(6):
-        fill(collector, epoch, *empty)
-    assert collector.cut is not None
-    assert collector.cut.front == ()
-
-
 def test_the_last_epoch_ends_the_search() -> None:
     collector = Collector(
-        "x", Limits(islands=1, epochs=2, stagnation=Stagnation(100), commit_order=COMMIT_ORDER), best_error
+        "x", SearchLimits(islands=1, epochs=2, stagnation=Stagnation(100), commit_order=COMMIT_ORDER), best_error
     )
     fill(collector, 0, report(0))
     fill(collector, 1, report(0))
@@ -296,7 +194,7 @@ def test_the_last_epoch_ends_the_search() -> None:
 def test_the_target_comes_before_stagnation_and_stagnation_before_the_last_epoch() -> None:
     for hit, why in ((70, "target"), (None, "stagnation")):
         collector = Collector(
-            "x", Limits(islands=1, epochs=2, stagnation=Stagnation(1), commit_order=COMMIT_ORDER), best_error
+            "x", SearchLimits(islands=1, epochs=2, stagnation=Stagnation(1), commit_order=COMMIT_ORDER), best_error
         )
         fill(collector, 0, report(0))
         fill(collector, 1, report(0, hit=hit))
@@ -322,17 +220,11 @@ def test_by_time_nothing_is_cut_before_the_first_epoch_is_complete(collector: Co
     assert (collector.cut.why, collector.cut.epochs) == ("max-time", 1)
 
 
-def test_cancelling_does_not_wait(collector: Collector) -> None:
-    collector.cut_now("cancelled")
-    assert collector.cut is not None
-    assert (collector.cut.epochs, collector.cut.front) == (0, ())
-
-
 @given(st.permutations(list(itertools.product(range(4), range(2)))), st.lists(st.integers(0, 7), max_size=5))
 def test_the_order_of_arrival_and_repetitions_do_not_matter(order: list[tuple[int, int]], repeated: list[int]) -> None:
     def cut_of(keys: list[tuple[int, int]]) -> object:
         collector = Collector(
-            "x", Limits(islands=2, epochs=4, stagnation=Stagnation(9), commit_order=COMMIT_ORDER), best_error
+            "x", SearchLimits(islands=2, epochs=4, stagnation=Stagnation(9), commit_order=COMMIT_ORDER), best_error
         )
         for epoch, island in keys:
             error = 1.0 / (1 + epoch + 3 * island)
@@ -350,7 +242,7 @@ def runner_up(complexity: int, error: float, code: int, generation: int = 10) ->
 
 def collected(epochs: list[list[IslandReport]], order: list[tuple[int, int]]) -> Collector:
     """Return a collector of two runners-up that was told of (epoch, island) in that order."""
-    collector = Collector("x", Limits(2, len(epochs), Stagnation(9), COMMIT_ORDER, runners_up=2), best_error)
+    collector = Collector("x", SearchLimits(2, len(epochs), Stagnation(9), COMMIT_ORDER, runners_up=2), best_error)
     for epoch, island in order:
         collector.add_reports("w", epoch, [epochs[epoch][island]], 1.0)
     collector.validate()
@@ -369,9 +261,9 @@ def test_runners_up_of_all_islands_are_merged_whatever_comes_first(order: list[t
     cut = collected(epochs, order).cut
     assert cut is not None
     assert cut == collected(epochs, sorted(order)).cut
-    errors = [(entry.complexity, entry.error) for entry in cut.pool().runners_up]
+    errors = [(entry.complexity, entry.error) for entry in cut.pool.runners_up]
     assert errors == [(3, 1.6), (3, 1.7), (5, 3.0)]
-    assert cut.pool().front == cut.entries()
+    assert cut.pool.front == cut.front
 
 
 def test_a_member_of_the_front_that_is_displaced_becomes_a_runner_up() -> None:
@@ -383,27 +275,14 @@ def test_a_member_of_the_front_that_is_displaced_becomes_a_runner_up() -> None:
     assert [entry.error for entry in pool.runners_up] == [1.0]
 
 
-def test_runners_up_found_after_the_hit_do_not_count() -> None:
-    near = [runner_up(3, 2.0, 3, generation=10), runner_up(3, 1.9, 4, generation=30)]
-    epochs = [[report(0, near=near), report(1, hit=20)]]
-    cut = collected(epochs, [(0, 0), (0, 1)]).cut
-    assert cut is not None
-    assert [entry.generation for entry in cut.pool().runners_up] == [10]
-
-
-def test_without_a_number_no_runners_up_are_kept(collector: Collector) -> None:
-    fill(collector, 0, report(0, near=[runner_up(3, 2.0, 3)]), report(1))
-    assert collector.state.runners_up == ()
-
-
 def test_a_cut_comes_back_from_the_store_with_its_pool() -> None:
     epochs = [[report(0, near=[runner_up(3, 2.0, 3)]), report(1)]]
     cut = collected(epochs, [(0, 0), (0, 1)]).cut
     assert cut is not None
     restored = decode(encode(cut), Cut)
     assert restored == cut
-    assert restored.pool() == cut.pool()
-    assert len(cut.pool().runners_up) == 1
+    assert restored.pool == cut.pool
+    assert len(cut.pool.runners_up) == 1
 
 
 def test_missing_reports_are_found(collector: Collector) -> None:

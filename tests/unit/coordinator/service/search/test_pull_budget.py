@@ -4,9 +4,9 @@ import pytest
 
 from atoll_coordinator.service.search import pull_budget as module
 from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoint_schedule import FIRST_INTERVAL
+from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.ending import Limits, Stagnation
+from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
 from atoll_coordinator.service.search.pull_budget import MAX_PULLS, PullBudget
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import PullStates, States
@@ -21,7 +21,7 @@ STATE = b"a state of an island"
 def archipelago(variable: str, workers: int) -> Archipelago:
     """Return an archipelago with an island on each worker, all of which have a snapshot for the first checkpoint."""
     names = tuple(f"w{number}" for number in range(workers))
-    limits = Limits(islands=workers, epochs=100, stagnation=Stagnation(100), commit_order=COMMIT_ORDER)
+    limits = SearchLimits(islands=workers, epochs=100, stagnation=Stagnation(100), commit_order=COMMIT_ORDER)
     made = Archipelago("job", variable, limits, lambda front: 0.0, lambda program: None)
     placement = Placement(
         incarnation=1, term=1, job="job", variable=variable, workers=names, epochs=100, interval=FIRST_INTERVAL,

@@ -151,7 +151,7 @@ def test_what_a_store_left_that_was_moved_away_is_not_played_into_the_restored_o
 def test_a_store_is_not_begun_anew_over_what_is_left_of_one_that_was_moved_away(state: Path, tmp_path: Path) -> None:
     (state / FILE_NAME).rename(tmp_path / "moved")
     (state / f"{FILE_NAME}-wal").write_bytes(b"frames of the store that was moved away")
-    with pytest.raises(WrongStoreError, match=r"-wal is there, but not its store .*; put that back"):
+    with pytest.raises(WrongStoreError, match="put the store back"):
         Store.open(state)
     assert files(state) == {"lock", f"{FILE_NAME}-wal"}
 

@@ -7,8 +7,6 @@ import hashlib
 import itertools
 import os
 import sqlite3
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -60,37 +58,6 @@ def test_a_job_is_kept_as_it_was_given_and_changed_as_told(store: Store) -> None
         store.update_job("j1", dataset_digest="cd")
 
 
-def test_a_second_job_of_the_same_id_changes_nothing(store: Store) -> None:
-    store.add_job(JOB)
-    assert not store.add_job(JobRecord("j1", "other", "{}", "", ""))
-    assert store.jobs() == (JOB,)
-
-
-def test_jobs_come_in_the_order_in_which_they_were_added(store: Store) -> None:
-    for name in ("z", "a", "m"):
-        store.add_job(JobRecord(name, name, "{}", "", ""))
-    assert [job.id for job in store.jobs()] == ["z", "a", "m"]
-    assert store.job("none") is None
-
-
-@pytest.mark.parametrize("changes", [{"id": "x"}, {"spec": "{}"}, {"colour": "red"}, {"result": "{}"}, {}])
-def test_what_cannot_change_is_our_own_error(store: Store, changes: dict[str, str]) -> None:
-    store.add_job(JOB)
-    with pytest.raises(LocalProtocolError, match="cannot be changed"):
-        store.update_job("j1", **changes)  # type: ignore[arg-type]
-
-
-def test_an_unknown_job_is_our_own_error(store: Store) -> None:
-    for act in (
-        lambda: store.update_job("x", state="done"),
-        lambda: begin_term(store, "x", "v"),
-        lambda: store.commit_cuts("x", {"v": b""}),
-        lambda: store.commit_result("x", "done", "{}"),
-    ):
-        with pytest.raises(LocalProtocolError, match="not in the store"):
-            act()
-
-
 def test_the_first_end_of_a_job_wins(store: Store) -> None:
     store.add_job(JOB)
     assert store.result("j1") is None
@@ -111,20 +78,6 @@ def test_terms_begin_together_or_not_at_all(store: Store) -> None:
     assert placements_in(store, "j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
 
 
-def test_terms_rise_by_one_and_belong_to_a_variable(store: Store) -> None:
-    store.add_job(JOB)
-    assert [begin_term(store, "j1", "x") for _ in range(3)] == [1, 2, 3]
-    assert begin_term(store, "j1", "y") == 1
-
-
-def test_the_first_cut_of_a_variable_wins(store: Store) -> None:
-    store.add_job(JOB)
-    assert store.commit_cuts("j1", {"v [m/s]": b"\x00cut"})
-    assert not store.commit_cuts("j1", {"v [m/s]": b"other"})
-    begin_term(store, "j1", "y")
-    assert store.cuts("j1") == {"v [m/s]": b"\x00cut"}
-
-
 @pytest.mark.parametrize("size", [0, 1, CHUNK_SIZE, CHUNK_SIZE + 1, 3 * CHUNK_SIZE])
 def test_a_blob_is_found_by_its_digest_whole_or_by_chunks(store: Store, size: int) -> None:
     data = bytes(range(251)) * (size // 251 + 1)
@@ -136,21 +89,6 @@ def test_a_blob_is_found_by_its_digest_whole_or_by_chunks(store: Store, size: in
     assert store.blob_bytes() == size
     if size:
         assert store.get_chunk(digest, (size - 1) // CHUNK_SIZE)[-1] == data[-1]
-
-
-def test_what_is_not_there_is_a_key_error(store: Store) -> None:
-    digest = put_blob(store, b"abc")
-    for act in (
-        lambda: store.get_blob("none"),
-        lambda: store.get_chunk("none", 0),
-        lambda: store.get_chunk(digest, 1),
-    ):
-        with pytest.raises(KeyError):
-            act()
-    assert not store.has_blob("none")
-    store.delete_unused_blobs(store.unused_blobs())
-    assert not store.has_blob(digest)
-    store.delete_unused_blobs(store.unused_blobs())
 
 
 def test_a_damaged_blob_is_forgotten_and_can_be_put_again(store: Store) -> None:
@@ -193,16 +131,6 @@ def test_two_uploads_of_one_blob_are_kept_once(store: Store, is_first: bool) -> 
     assert (store.unused_blobs(), store.blob_bytes()) == ((digest,), len(data))
 
 
-def test_a_started_upload_is_not_there_yet(store: Store) -> None:
-    data, digest = _upload(CHUNK_SIZE + 1)
-    store.put_chunk(digest, 0, data[:CHUNK_SIZE])
-    with pytest.raises(KeyError):
-        store.get_chunk(digest, 0)
-    assert put_blob(store, data) == digest
-    assert store.put_chunk(digest, 1, data[CHUNK_SIZE:], digest)
-    assert store.get_blob(digest) == data
-
-
 def test_threads_may_share_a_store(store: Store) -> None:
     store.add_job(JOB)
     terms: list[int] = []
@@ -237,37 +165,10 @@ def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_
         assert store.get_blob(digest) == b"abc"
 
 
-def test_two_stores_are_two_realms() -> None:
-    with Store.open(None) as one, Store.open(None) as two:
-        assert one.cluster != two.cluster
-        assert one.incarnation == 1
-
-
-def test_what_was_committed_survives_a_process_that_is_killed(tmp_path: Path) -> None:
-    script = (
-        "import os, signal, sys; from pathlib import Path;"
-        "from atoll_coordinator.service.store.jobs import JobRecord;"
-        "from atoll_coordinator.service.store.store import Store;"
-        "s = Store.open(Path(sys.argv[1])); s.add_job(JobRecord('j1', 'n', '{}', '', ''));"
-        "s.commit_cuts('j1', {'x': b'cut'}); os.kill(os.getpid(), signal.SIGKILL)"
-    )
-    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False, timeout=60)
-    with Store.open(tmp_path) as store:
-        assert store.incarnation == 2
-        assert store.cuts("j1") == {"x": b"cut"}
-
-
 def test_a_second_coordinator_on_the_same_store_is_refused_and_told_who_has_it(tmp_path: Path) -> None:
     with Store.open(tmp_path), pytest.raises(StoreError, match=r"in use by another coordinator \(process \d+\)"):
         Store.open(tmp_path)
     Store.open(tmp_path).close()
-
-
-def test_a_transaction_that_fails_leaves_nothing_behind(store: Store) -> None:
-    with pytest.raises(LocalProtocolError):
-        store.commit_cuts("none", {"x": b"cut"})
-    assert store.cuts("none") == {}
-    assert store.add_job(JOB)
 
 
 def _spoil(directory: Path, how: str) -> None:
@@ -444,13 +345,6 @@ def test_of_several_that_replace_a_lock_at_once_one_has_it(former: Path) -> None
     locks[0].release()
 
 
-def test_a_lock_names_no_process_that_has_not_got_it(tmp_path: Path) -> None:
-    with Store.open(tmp_path):
-        (tmp_path / "lock").write_text(f"{os.getppid()} beats\n")
-        with pytest.raises(StoreError, match="in use by another coordinator; stop"):
-            Store.open(tmp_path)
-
-
 @pytest.mark.parametrize(("code", "exit_code"), [(errno.EROFS, 1), (errno.ENOSPC, 1), (errno.EACCES, 2)])
 def test_a_folder_that_cannot_be_written_for_now_is_no_mistake_in_an_option(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, exit_code: int
@@ -465,13 +359,6 @@ def test_a_folder_that_cannot_be_written_for_now_is_no_mistake_in_an_option(
     assert caught.value.exit_code == exit_code
 
 
-def test_a_state_directory_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    place = tmp_path / "file"
-    place.write_text("")
-    with pytest.raises(StoreError, match="cannot be written"):
-        Store.open(place)
-
-
 def test_a_disk_that_is_full_at_the_start_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def is_full(*_: object) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -481,14 +368,6 @@ def test_a_disk_that_is_full_at_the_start_is_said(tmp_path: Path, monkeypatch: p
         with pytest.raises(StoreError, match="no space left on device; see that there is room"):
             Store.open(tmp_path)
     Store.open(tmp_path).close()
-
-
-def test_a_closed_store_says_so(tmp_path: Path) -> None:
-    store = Store.open(tmp_path)
-    store.close()
-    store.close()
-    with pytest.raises(StoreError, match="closed"):
-        store.jobs()
 
 
 def test_events_come_in_order_from_where_one_left_off_and_the_oldest_are_forgotten(store: Store) -> None:
@@ -546,27 +425,6 @@ def test_the_last_checkpoint_is_found_again_whole_and_the_one_before_is_kept(sto
     job = store.job("j1")
     assert job is not None
     assert job.elapsed == 20.5
-
-
-def test_a_checkpoint_written_again_replaces_what_came_after_it(store: Store) -> None:
-    store.add_job(JOB)
-    for epoch in (8, 24, 8):
-        checkpoint(store, epoch)
-    assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
-
-
-def test_checkpoints_go_with_the_end_of_what_they_belong_to(store: Store) -> None:
-    store.add_job(JOB)
-    checkpoint(store, 8)
-    checkpoint(store, 8, "y")
-    store.commit_cuts("j1", {"x": b"cut"})
-    assert list(store.checkpoints("j1")) == ["y"]
-    assert not checkpoint(store, 16)
-    store.commit_result("j1", "done", "{}")
-    assert store.checkpoints("j1") == {}
-    assert not checkpoint(store, 16, "y")
-    with pytest.raises(KeyError):
-        store.state("j1", "y", 8, 0)
 
 
 def test_a_full_disk_is_said_and_everything_committed_before_is_there(tmp_path: Path) -> None:
@@ -675,13 +533,6 @@ def test_a_deleted_job_leaves_nothing_and_takes_nothing_of_another(store: Store)
     store.delete_job("b")
     assert (store.jobs(), store.blob_bytes()) == ((), 0)
     store.delete_job("b")
-
-
-def test_a_job_that_has_not_ended_cannot_be_deleted(store: Store) -> None:
-    store.add_job(JOB)
-    with pytest.raises(LocalProtocolError, match="is queued and cannot be deleted"):
-        store.delete_job("j1")
-    assert store.job("j1") == JOB
 
 
 def test_the_id_of_a_deleted_job_is_remembered(store: Store) -> None:

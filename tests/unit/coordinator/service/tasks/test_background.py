@@ -4,9 +4,7 @@ import threading
 from typing import Any
 
 from atoll_coordinator.service.search.archipelago import Checkpoint
-from atoll_coordinator.service.tasks.background import Background
-from atoll_coordinator.service.tasks.dependencies import Dependencies
-from atoll_coordinator.service.tasks.outcomes import CheckpointWritten
+from atoll_coordinator.service.tasks.background import Background, CheckpointWritten, Dependencies
 from atoll_core.errors import StoreError
 
 LIMIT_S = 60.0

@@ -2,8 +2,7 @@
 
 from collections import Counter
 
-from atoll_coordinator.service.tasks.dispatch import Plan, Slot, plan
-from atoll_coordinator.service.tasks.task_table import Task
+from atoll_coordinator.service.tasks.task_table import Slot, Task, TaskPlan, plan
 from atoll_core.wire.messages.tasks import TaskFunction
 
 
@@ -23,11 +22,11 @@ def slot(worker: str, host: str = "lab", **more: object) -> Slot:
     return Slot(worker, host, **more)  # type: ignore[arg-type]
 
 
-def leases(made: Plan) -> list[tuple[str, str, int]]:
+def leases(made: TaskPlan) -> list[tuple[str, str, int]]:
     return [(one.id, worker, threads) for one, worker, threads in made.leases]
 
 
-def helps(made: Plan) -> list[tuple[str, str]]:
+def helps(made: TaskPlan) -> list[tuple[str, str]]:
     return [(one.id, worker) for one, worker in made.helps]
 
 
@@ -38,8 +37,8 @@ def test_tasks_go_out_in_their_order_as_long_as_there_are_workers() -> None:
 
 
 def test_without_workers_or_tasks_nothing_is_planned() -> None:
-    assert plan([task("a")], [running("b")], [], Counter()) == Plan()
-    assert plan([], [], [slot("w0")], Counter()) == Plan()
+    assert plan([task("a")], [running("b")], [], Counter()) == TaskPlan()
+    assert plan([], [], [slot("w0")], Counter()) == TaskPlan()
 
 
 def test_a_task_goes_where_its_data_are_then_where_a_process_is_loaded_then_where_islands_are_few() -> None:

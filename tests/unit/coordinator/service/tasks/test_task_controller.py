@@ -5,35 +5,28 @@ import hashlib
 import pytest
 
 from atoll_coordinator.service.tasks.analyses import MAX_OPEN, WANTED_S, Analysis
-from atoll_coordinator.service.tasks.outcomes import (
+from atoll_coordinator.service.tasks.background import (
     JobPrepared,
     JobRefined,
     PreparationBegun,
     PreparationFailed,
     RefiningFailed,
+    ResultRead,
+    TaskResult,
+    read_result,
 )
-from atoll_coordinator.service.tasks.results import ResultRead, TaskResult, read_result
 from atoll_coordinator.service.tasks.task_controller import HELP_AFTER_S, INLINE, SETTLED_S, TaskController
-from atoll_coordinator.service.tasks.task_table import LIMIT_S, MAX_LOSSES
+from atoll_coordinator.service.tasks.task_table import LIMIT_S
 from atoll_coordinator.service.workers.membership import Membership
 from atoll_coordinator.tasks.preparing import PreparationOutcome, Prepared, prepare
 from atoll_coordinator.tasks.refining import Searched
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError, RemoteProtocolError
+from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.clients import AskAnalysis
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
-from atoll_core.wire.messages.tasks import (
-    Help,
-    Lease,
-    Release,
-    TaskChunk,
-    TaskFailed,
-    TaskReport,
-    TaskState,
-    TaskStatus,
-)
 from atoll_core.wire.messages.views import TaskView, WorkerState
 from atoll_core.wire.messages.workers import ControlBody, WorkerStatus
 from atoll_core.wire.values import decode_value, encode_value
@@ -90,9 +83,9 @@ class Scene:
         assert self.membership.register(hello, self.now) is None
         self.beat(worker)
 
-    def beat(self, worker: str, state: WorkerState = "ready", /, **tasks: TaskState) -> None:
+    def beat(self, worker: str, state: WorkerState = "ready", /, **tasks: messages.TaskState) -> None:
         """Let a worker say which tasks it has, by the job whose they are."""
-        held = tuple(TaskStatus(task=self.ids[job], job=job, state=what) for job, what in tasks.items())
+        held = tuple(messages.TaskStatus(task=self.ids[job], job=job, state=what) for job, what in tasks.items())
         status = WorkerStatus(instance="i", incarnation=1, state=state, progress=0, tasks=held)
         self.membership.record_heartbeat(worker, status, self.now)
         self.controller.add_heartbeat(worker, status, self.now)
@@ -110,19 +103,19 @@ class Scene:
         self, worker: str, job: str, result: bytes, offset: int = 0, data: bytes | None = None, seconds: float = 0.0
     ) -> None:  # fmt: skip
         data = result[offset : offset + CHUNK_SIZE] if data is None else data
-        body = TaskChunk(
+        body = messages.TaskChunk(
             task=self.ids[job], digest=hashlib.sha256(result).hexdigest(), size=len(result), offset=offset, data=data,
             seconds=seconds,
         )  # fmt: skip
-        self.controller.add_report(worker, TaskReport(body=body), self.now)
+        self.controller.add_report(worker, messages.TaskReport(body=body), self.now)
         self.controller.table.validate()
 
     def fail(self, worker: str, job: str = "j", failure="error", term: int | None = None) -> None:
         task = self.controller.table.get(self.ids[job])
-        body = TaskFailed(
+        body = messages.TaskFailed(
             task=self.ids[job], term=term or (task.term if task else 1), failure=failure, sentence="it broke"
         )
-        self.controller.add_report(worker, TaskReport(body=body), self.now)
+        self.controller.add_report(worker, messages.TaskReport(body=body), self.now)
         self.controller.table.validate()
 
     def said(self, kind: type = object) -> list[tuple[str, ControlBody]]:
@@ -131,14 +124,14 @@ class Scene:
         return [(worker, body) for worker, body in said if isinstance(body, kind)]
 
     def leased_to(self) -> list[str]:
-        return [worker for worker, _ in self.said(Lease)]
+        return [worker for worker, _ in self.said(messages.Lease)]
 
 
 def test_a_table_is_leased_begun_and_prepared() -> None:
     scene = Scene("w0")
     scene.prepare()
     ((worker, lease),) = scene.said()
-    assert isinstance(lease, Lease)
+    assert isinstance(lease, messages.Lease)
     assert (worker, lease.job, lease.function, lease.term, lease.seconds) == ("w0", "j", "prepare", 1, None)
     assert (lease.inputs[0].digest, lease.inputs[0].size, lease.inputs[0].data) == (TABLE, 3, None)
     assert lease.inputs[1].data == CONFIG.model_dump_json().encode()
@@ -148,7 +141,7 @@ def test_a_table_is_leased_begun_and_prepared() -> None:
     scene.chunk("w0", "j", PREPARED)
     assert isinstance(scene.posted[1], JobPrepared)
     assert hashlib.sha256(scene.posted[1].data).hexdigest() == scene.posted[1].prepared.blob
-    assert scene.said() == [("w0", Release(task=lease.task))]
+    assert scene.said() == [("w0", messages.Release(task=lease.task))]
     assert len(scene.controller.table) == 0
     assert decode_value(scene.controller.encoded("j"), Prepared).config == scene.posted[1].prepared.config
 
@@ -174,7 +167,7 @@ def test_refining_takes_what_preparing_gave_as_it_came() -> None:
     scene.said()
     scene.controller.refine(Searched("j", ()), CONFIG, 7.5, scene.now)
     ((_, lease),) = scene.said()
-    assert isinstance(lease, Lease)
+    assert isinstance(lease, messages.Lease)
     assert (lease.function, lease.seconds) == ("refine", 7.5)
     assert lease.inputs[0].data is not None
     assert PREPARED.count(lease.inputs[0].data) == 1
@@ -183,154 +176,10 @@ def test_refining_takes_what_preparing_gave_as_it_came() -> None:
     assert scene.posted[-1].text == REFINED.decode()
 
 
-def test_data_that_cannot_be_prepared_are_a_sentence() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    scene.chunk("w0", "j", encode_value(PreparationOutcome(sentence="there are no rows")))
-    assert scene.posted == [PreparationFailed("j", "data", "there are no rows")]
-
-
-def test_a_lease_that_was_lost_is_said_again() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    ((_, lease),) = scene.said()
-    scene.now = SETTLED_S
-    scene.beat("w0")
-    assert scene.said() == []
-    scene.now = SETTLED_S + 0.1
-    scene.beat("w0")
-    scene.beat("w0")
-    assert scene.said() == [("w0", lease)]
-
-
-def test_a_lease_that_nobody_takes_ends_too() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    for _ in range(int(LIMIT_S / 10.0)):
-        scene.now += 10.0
-        scene.beat("w0")
-    scene.controller.tick(scene.now)
-    assert scene.posted == []
-    scene.controller.tick(scene.now + 1.0)
-    (failed,) = scene.posted
-    assert isinstance(failed, PreparationFailed)
-    assert "took longer than 3,600 s" in failed.sentence
-
-
-def test_a_result_that_was_lost_is_pushed_again() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    ((_, lease),) = scene.said()
-    scene.now += SETTLED_S + 0.1
-    scene.beat("w0", j="done")
-    assert scene.said() == [("w0", lease)]
-    scene.chunk("w0", "j", PREPARED)
-    scene.said()
-    scene.beat("w0", j="done")  # the release was lost
-    assert scene.said() == [("w0", Release(task=lease.task))]
-
-
-def test_a_coordinator_that_starts_again_takes_over_what_workers_have() -> None:
-    scene = Scene()
-    scene.prepare("j")
-    scene.prepare("k")
-    scene.membership.register(
-        Hello(role="worker", name="w0", instance="i", host="lab", protocol=PROTOCOL_VERSION, version=VERSION,
-              engine=ENGINE_REVISION), 0.0,
-    )  # fmt: skip
-    scene.beat("w0", k="running", j="fetching")
-    sent = scene.said()
-    assert [body.task for _, body in sent if isinstance(body, Lease)] == [scene.ids["k"]]
-    assert [body.task for _, body in sent if isinstance(body, Release)] == [scene.ids["j"]]  # one task a worker
-    scene.chunk("w0", "k", PREPARED)
-    assert isinstance(scene.posted[0], JobPrepared)
-    assert scene.leased_to() == ["w0"]
-
-
 def test_refining_is_taken_over_though_less_of_its_time_is_left_then() -> None:
     before = refining("j", "w0", seconds=20.0)
     after = refining("j", "w1", seconds=19.5)
     assert after.ids["j"] == before.ids["j"]
-
-
-def test_what_is_done_before_its_job_is_prepared_again_is_kept_until_then() -> None:
-    scene = Scene("w0")
-    scene.following.add("j")
-    scene._ended["j"] = "d" * 64
-    scene.chunk("w0", "j", REFINED)
-    scene.beat("w0", j="done")
-    assert scene.said() == []
-    scene.following.clear()  # its job has ended
-    scene.beat("w0", j="done")
-    assert scene.said() == [("w0", Release(task="d" * 64))]
-
-
-@pytest.mark.parametrize("state", ["running", "done"])
-def test_who_has_kept_a_task_gets_it_though_others_are_free(state: TaskState) -> None:
-    name = refining("j", "w0").ids["j"]
-    scene = Scene("w0")
-    scene.following.add("j")
-    scene._ended["j"] = name
-    scene.beat("w0", j=state)
-    scene.join("a0")
-    scene.prepare("j")
-    assert scene.leased_to() == ["a0"]
-    scene.chunk("a0", "j", PREPARED)
-    scene.controller.refine(Searched("j", ()), CONFIG, None, scene.now)
-    assert scene.leased_to() == ["w0"]
-    scene.beat("w0", j=state)
-    assert scene.controller.table.get(name).worker == "w0"
-
-
-def test_nothing_waits_behind_what_a_worker_keeps_of_a_former_coordinators_leases() -> None:
-    scene = Scene("w0")
-    scene.following.add("j")
-    scene._ended["j"] = "d" * 64  # its data are prepared again before this is wanted
-    scene.beat("w0", j="running")
-    scene.prepare("k")
-    assert scene.said() == []
-    assert scene.controller.waiting_reason("k") == "waits for a worker that has no other task"
-    scene.join("w1")
-    assert scene.leased_to() == ["w1"]
-    scene.prepare("l")
-    assert scene.said() == []
-    scene.beat("w0", j="done")
-    assert scene.leased_to() == ["w0"]
-
-
-def test_who_helps_and_has_a_task_from_before_stops_helping() -> None:
-    scene = refining("j", "w0", "w1")
-    scene.beat("w0", j="running")
-    assert [(worker, type(body)) for worker, body in scene.said()] == [("w1", Help)]
-    scene.membership.record_presence("w1", False, scene.now)  # nothing new is leased to it
-    scene.prepare("k")
-    scene.membership.record_presence("w1", True, scene.now)
-    scene.beat("w1", k="running", j="helping")
-    sent = [(worker, type(body), body.task) for worker, body in scene.said()]  # type: ignore[union-attr]
-    assert ("w1", Lease, scene.ids["k"]) in sent
-    assert ("w1", Release, scene.ids["j"]) in sent
-    assert scene.controller.table.get(scene.ids["j"]).helpers == {}
-
-
-def test_one_that_leaves_gets_nothing_and_takes_nothing_over() -> None:
-    scene = Scene("w0")
-    scene.beat("w0", "leaving")
-    scene.prepare()
-    assert scene.said() == []
-    scene.beat("w0", "leaving", j="running")
-    assert scene.said() == [("w0", Release(task=scene.ids["j"]))]
-
-
-def test_what_nobody_needs_is_released() -> None:
-    scene = Scene("w0", "w1")
-    scene.prepare()
-    (worker,) = scene.leased_to()
-    other = {"w0": "w1", "w1": "w0"}[worker]
-    scene.beat(other, j="running")
-    assert scene.said() == [(other, Release(task=scene.ids["j"]))]
-    scene._ended["gone"] = "d" * 64
-    scene.beat(other, gone="failed")
-    assert scene.said() == [(other, Release(task="d" * 64))]
 
 
 def test_a_result_comes_in_chunks_also_from_the_beginning_again() -> None:
@@ -341,39 +190,12 @@ def test_a_result_comes_in_chunks_also_from_the_beginning_again() -> None:
         scene.chunk("w0", "j", result, offset, result[offset : offset + 100])
     for offset in (0, 50):  # the worker was told again to push it
         scene.chunk("w0", "j", result, offset, result[offset : offset + 50])
-    with pytest.raises(RemoteProtocolError, match="bytes 50 to come"):
+    with pytest.raises(RemoteProtocolError, match="byte 50"):
         scene.chunk("w0", "j", result, 50, result[50:100])
     with pytest.raises(RemoteProtocolError, match="out of order"):
         scene.chunk("w0", "j", result, 100, result[100:] + b"x")
     scene.chunk("w0", "j", result, 100, result[100:])
     assert isinstance(scene.posted[0], JobPrepared)
-
-
-def test_a_damaged_result_is_asked_for_again() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    ((_, lease),) = scene.said()
-    with pytest.raises(RemoteProtocolError, match="damaged"):
-        scene.chunk("w0", "j", PREPARED, 0, PREPARED[:-1] + bytes([PREPARED[-1] ^ 1]))
-    scene.now += SETTLED_S + 0.1
-    scene.beat("w0", j="done")
-    assert scene.said() == [("w0", lease)]
-    scene.chunk("w0", "j", PREPARED)
-    assert isinstance(scene.posted[0], JobPrepared)
-
-
-def test_a_result_that_is_on_its_way_is_not_asked_for_again() -> None:
-    scene, result = Scene("w0"), bytes(1000)
-    scene.prepare()
-    scene.said()
-    for offset in range(0, 500, 100):  # a slow line
-        scene.now += 0.9 * SETTLED_S
-        scene.beat("w0", j="done")
-        scene.chunk("w0", "j", result, offset, result[offset : offset + 100])
-    assert scene.said() == []
-    scene.now += SETTLED_S + 0.1
-    scene.beat("w0", j="done")
-    assert scene.leased_to() == ["w0"]
 
 
 def test_a_result_that_is_longer_than_can_be_given_to_anybody_is_not_taken_in() -> None:
@@ -384,19 +206,7 @@ def test_a_result_that_is_longer_than_can_be_given_to_anybody_is_not_taken_in() 
         scene.chunk("w0", "j", bytes(2 * MAX_MESSAGE))
     (failed,) = scene.posted
     assert isinstance(failed, RefiningFailed)
-    assert "its result has 32 MB, and 16 are taken in at most, twice" in str(failed.refinement)
-
-
-def test_a_result_that_is_no_result_counts_as_a_mistake_of_the_task() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    for _ in range(2):
-        assert scene.posted == []
-        scene.chunk("w0", "j", b"\x00\x01 nonsense")
-    (failed,) = scene.posted
-    assert isinstance(failed, PreparationFailed)
-    assert failed.fault == "internal"
-    assert "cannot be read" in failed.sentence
+    assert "its result has 32 MB; at most 16 MB are accepted, twice" in str(failed.refinement)
 
 
 def test_a_dataset_that_is_not_the_one_that_is_named_counts_as_a_mistake_of_the_task() -> None:
@@ -419,26 +229,8 @@ def test_a_worker_speaks_for_its_own_task_only() -> None:
     scene.chunk(other, "j", PREPARED)
     scene.fail(other)
     assert scene.posted == []
-    assert scene.said() == [(other, Release(task=scene.ids["j"]))] * 2
+    assert scene.said() == [(other, messages.Release(task=scene.ids["j"]))] * 2
     assert scene.controller.table.on(worker) is not None
-
-
-def test_a_failure_that_is_said_twice_counts_once() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    scene.said()
-    scene.fail("w0")
-    sent = scene.said()
-    assert [(type(body), getattr(body, "term", 0)) for _, body in sent] == [(Release, 0), (Lease, 2)]
-    scene.fail("w0", term=1)  # doubled by the network, or sent again before the new lease came
-    assert scene.posted == []
-    scene.now += SETTLED_S + 0.1
-    scene.beat("w0", j="failed")  # and the new lease was lost
-    assert scene.said() == [sent[1]]
-    scene.fail("w0", term=2)
-    (failed,) = scene.posted
-    assert isinstance(failed, PreparationFailed)
-    assert (failed.fault, "it broke, twice" in failed.sentence) == ("internal", True)
 
 
 def test_what_breaks_says_what_to_send() -> None:
@@ -476,79 +268,6 @@ def test_where_memory_ran_out_it_is_tried_again_alone() -> None:
     assert scene.controller.table.get(scene.ids["l"]).worker is not None
 
 
-@pytest.mark.parametrize("state", ["failed", "running"])
-def test_where_memory_ran_out_a_heartbeat_that_comes_behind_that_brings_it_to_no_host_that_is_not_free(
-    state: TaskState,
-) -> None:
-    scene = Scene("w0", "w1")
-    scene.prepare("j")
-    scene.prepare("k")
-    worker = scene.controller.table.get(scene.ids["j"]).worker
-    scene.fail(worker, "j", "memory")
-    scene.said()
-    scene.beat(worker, j=state)  # a worker sends one at once, before it is told to forget the task
-    assert scene.said() == [(worker, Release(task=scene.ids["j"]))]
-    assert scene.controller.table.get(scene.ids["j"]).worker is None
-
-
-def test_what_failed_under_a_former_coordinator_is_taken_over_and_counts() -> None:
-    scene = Scene("w0")
-    scene.paused.add("j")
-    scene.prepare()
-    scene.beat("w0", j="failed")
-    assert scene.leased_to() == ["w0"]  # to which it says again how it failed
-    scene.fail("w0", "j", "time")
-    assert isinstance(scene.posted[0], PreparationFailed)
-
-
-def test_a_lost_worker_costs_its_tasks_nothing_until_there_were_too_many() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    for number in range(MAX_LOSSES):
-        assert scene.leased_to() == ["w0"]
-        assert scene.posted == []
-        scene.now = float(number)
-        scene.controller.lose("w0", scene.now)
-    (failed,) = scene.posted
-    assert f"its worker was lost, {MAX_LOSSES} times" in failed.sentence
-
-
-def test_a_lost_worker_is_told_of_with_the_jobs_whose_tasks_it_had_or_helped_with() -> None:
-    scene = refining("j", "w0", "w1")
-    scene.beat("w0", j="running")
-    scene.controller.tick(scene.now)
-    assert [scene.controller.lose(worker, scene.now) for worker in ("w1", "w0", "w9")] == [("j",), ("j",), ()]
-
-
-def test_the_end_of_a_job_ends_what_runs_for_it_and_who_helps_with_that() -> None:
-    scene = refining("j", "w0", "w1", "w2")
-    scene.beat("w0", j="running")
-    assert {worker for worker, _ in scene.said(Help)} == {"w1", "w2"}
-    task = scene.ids["j"]
-    scene.controller.cancel("j")
-    assert scene.said() == [(worker, Release(task=task)) for worker in ("w0", "w1", "w2")]
-    scene.chunk("w0", "j", REFINED)
-    assert [item for item in scene.posted if isinstance(item, JobRefined)] == []
-    assert scene.controller.encoded("j") == b""
-
-
-def test_a_help_that_was_lost_is_said_again() -> None:
-    scene = refining("j", "w0", "w1")
-    scene.beat("w0", j="running")
-    assert len(scene.said(Help)) == 1
-    scene.now += SETTLED_S + 0.1
-    scene.beat("w1")
-    assert [worker for worker, _ in scene.said(Help)] == ["w1"]
-    scene.now += SETTLED_S + 0.1
-    scene.beat("w1", j="helping")
-    assert scene.said() == []
-    scene.now += 0.1
-    scene.prepare("k")  # its help is needed elsewhere
-    assert [(worker, type(body)) for worker, body in scene.said()] == [("w1", Release), ("w1", Lease)]
-    scene.beat("w1", j="helping", k="fetching")
-    assert scene.said() == [("w1", Release(task=scene.ids["j"]))]
-
-
 def test_large_inputs_are_kept_as_long_as_one_of_the_jobs_needs_them() -> None:
     scene = Scene("w0")
     data = b"x" * (INLINE + 1)
@@ -568,7 +287,7 @@ def test_tasks_go_out_by_the_rank_of_their_jobs_and_say_for_what_they_wait() -> 
     scene.prepare("early")
     assert "none has joined" in (scene.controller.waiting_reason("early") or "")
     scene.join("w0")
-    assert [body.job for _, body in scene.said(Lease)] == ["early"]
+    assert [body.job for _, body in scene.said(messages.Lease)] == ["early"]
     assert "no other task" in (scene.controller.waiting_reason("late") or "")
     assert scene.controller.waiting_reason("early") is None
 
@@ -611,29 +330,6 @@ def test_no_more_is_charged_for_a_task_than_the_time_since_it_was_leased() -> No
     assert scene.charged == [("j", 3.0)]
 
 
-@pytest.mark.parametrize("end", ["fail", "lose"])
-def test_users_are_charged_for_tasks_without_a_result(end: str) -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    scene.beat("w0", j="running")
-    scene.now = 7.0
-    if end == "fail":
-        scene.fail("w0")
-    else:
-        scene.controller.lose("w0", scene.now)
-    assert scene.charged == [("j", 7.0)]
-
-
-def test_helpers_are_charged_for_as_well() -> None:
-    scene = refining("j", "w0", "w1", "w2")
-    scene.beat("w0", j="running")
-    scene.charged.clear()
-    scene.controller.tick(scene.now)
-    scene.now += 2.0
-    scene.controller.tick(scene.now)
-    assert scene.charged[-1] == ("j", 6.0)
-
-
 def test_tasks_that_may_not_run_are_leased_to_nobody_and_those_that_run_go_on() -> None:
     scene = Scene("w0")
     scene.prepare("a")
@@ -641,11 +337,11 @@ def test_tasks_that_may_not_run_are_leased_to_nobody_and_those_that_run_go_on() 
     scene.prepare("b")
     scene.join("w1")
     scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w0", "a")]
+    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w0", "a")]
     assert (scene.controller.waits("a"), scene.controller.waits("b")) == (False, True)
     scene.paused = set()
     scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w1", "b")]
+    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w1", "b")]
 
 
 def test_cordoned_and_drained_workers_get_no_tasks_but_end_the_one_that_they_have() -> None:
@@ -655,7 +351,7 @@ def test_cordoned_and_drained_workers_get_no_tasks_but_end_the_one_that_they_hav
     scene.prepare("b")
     scene.prepare("c")
     scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(Lease)] == [("w0", "a"), ("w2", "b")]
+    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w0", "a"), ("w2", "b")]
     scene.chunk("w0", "a", PREPARED)
     assert scene.leased_to() == []
     scene.membership.set_cordons({})
@@ -663,31 +359,21 @@ def test_cordoned_and_drained_workers_get_no_tasks_but_end_the_one_that_they_hav
     assert scene.leased_to() == ["w0"]
 
 
-def test_a_drained_worker_is_recalled_from_helping() -> None:
-    scene = refining("j", "w0", "w1")
-    scene.beat("w0", j="running")
-    scene.controller.tick(scene.now)
-    assert [worker for worker, _ in scene.said(Help)] == ["w1"]
-    scene.membership.set_cordons({"w1": True})
-    scene.controller.tick(scene.now)
-    assert scene.said() == [("w1", Release(task=scene.ids["j"]))]
-
-
 def test_a_task_is_helped_with_once_it_has_run_for_as_long_as_a_helper_takes_to_be_ready() -> None:
     scene = refining("j", "w0", "w1")
     scene.controller.help_after_s = HELP_AFTER_S
     scene.beat("w0", j="running")
-    assert scene.said(Help) == []
+    assert scene.said(messages.Help) == []
     scene.now += HELP_AFTER_S
     scene.controller.tick(scene.now)
-    assert [worker for worker, _ in scene.said(Help)] == ["w1"]
+    assert [worker for worker, _ in scene.said(messages.Help)] == ["w1"]
 
 
 @pytest.mark.parametrize("result", [b"{", b"\xff", b"[]", b'{"job": "another"}'])
 def test_a_result_that_is_none_of_its_job_is_made_again_and_then_given_up(result: bytes) -> None:
     scene = refining("j", "w0")
     scene.chunk("w0", "j", result)
-    assert [body.function for _, body in scene.said(Lease)] == ["refine"]
+    assert [body.function for _, body in scene.said(messages.Lease)] == ["refine"]
     scene.chunk("w0", "j", result)
     (failed,) = [item for item in scene.posted if isinstance(item, RefiningFailed)]
     assert "its result cannot be read" in failed.refinement.warnings[0]
@@ -705,7 +391,7 @@ def test_a_question_is_leased_with_the_result_and_answered_to_whoever_asks() -> 
     scene = Scene("w0")
     analysis = analyse(scene)
     ((worker, lease),) = scene.said()
-    assert isinstance(lease, Lease)
+    assert isinstance(lease, messages.Lease)
     assert (worker, lease.function, [given.data for given in lease.inputs]) == (
         "w0", "report", [b'{"job": "ended"}', b"q"]
     )  # fmt: skip
@@ -714,7 +400,7 @@ def test_a_question_is_leased_with_the_result_and_answered_to_whoever_asks() -> 
     assert scene.posted == []
     assert (analysis.answer, analysis.is_open) == (b"page", False)
     assert scene.controller.analyses.ask(asked(), 5.0) is analysis
-    assert scene.said() == [("w0", Release(task=lease.task))]
+    assert scene.said() == [("w0", messages.Release(task=lease.task))]
 
 
 def test_a_question_that_nobody_asks_again_is_ended_and_forgotten() -> None:
@@ -730,7 +416,7 @@ def test_a_question_that_nobody_asks_again_is_ended_and_forgotten() -> None:
     assert len(scene.controller.table) == 1
     scene.now += 1.0
     scene.controller.tick(scene.now)
-    assert scene.said() == [("w0", Release(task=analysis.id))]
+    assert scene.said() == [("w0", messages.Release(task=analysis.id))]
     assert len(scene.controller.table) == 0
     assert scene.controller.analyses.ask(asked(), scene.now) is None
     assert scene.forgotten == [analysis.id]
@@ -787,19 +473,6 @@ def test_a_result_that_is_read_in_the_background_is_neither_asked_for_again_nor_
     assert [type(item) for item in scene.posted] == [JobPrepared]
     scene.controller.take_result(read_result(unread[0]), scene.now)
     assert len(scene.posted) == 1
-
-
-def test_a_result_whose_worker_was_lost_while_it_was_read_is_computed_again() -> None:
-    scene = Scene("w1", "w2")
-    scene.prepare()
-    unread: list[TaskResult] = []
-    scene.controller._read = unread.append
-    scene.chunk("w1", "j", PREPARED)
-    scene.controller.lose("w1", scene.now)
-    scene.controller.take_result(read_result(unread[0]), scene.now)
-    assert scene.posted == []
-    (task,) = scene.controller.table
-    assert (task.state, task.term) == ("leased", 2)
 
 
 @pytest.mark.parametrize("error", [ValueError("ours"), None])

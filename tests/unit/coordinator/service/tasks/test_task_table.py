@@ -8,12 +8,10 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from atoll_coordinator.service.tasks.task_table import (
     LIMIT_S,
     MAX_LOSSES,
-    TASK_TRANSITIONS,
     Task,
     TaskTable,
     task_id,
 )
-from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages.tasks import TaskInput
 
 INPUT = TaskInput(digest="a" * 64, size=1, data=b"a")
@@ -40,43 +38,6 @@ def test_a_task_is_named_by_all_that_decides_its_result() -> None:
     assert task_id("j", "prepare", (INPUT,)) in names
 
 
-def test_steps_are_those_of_the_table() -> None:
-    for state, row in TASK_TRANSITIONS.items():
-        for step in ("lease", "begin", "lose", "retry", "end"):
-            one = task()
-            one.state = state
-            if step in row:
-                one.step(step)
-                assert one.state == row[step]
-            else:
-                with pytest.raises(LocalProtocolError, match=f"{state} has no {step}"):
-                    one.step(step)
-
-
-def test_a_task_is_there_once_and_no_more_when_it_has_ended() -> None:
-    one = task()
-    table = table_with(one)
-    with pytest.raises(LocalProtocolError, match="there already"):
-        table.add(task())
-    assert (table.get(one.id), table.of_job("j"), table.of_job("k"), len(table)) == (one, [one], [], 1)
-    table.end(one)
-    assert (table.get(one.id), len(table)) == (None, 0)
-
-
-def test_a_lease_names_its_term_which_rises_each_time() -> None:
-    one = task()
-    table = table_with(one)
-    table.lease(one, "w0", 1.0, threads=3)
-    assert (one.lease().term, one.lease().threads, table.on("w0")) == (1, 3, one)
-    assert table.begin(one, 2.0)
-    assert not table.begin(one, 3.0)
-    assert one.began_at == 2.0
-    table.lose("w0", 4.0)
-    assert (one.state, one.waiting_since, table.on("w0")) == ("waiting", 4.0, None)
-    table.lease(one, "w0", 5.0)
-    assert (one.lease().term, one.began_at) == (2, None)
-
-
 def test_a_task_whose_worker_is_lost_waits_again_until_it_has_cost_too_many() -> None:
     one, other = task("a"), task("b")
     table = table_with(one, other)
@@ -100,15 +61,6 @@ def test_workers_that_had_said_that_they_leave_cost_a_task_nothing_however_many(
     assert one.losses == 0
 
 
-def test_a_helper_that_is_lost_costs_the_task_nothing() -> None:
-    one = task()
-    table = table_with(one)
-    table.lease(one, "w", 0.0)
-    one.helpers["h"] = 0.0
-    assert table.lose("h", 1.0) == []
-    assert (one.helpers, one.losses, one.worker) == ({}, 0, "w")
-
-
 @pytest.mark.parametrize("failure", ["error", "crash", "memory"])
 def test_what_fails_is_tried_once_more_and_where_memory_ran_out_alone(failure) -> None:
     one = task()
@@ -119,15 +71,6 @@ def test_what_fails_is_tried_once_more_and_where_memory_ran_out_alone(failure) -
     table.lease(one, "w", 2.0)
     assert table.fail(one, failure, "it broke", 3.0) == "it broke, twice"
     assert len(table) == 0
-
-
-def test_two_failures_of_different_kinds_are_two() -> None:
-    one = task()
-    table = table_with(one)
-    table.lease(one, "w", 0.0)
-    assert table.fail(one, "memory", "memory ran out", 1.0) is None
-    table.lease(one, "w", 2.0)
-    assert table.fail(one, "error", "it broke", 3.0) == "it broke"
 
 
 def test_what_takes_too_long_is_never_tried_again() -> None:
@@ -148,23 +91,6 @@ def test_a_task_of_a_job_that_was_given_longer_may_take_longer() -> None:
     table.lease(one, "w", 0.0)
     assert table.overdue(3.0 * LIMIT_S) == []
     assert table.overdue(3.0 * LIMIT_S + 1.0) == [one]
-
-
-def test_a_table_that_is_wrong_says_so() -> None:
-    one, other = task("a"), task("b")
-    table = table_with(one, other)
-    table.lease(one, "w", 0.0)
-    table.lease(other, "w", 0.0)
-    with pytest.raises(AssertionError, match="has two tasks"):
-        table.validate()
-    other.worker = "v"
-    table.validate()
-    one.helpers["v"] = 0.0
-    with pytest.raises(AssertionError, match="helps while it has a task"):
-        table.validate()
-    one.helpers, other.worker = {}, None
-    with pytest.raises(AssertionError, match="leased on None"):
-        table.validate()
 
 
 class Histories(RuleBasedStateMachine):

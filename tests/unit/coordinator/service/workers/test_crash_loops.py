@@ -31,31 +31,6 @@ def test_the_state_follows_from_the_number_of_terms_that_ended_by_a_death(deaths
     assert (after(deaths).deaths, after(deaths).state) == (deaths, state)
 
 
-def test_a_commit_makes_it_healthy_again_whatever_was_before() -> None:
-    for deaths in range(FAIL_AFTER):
-        loop = after(deaths)
-        loop.add_commit(16)
-        assert loop.state == "healthy"
-        assert loop.add_death(9, process(9))
-        assert loop.deaths == 1
-
-
-def test_a_commit_of_an_epoch_that_was_committed_before_changes_nothing() -> None:
-    loop = CrashLoop()
-    loop.add_commit(32)
-    assert loop.add_death(1, process(1))
-    for epoch in (16, 32):
-        loop.add_commit(epoch)
-        assert loop.deaths == 1
-
-
-def test_several_deaths_under_one_term_count_once() -> None:
-    loop = CrashLoop()
-    assert loop.add_death(1, process(1))
-    assert not loop.add_death(1, process(2))
-    assert loop.deaths == 1
-
-
 def test_a_process_that_comes_back_takes_its_death_back() -> None:
     for deaths in range(1, FAIL_AFTER):
         loop = after(deaths)
@@ -71,20 +46,6 @@ def test_a_term_that_others_died_under_too_still_counts() -> None:
     assert loop.deaths == 1
     assert loop.withdraw(process(7))
     assert loop.deaths == 0
-
-
-def test_another_process_of_the_same_name_takes_nothing_back() -> None:
-    loop = after(2)
-    assert not loop.withdraw(("w1", "another"))
-    assert loop.deaths == 2
-
-
-def test_what_has_failed_stays_so() -> None:
-    loop = after(FAIL_AFTER)
-    assert not loop.add_death(6, process(6))
-    assert not loop.withdraw(process(5))
-    loop.add_commit(16)
-    assert loop.state == "failed"
 
 
 def started(store: Store) -> CrashLoops:

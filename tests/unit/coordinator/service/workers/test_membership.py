@@ -1,9 +1,7 @@
 """Workers come, go, hang and return; who is there is decided by this alone."""
 
 from atoll_coordinator.service.workers.membership import (
-    ABSENCE_S,
     LEASE_S,
-    MEMBER_TRANSITIONS,
     STANDING_S,
     Membership,
     version_refusal,
@@ -34,21 +32,6 @@ def with_worker(name: str = "w0") -> Membership:
     return membership
 
 
-def test_every_state_knows_every_step() -> None:
-    steps = {"heard", "gone", "back", "expired", "stands", "moves"}
-    assert all(row.keys() == steps for row in MEMBER_TRANSITIONS.values())
-
-
-def test_a_worker_is_ready_once_it_says_so() -> None:
-    membership = Membership()
-    membership.register(hello(), 0.0)
-    assert (membership.ready(), membership.arriving()) == ((), 1)
-    membership.record_heartbeat("w0", status("compiling"), 1.0)
-    assert (membership.ready(), membership.arriving()) == ((), 1)
-    membership.record_heartbeat("w0", status("waiting"), 2.0)
-    assert (membership.ready(), membership.arriving()) == (("w0",), 0)
-
-
 def test_a_worker_gets_islands_only_once_it_has_named_our_kernels() -> None:
     membership = Membership("f")
     membership.register(hello(fingerprint=""), 0.0)
@@ -60,66 +43,10 @@ def test_a_worker_gets_islands_only_once_it_has_named_our_kernels() -> None:
     assert membership.ready() == ("w0",)
 
 
-def test_heartbeats_of_unknown_processes_are_not_taken_in() -> None:
-    membership = with_worker()
-    assert not membership.record_heartbeat("stranger", status(), 1.0)
-    assert not membership.record_heartbeat("w0", status(instance="other"), 1.0)
-
-
-def test_a_worker_whose_presence_is_gone_is_lost_after_a_while() -> None:
-    membership = with_worker()
-    membership.record_presence("w0", False, 1.0)
-    assert membership.ready() == ()
-    assert membership.expire(1.0 + 0.9 * ABSENCE_S) == []
-    assert not membership.is_lost("w0")
-    assert membership.expire(1.0 + ABSENCE_S) == [membership.member("w0")]
-    assert membership.is_lost("w0")
-    assert membership.expire(1.0 + 2 * ABSENCE_S) == []
-
-
-def test_nobody_is_lost_for_what_the_coordinator_could_not_hear() -> None:
-    membership = with_worker()
-    membership.register(hello("w1"), 0.0)
-    membership.record_heartbeat("w1", status(), 0.0)
-    membership.record_presence("w0", False, 0.5)
-    membership.renew_leases(60.0)
-    assert membership.expire(60.0 + 0.9 * ABSENCE_S) == []
-    assert membership.expire(60.0 + ABSENCE_S) == [membership.member("w0")]
-    assert membership.expire(60.0 + ABSENCE_S + 1.0) == []
-
-
-def test_a_worker_whose_presence_returns_in_time_is_not_lost() -> None:
-    membership = with_worker()
-    membership.record_presence("w0", False, 1.0)
-    membership.record_presence("w0", True, 2.0)
-    assert membership.ready() == ("w0",)
-    assert membership.expire(4.0) == []
-
-
-def test_a_silent_worker_is_lost_and_comes_back_when_it_is_heard_again() -> None:
-    membership = with_worker()
-    lost = [(second, member.hello.name) for second in range(1, 30) for member in membership.expire(float(second))]
-    assert lost == [(int(LEASE_S), "w0")]
-    assert membership.record_heartbeat("w0", status(), 30.0)
-    assert membership.ready() == ("w0",)
-
-
 def test_a_gap_in_our_own_loop_gives_everybody_a_fresh_lease() -> None:
     membership = with_worker()
     membership.expire(1.0)
     assert membership.expire(100.0) == []
-
-
-def test_the_same_name_is_free_again_when_its_holder_is_gone() -> None:
-    membership = with_worker()
-    refusal = membership.register(hello(instance="b"), 1.0)
-    assert refusal is not None
-    assert "--name" in refusal
-    membership.record_presence("w0", False, 2.0)
-    assert membership.is_new(hello(instance="b"))
-    assert membership.register(hello(instance="b"), 2.1) is None
-    assert not membership.is_new(hello(instance="b"))
-    assert membership.ready() == ()
 
 
 def test_other_kernels_are_refused_and_both_fingerprints_named() -> None:
@@ -219,24 +146,7 @@ def test_loading_waiting_and_getting_on_are_no_hanging() -> None:
         assert membership.expire(float(second)) == []
 
 
-def test_a_hung_worker_that_goes_silent_is_lost_without_being_given_up_twice() -> None:
-    membership = with_worker()
-    compute(membership, 70)
-    assert [second for second in range(70, 100) if membership.expire(float(second))] == []
-    assert [view.state for view in membership.views(100.0)] == ["lost"]
-
-
 def test_patience_stretches_every_lease() -> None:
     membership = with_worker()
     lost = [second for second in range(1, 60) if membership.expire(float(second), {"w0": 2.0})]
     assert lost == [int(2 * LEASE_S)]
-
-
-def test_words_lost_on_our_side_give_everybody_a_fresh_lease() -> None:
-    membership = with_worker()
-    lost = []
-    for second in range(1, 60):
-        if second == 10:
-            membership.renew_leases(10.0)
-        lost += [second for _ in membership.expire(float(second))]
-    assert lost == [10 + int(LEASE_S)]

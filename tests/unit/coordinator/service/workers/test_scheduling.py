@@ -13,14 +13,12 @@ from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.event_log import EventLog
 from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.store.store import Store
-from atoll_coordinator.service.workers.crash_loops import CrashLoops
+from atoll_coordinator.service.workers.crash_loops import CrashLoops, Quarantine
 from atoll_coordinator.service.workers.membership import ABSENCE_S, Membership
-from atoll_coordinator.service.workers.quarantine import Quarantine
-from atoll_coordinator.service.workers.scheduling import (
+from atoll_coordinator.service.workers.placing import (
     DATASET_ROOM,
     EXPECT_S,
-    REPLACE_WITHIN_S,
-    Plan,
+    PlacementPlan,
     Scheduler,
     spread,
 )
@@ -43,13 +41,6 @@ def test_no_worker_has_two_islands_more_than_another(sizes: list[int], workers: 
         assert len(placed) == islands
         assert max(counts) - min(counts) <= 1
         assert max(loads) - min(loads) <= 1
-
-
-@given(st.integers(1, 40), st.dictionaries(st.text("abc", min_size=1), st.integers(0, 9)), NAMES)
-def test_the_order_in_which_workers_are_named_does_not_matter(
-    islands: int, load: dict[str, int], workers: list[str]
-) -> None:
-    assert spread(islands, load, workers) == spread(islands, load, workers[::-1])
 
 
 def members(*names: str) -> Membership:
@@ -75,7 +66,7 @@ def scheduler_of() -> Iterator[Callable[..., Scheduler]]:
         yield lambda membership, expected=1: Scheduler(membership, Quarantine(membership, crash_loops), expected)
 
 
-def plan_of(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> Plan:
+def plan_of(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -> PlacementPlan:
     """Return the plan for one running job of these archipelagos."""
     return scheduler.plan([running(*archipelagos)], now)
 
@@ -86,7 +77,7 @@ def running(*archipelagos: Archipelago, size: int = 0) -> Job:
     return cast(Job, SimpleNamespace(**fields, archipelagos=by_name, open_archipelagos=archipelagos))
 
 
-def carry_out(plan: Plan, term: int, now: float) -> None:
+def carry_out(plan: PlacementPlan, term: int, now: float) -> None:
     for assignment in plan.assignments:
         assignment.archipelago.place(assignment.placement(1, term), now)
 
@@ -95,59 +86,12 @@ def placed(scheduler: Scheduler, *archipelagos: Archipelago, now: float = 0.0) -
     return [assignment.workers for assignment in plan_of(scheduler, *archipelagos, now=now).assignments]
 
 
-def test_without_workers_nothing_is_placed(scheduler_of: Callable[..., Scheduler]) -> None:
-    assert placed(scheduler_of(members()), archipelago()) == []
-
-
-def test_what_is_not_placed_is_placed_on_all_who_are_ready(scheduler_of: Callable[..., Scheduler]) -> None:
-    scheduler = scheduler_of(members("b", "a"))
-    assert placed(scheduler, archipelago(islands=3), archipelago()) == [("a", "b", "a"), ("b", "a", "b", "a")]
-
-
 def test_the_expected_workers_are_waited_for_but_not_for_ever(scheduler_of: Callable[..., Scheduler]) -> None:
     scheduler = scheduler_of(members("a"), 3)
     assert placed(scheduler, now=-EXPECT_S) == []
     assert placed(scheduler, archipelago()) == []
     assert placed(scheduler, archipelago(), now=0.9 * EXPECT_S) == []
     assert placed(scheduler, archipelago(), now=EXPECT_S) == [("a", "a", "a", "a")]
-
-
-def test_once_the_expected_workers_were_there_nobody_is_waited_for_again(
-    scheduler_of: Callable[..., Scheduler],
-) -> None:
-    membership = members("a", "b")
-    scheduler = scheduler_of(membership, 2)
-    assert placed(scheduler, archipelago()) == [("a", "b", "a", "b")]
-    membership.record_presence("b", False, 0.0)
-    assert placed(scheduler, archipelago()) == [("a", "a", "a", "a")]
-
-
-def test_a_newcomer_takes_part_soon_after_a_placement_and_later_not(scheduler_of: Callable[..., Scheduler]) -> None:
-    scheduler = scheduler_of(members("a", "b"))
-    assert placed(scheduler, archipelago("a", "a", "a", "a"), now=REPLACE_WITHIN_S) == [("a", "b", "a", "b")]
-    assert placed(scheduler, archipelago("a", "a", "a", "a"), now=REPLACE_WITHIN_S + 0.1) == []
-    assert placed(scheduler, archipelago("a", "b", "a", "b")) == []
-    assert placed(scheduler_of(members("a", "b", "c")), archipelago("a", "b", islands=2)) == []
-
-
-def test_a_newcomer_that_comes_later_is_waited_for_at_a_checkpoint(scheduler_of: Callable[..., Scheduler]) -> None:
-    made = archipelago("a", "a", "a", "a")
-    assert not made.is_planned
-    plan_of(scheduler_of(members("a", "b")), made, now=REPLACE_WITHIN_S + 0.1)
-    assert made.is_planned
-
-
-def test_a_placement_is_broken_when_one_of_its_workers_is_lost(scheduler_of: Callable[..., Scheduler]) -> None:
-    membership = members("a", "b")
-    scheduler, made = scheduler_of(membership), archipelago("a", "b", "a", "b")
-    assert plan_of(scheduler, made).broken == []
-    membership.record_presence("b", False, 0.0)
-    assert plan_of(scheduler, made).broken == []
-    membership.expire(ABSENCE_S)
-    plan = plan_of(scheduler, made, archipelago("a", "a", "a", "a"))
-    assert plan.broken == [made.key]
-    assert [assignment.workers for assignment in plan.assignments] == [("a", "a", "a", "a")]
-    assert plan.released == []
 
 
 def four_jobs() -> list[Job]:
@@ -167,13 +111,6 @@ def islands_of(jobs: list[Job]) -> Counter[str]:
     )
 
 
-def test_jobs_lie_on_different_workers_as_long_as_there_are_idle_ones(scheduler_of: Callable[..., Scheduler]) -> None:
-    scheduler, jobs = scheduler_of(members(*(f"w{number:02}" for number in range(64)))), four_jobs()
-    for number in range(4):  # they come one after the other
-        carry_out(scheduler.plan(jobs[: number + 1], 10.0 * number), 1, 10.0 * number)
-    assert islands_of(jobs) == Counter({f"w{number:02}": 1 for number in range(64)})
-
-
 def test_what_a_lost_worker_had_goes_to_those_with_the_least_to_do(scheduler_of: Callable[..., Scheduler]) -> None:
     membership = members("a", "b", "c")
     scheduler = scheduler_of(membership)
@@ -187,22 +124,6 @@ def test_what_a_lost_worker_had_goes_to_those_with_the_least_to_do(scheduler_of:
     plan = scheduler.plan(jobs, 60.0)
     assert plan.broken == [("p", "x"), ("q", "x")]
     assert [assignment.workers for assignment in plan.assignments] == [("c",), ("b",)]
-
-
-def test_workers_that_come_later_get_islands_where_others_have_several(scheduler_of: Callable[..., Scheduler]) -> None:
-    """Two archipelagos share the same workers, each with one island on each; then as many workers join."""
-    membership = members("a", "b")
-    scheduler = scheduler_of(membership)
-    jobs = [running(archipelago("a", "b", islands=2, job=name)) for name in "pq"]
-    assert not any(scheduler.plan(jobs, 60.0).assignments)
-    assert not any(archipelago.is_planned for job in jobs for archipelago in job.open_archipelagos)
-    join(membership, "c")
-    join(membership, "d")
-    scheduler.plan(jobs, 60.0)
-    assert any(archipelago.is_planned for job in jobs for archipelago in job.open_archipelagos)
-    carry_out(scheduler.plan(jobs, REPLACE_WITHIN_S), 2, REPLACE_WITHIN_S)
-    assert islands_of(jobs) == Counter("abcd")
-    assert scheduler.plan(jobs, REPLACE_WITHIN_S).assignments == []
 
 
 @pytest.mark.slow

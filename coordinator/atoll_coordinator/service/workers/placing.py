@@ -1,26 +1,37 @@
-"""Decides which archipelagos begin a term now, and on which workers. Pure; it decides about time, never about bits."""
+"""Placements: which archipelagos begin a term now, on which workers, and messages that correct what workers have. Pure.
+
+Placements decide when and where islands are computed, and never their results.
+"""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.breakages import JobGuard, unguarded
 from atoll_coordinator.service.search.archipelago import Archipelago, ArchipelagoKey
+from atoll_coordinator.service.workers.crash_loops import Quarantine
 from atoll_coordinator.service.workers.membership import Membership
-from atoll_coordinator.service.workers.quarantine import Quarantine
-from atoll_core.wire.messages.workers import Placement
+from atoll_core.wire.messages.epochs import PullReports
+from atoll_core.wire.messages.workers import (
+    AssignmentStatus,
+    Close,
+    CloseJob,
+    Commit,
+    Placement,
+    Placements,
+    WorkerStatus,
+)
 
 REPLACE_WITHIN_S: Final = 5.0
-"""A worker that joins this soon after a placement takes part in it: the little that was computed is computed again."""
+"""A worker that joins so soon after a placement gets islands of it; the little that was computed is computed again."""
 
 EXPECT_S: Final = 10.0
-"""How long the first ready worker waits for the others that are expected."""
-
+"""How long the first ready worker waits for the other expected ones."""
 
 DATASET_ROOM: Final = 3
-"""A dataset takes so many times its bytes of a worker's memory: 50 MB made one 130 MB larger (docs/scale.md)."""
+"""Memory of a dataset on a worker, in multiples of its bytes: 50 MB took 130 MB (docs/scale.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +59,8 @@ class Assignment:
 
 
 @dataclass(slots=True)
-class Plan:
-    """What changes: terms that begin, placements broken by a lost worker, those at a barrier that lead nowhere."""
+class PlacementPlan:
+    """Terms that begin, placements broken by a lost worker, and placements at a barrier without a successor."""
 
     assignments: list[Assignment] = field(default_factory=list)
     broken: list[ArchipelagoKey] = field(default_factory=list)
@@ -57,27 +68,32 @@ class Plan:
 
 
 class Scheduler:
-    """Plans the placements of all archipelagos from who is there now."""
+    """Plans the placements of all archipelagos on the workers that are there now."""
 
     def __init__(self, membership: Membership, quarantine: Quarantine, expected_workers: int = 1) -> None:
-        """No island is placed before `expected_workers` are ready, or have been waited for long enough."""
+        """No island is placed before `expected_workers` are ready, or `EXPECT_S` have passed."""
         self._membership = membership
         self._quarantine = quarantine
         self._expected = expected_workers
         self._first_ready_at: float | None = None
         self._sizes: dict[str, int] = {}
 
-    def plan(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> Plan:
+    def plan(self, jobs: Collection[Job], now: float, guarded: JobGuard = unguarded) -> PlacementPlan:
         """Plan terms for all archipelagos that have no workers, or lost ones, or could use more. `now` in bus seconds.
 
-        Archipelagos whose placements end are unplaced, and those that are to move get a barrier. Each is looked at
-        under `guarded`, so that one over which something breaks keeps no other from its workers.
+        Archipelagos whose placements end are unplaced, and those that are to move get a barrier. Each is handled under
+        `guarded`, so that an error affects no other archipelago.
         """
-        wanted = [archipelago for job in jobs for archipelago in job.open_archipelagos if not _rests(job, archipelago)]
+        wanted = [
+            archipelago
+            for job in jobs
+            for archipelago in job.open_archipelagos
+            if not job.is_held or archipelago.placement is not None
+        ]
         self._quarantine.reserve(wanted, guarded)
         self._sizes = {job.id: job.prepared.size for job in jobs if job.prepared is not None}
-        plan = Plan()
-        # The term after the current one begins at the checkpoint that is being written.
+        plan = PlacementPlan()
+        # While a checkpoint is being written, no term begins: the next one begins at that checkpoint.
         changing = [
             (job, archipelago)
             for job in jobs
@@ -87,7 +103,7 @@ class Scheduler:
         ]
         if changing:
             self._update_expected(now)
-        load = _load(archipelago for job in jobs for archipelago in job.open_archipelagos)
+        load = sum((_islands(one) for job in jobs for one in job.open_archipelagos), Counter[str]())
         released: dict[ArchipelagoKey, Placement | None] = {}
         for job, archipelago in changing:
             with guarded(archipelago.job):
@@ -99,8 +115,10 @@ class Scheduler:
                 self._assign(job, archipelago, released.get(archipelago.key), plan, load, now)
         return plan
 
-    def _end_placement(self, job: Job, archipelago: Archipelago, plan: Plan, load: Counter[str], now: float) -> None:
-        """Unplace an archipelago if its placement ends now, or prepare that it does."""
+    def _end_placement(
+        self, job: Job, archipelago: Archipelago, plan: PlacementPlan, load: Counter[str], now: float
+    ) -> None:
+        """Unplace an archipelago if its placement ends now, or prepare its end."""
         if job.is_held:
             self._hold(archipelago, load, now)
         elif self.is_broken(archipelago):
@@ -110,15 +128,10 @@ class Scheduler:
             self._prepare_change(archipelago, load, now)
 
     def _assign(
-        self,
-        job: Job,
-        archipelago: Archipelago,
-        released: Placement | None,
-        plan: Plan,
-        load: Counter[str],
+        self, job: Job, archipelago: Archipelago, released: Placement | None, plan: PlacementPlan, load: Counter[str],
         now: float,
-    ) -> None:
-        """Plan the next term of an archipelago, or its release if there is none and that of `released` has ended."""
+    ) -> None:  # fmt: skip
+        """Plan the next term of an archipelago, or its release if there is none and `released` has ended."""
         workers = self.choose_workers(archipelago, load, now) if not job.is_held else None
         if workers is not None:
             load.subtract(_islands(archipelago))
@@ -128,7 +141,7 @@ class Scheduler:
             plan.released.append(released)
 
     def _hold(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
-        """Have an archipelago stop that is held: at a barrier, or at once where next to nothing would be lost."""
+        """Stop a held archipelago: at a barrier, or at once when hardly anything would be lost."""
         is_new = archipelago.has_no_commit and self._is_young(archipelago, now)
         if archipelago.is_at_barrier or is_new or self.is_broken(archipelago):
             _unplace(archipelago, load)
@@ -138,8 +151,8 @@ class Scheduler:
     def _prepare_change(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
         """Prepare a change of placement that loses nothing, because workers leave or are idle.
 
-        All islands wait at a barrier; when it is durable they are placed anew, or, if there is nobody left, kept
-        until somebody comes. Soon after a placement it is quicker to compute the little that there is again.
+        All islands wait at a barrier; when it is durable they are placed again, or wait for a worker if there is none.
+        Soon after a placement it is quicker to compute the little that there is again.
         """
         if archipelago.is_at_barrier:
             _unplace(archipelago, load)
@@ -152,19 +165,16 @@ class Scheduler:
             archipelago.request_barrier()
 
     def is_broken(self, archipelago: Archipelago) -> bool:
-        """Tell whether islands of this placement have nobody to compute them, or may not be where they are."""
+        """Return whether a worker of this placement is lost, or reserved for another archipelago."""
         return any(
             self._membership.is_lost(worker) or not self._quarantine.allows(archipelago.key, worker)
             for worker in archipelago.workers
         )
 
     def choose_workers(self, archipelago: Archipelago, load: Mapping[str, int], now: float) -> tuple[str, ...] | None:
-        """Return the worker of each island, or None when the archipelago keeps its placement or must wait.
+        """Return the worker of each island; None: the archipelago keeps its placement or must wait.
 
-        Args:
-            archipelago: not cut yet.
-            load: how many islands each worker has of all archipelagos.
-            now: the bus's seconds.
+        `load` is the number of islands of each worker, `now` in seconds of the bus.
         """
         if len(self._membership.ready()) < self._expected:
             return None
@@ -173,10 +183,10 @@ class Scheduler:
         return self._spread(archipelago, load)
 
     def _spread(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
-        """Return the worker of each island, of those that are ready; None: there is none.
+        """Return the worker of each island, among ready ones; None: there is none.
 
-        Machines without room for the dataset are left out while there are others. Among workers with as much to do,
-        those come first that have the dataset.
+        Machines without memory for the dataset are left out while there are others. Among workers with the same load,
+        workers with the dataset come first.
         """
         job, needed = archipelago.job, DATASET_ROOM * self._sizes.get(archipelago.job, 0)
         ready = self._quarantine.ready_for(archipelago.key)
@@ -185,11 +195,11 @@ class Scheduler:
         return spread(archipelago.collector.limits.islands, load, roomy or ready, local) if ready else None
 
     def _is_young(self, archipelago: Archipelago, now: float) -> bool:
-        """Tell whether little has been computed since the archipelago was placed."""
+        """Return whether little has been computed since the archipelago was placed."""
         return now - archipelago.placed_at <= REPLACE_WITHIN_S
 
     def _better(self, archipelago: Archipelago, load: Mapping[str, int]) -> tuple[str, ...] | None:
-        """Return a placement by which the busiest worker of a placed archipelago has less to do; None: there is none.
+        """Return a placement that lowers the largest load of the archipelago's workers; None: there is none.
 
         Each such move lowers the sum of squares of all loads, so that moves come to an end.
         """
@@ -202,7 +212,7 @@ class Scheduler:
         return workers if busiest < max(load.get(worker, 0) for worker in own) else None
 
     def _update_expected(self, now: float) -> None:
-        """Expect one worker only, once all have been ready or the first one has waited long enough."""
+        """Expect one worker only, once all have been ready or the first one has waited for `EXPECT_S`."""
         ready = len(self._membership.ready())
         if not ready:
             return
@@ -215,35 +225,87 @@ class Scheduler:
 def spread(
     islands: int, load: Mapping[str, int], workers: Sequence[str], preferred: Collection[str] = ()
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return for each island its worker: evenly, in turn over the workers, the least loaded first.
+    """Return the worker of each island: workers in turn, the least loaded first.
 
-    So workers that are loaded evenly, but for one island, stay so; and each archipelago lies on as many as there are,
-    to go on whoever is lost and to have its share wherever jobs share workers by priority.
+    So loads that differ by one island at most stay so, and each archipelago is on as many workers as there are: it goes
+    on when some are lost, and has its share wherever jobs share workers by priority.
 
     Args:
-        islands: how many there are.
-        load: how many islands each worker has already; none where it is not among them.
+        islands: their number.
+        load: number of islands of each worker, 0 if it is missing.
         workers: at least one, names unique.
-        preferred: who comes first of those that are loaded equally.
+        preferred: workers that come first among equally loaded ones.
     """
     order = sorted(workers, key=lambda worker: (load.get(worker, 0), worker not in preferred, worker))
     return tuple(order[island % len(order)] for island in range(islands))
 
 
-def _rests(job: Job, archipelago: Archipelago) -> bool:
-    """Tell whether nobody computes an archipelago, and nobody shall."""
-    return job.is_held and archipelago.placement is None
-
-
 def _islands(archipelago: Archipelago) -> Counter[str]:
-    """Return how many islands of it each worker has."""
+    """Return the number of islands of an archipelago on each worker."""
     return Counter(archipelago.placement.workers if archipelago.placement is not None else ())
-
-
-def _load(archipelagos: Iterable[Archipelago]) -> Counter[str]:
-    return sum(map(_islands, archipelagos), Counter())
 
 
 def _unplace(archipelago: Archipelago, load: Counter[str]) -> None:
     load.subtract(_islands(archipelago))
     archipelago.unplace()
+
+
+Correction = Close | CloseJob | Commit | Placements | PullReports
+
+
+def corrections(
+    jobs: Mapping[str, Job], begun: Mapping[str, Job], worker: str, status: WorkerStatus,
+    guarded: JobGuard = unguarded, ending: Container[str] = (),
+) -> list[Correction]:  # fmt: skip
+    """Return the messages to a worker after its heartbeat: what it may drop, what it lacks, pulls of lost reports.
+
+    Only live `jobs` that have `begun` can have placements. Jobs that are `ending` are left out: they go on if the
+    coordinator dies before their ends are stored. Each job is handled under `guarded`, so that an error affects no
+    other.
+    """
+    messages: list[Correction] = []
+    for assignment_status in status.holdings:
+        if assignment_status.job in ending:
+            continue
+        with guarded(assignment_status.job):
+            messages += _correct_assignment(jobs, worker, assignment_status)
+    messages += [CloseJob(job=job) for job in status.jobs if job not in ending and not _is_open(jobs, job)]
+    held = {(assignment_status.job, assignment_status.variable) for assignment_status in status.holdings}
+    missing: list[Placement] = []
+    for job_id, job in tuple(begun.items()):
+        with guarded(job_id):
+            missing += [
+                archipelago.placement
+                for archipelago in job.open_archipelagos
+                if archipelago.placement is not None and worker in archipelago.workers and archipelago.key not in held
+            ]
+    return [*messages, Placements(placements=tuple(missing))] if missing else messages
+
+
+def _correct_assignment(jobs: Mapping[str, Job], worker: str, assignment_status: AssignmentStatus) -> list[Correction]:
+    job = jobs.get(assignment_status.job)
+    if job is None or not _is_open(jobs, assignment_status.job):
+        return [CloseJob(job=assignment_status.job)]
+    archipelago = job.archipelagos.get(assignment_status.variable)
+    if archipelago is None or job.state != "running":
+        return []
+    if archipelago.cut is not None:
+        return [Close(job=assignment_status.job, variable=assignment_status.variable, term=assignment_status.term)]
+    placement = archipelago.placement
+    if placement is None or assignment_status.term > placement.term:
+        return []
+    if assignment_status.term < placement.term:
+        return [Placements(placements=(placement,))]
+    messages: list[Correction] = []  # for lost reports and a lost commit
+    pull, commit = archipelago.missing_reports(worker, assignment_status), archipelago.commit()
+    if pull is not None:
+        messages.append(pull)
+    if commit is not None and assignment_status.commit < commit.epoch:
+        messages.append(commit)
+    return messages
+
+
+def _is_open(jobs: Mapping[str, Job], job_id: str) -> bool:
+    """Return whether islands of a job are computed now or will be."""
+    job = jobs.get(job_id)
+    return job is not None and job.state in ("queued", "preparing", "running")

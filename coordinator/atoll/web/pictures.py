@@ -1,0 +1,226 @@
+"""What pages draw of a result, of bounded size and pure: equations, fronts, convergence, simulated curves."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+
+from atoll.display.curves import chosen, curves_of, label
+from atoll.display.notation import equation_mathml
+from atoll.model.arguments import initial_conditions
+from atoll.model.equations import r2_text, rounded
+from atoll.model.model import Model
+from atoll.model.simulation import Simulation
+from atoll.text.conclusion import conclusion
+from atoll.text.render import constants_line
+from atoll_coordinator.result.base import Number
+from atoll_coordinator.result.equations import Convergence, Equation
+from atoll_coordinator.result.listed_trajectories import Simulated
+from atoll_coordinator.result.result import Result
+from atoll_core.errors import AtollError
+
+MAX_POINTS: Final = 2_000
+"""Points of all convergence curves of a job together: more than a screen is wide."""
+
+MAX_CURVES: Final = 32
+"""Islands that are drawn one by one; of more islands the best, the median and the worst are drawn."""
+
+MOST_ROWS: Final = 1_000
+"""Rows of columns, and measured points of a picture, at most."""
+
+
+def some(number: int, most: int) -> list[int]:
+    """Return at most so many indices of a sequence, the first and the last among them."""
+    if number <= most:
+        return list(range(number))
+    return [int(index) for index in np.unique(np.linspace(0, number - 1, max(2, most)).round())]
+
+
+def _numbers(values: Iterable[Number], digits: int = 6) -> list[float | None]:
+    return [float(f"{value:.{digits}g}") if value is not None and math.isfinite(value) else None for value in values]
+
+
+# ----------------------------------------------------------------------------------------------------------- progress
+
+
+def progress(result: Result) -> dict[str, Any]:
+    """Return how far a job has come, by equation, as plain data."""
+    points = MAX_POINTS // max(1, len(result.equations))
+    return {
+        "job": result.job,
+        "config": result.config,
+        "files": list(result.data.files) if result.data is not None else [],
+        "conclusion": conclusion(result),
+        "warnings": list(result.proper_warnings),
+        "notes": list(result.notes),
+        "equations": [_equation(equation, result.names, points) for equation in result.equations],
+    }
+
+
+def _equation(equation: Equation, names: Sequence[str], points: int) -> dict[str, Any]:
+    symbols, constants = tuple(names), constants_line(equation.constants)
+
+    def written(expression: str | None) -> dict[str, Any]:
+        if expression is None:
+            return {"expression": None, "mathml": None}
+        typeset = _mathml(equation.lhs, equation.variable, expression, symbols)
+        return {"expression": _rounded(expression, symbols), "mathml": typeset}
+
+    return {
+        "variable": equation.variable,
+        "lhs": equation.lhs,
+        **written(equation.expression),
+        "constants": constants.removeprefix("constants: ") if constants else None,
+        "origin": equation.origin,
+        "candidates": [
+            {
+                "expression": written(candidate.expression)["expression"],
+                "nats": candidate.nats,
+                "r2": r2_text(candidate.r2),
+                "held_out_r2": None if candidate.held_out_r2 is None else r2_text(candidate.held_out_r2),
+                "complexity": candidate.complexity,
+                "origin": candidate.origin,
+                "selected": candidate.selected,
+            }
+            for candidate in equation.candidates
+        ],
+        "verdict": equation.verdict,
+        "reason": equation.reason,
+        "checks": [check.model_dump(include={"name", "outcome", "reason"}) for check in equation.checks],
+        "front": [
+            {
+                "complexity": member.complexity,
+                "error": member.error,
+                "normalized_error": member.normalized_error,
+                **written(member.expression),
+                "selected": member.selected,
+            }
+            for member in equation.front
+        ],
+        "convergence": _convergence_curves(equation.convergence, points),
+        "plateau": max((curve.generations[-1] for curve in equation.convergence), default=None),
+    }
+
+
+@lru_cache(4_096)
+def _rounded(expression: str, names: tuple[str, ...]) -> str:
+    try:
+        return rounded(expression, names)
+    except AtollError:
+        return expression
+
+
+@lru_cache(4_096)
+def _mathml(lhs: str, variable: str, expression: str, names: tuple[str, ...]) -> str | None:
+    try:
+        return equation_mathml(lhs, variable, expression, names)
+    except AtollError:  # shown as text then
+        return None
+
+
+def _convergence_curves(curves: Sequence[Convergence], points: int) -> list[dict[str, Any]]:
+    if len(curves) <= MAX_CURVES:
+        each = max(2, points // max(1, len(curves)))
+        return [_convergence(curve.island, curve.generations, curve.errors, each) for curve in curves]
+    generations = np.unique(np.concatenate([curve.generations for curve in curves]))
+    generations = generations[some(len(generations), points // 3)]
+    errors = np.stack([_errors_at(generations, curve) for curve in curves])
+    with np.errstate(all="ignore"):
+        bands = {"best": errors.min(0), "median": np.median(errors, 0), "worst": errors.max(0)}
+    return [_convergence(name, generations, band, len(generations)) for name, band in bands.items()]
+
+
+def _errors_at(generations: np.ndarray[Any, Any], curve: Convergence) -> np.ndarray[Any, Any]:
+    """Return the error of an island in these generations, by its last improvement."""
+    indices = np.searchsorted(curve.generations, generations, "right") - 1
+    errors = np.asarray(curve.errors, dtype=float)[np.maximum(indices, 0)]
+    return np.where(indices < 0, np.inf, errors)
+
+
+def _convergence(name: int | str, generations: Iterable[Any], errors: Iterable[Any], points: int) -> dict[str, Any]:
+    times, values = list(generations), list(errors)
+    kept = some(len(times), points)
+    return {
+        "island": name,
+        "generations": [int(times[index]) for index in kept],
+        "errors": _numbers((values[index] for index in kept), 4),
+    }
+
+
+# --------------------------------------------------------------------------------------------------------- simulation
+
+
+def simulation_of(result: Result) -> dict[str, Any]:
+    """Return a simulation as columns, and the curves of trajectories next to the measured values.
+
+    Of a regression there are fitted values; without a model there is only a message.
+    """
+    answer: dict[str, Any] = {"time": result.time, "columns": {}, "trajectories": [], "fitted": None, "message": ""}
+    try:
+        model = Model(result)
+        if model.is_regression:
+            return answer | {"fitted": _fitted_values(model)}
+        parts = chosen(result.simulated)
+        simulation = None if model.groups else model.simulate(has_bands=False)
+        if not parts and simulation is not None:
+            parts = [_simulated(model, simulation)]
+    except AtollError as error:
+        return answer | {"message": str(error)}
+    labels = {name: label(result, name) for name in (result.time, *result.columns.states)}
+    answer |= {"labels": labels, "trajectories": [_trajectory(model, part) for part in parts]}
+    answer["trajectories_in_total"] = max(len(parts), len(result.simulated))
+    if simulation is not None:
+        rows = some(len(simulation.t), MOST_ROWS)
+        columns = {name: _numbers(values[rows].tolist()) for name, values in simulation.columns().items()}
+        answer |= {"columns": columns, "message": simulation.message}
+    return answer
+
+
+def _simulated(model: Model, simulation: Simulation) -> Simulated:
+    """Return the simulation of an equation that was picked, from the first measured state, as a result lists it."""
+    beginning, names = initial_conditions(model), model.result.columns_by_symbol
+    recorded = next((part for part in model.result.recorded if part.name == beginning.name), None)
+    is_same = recorded is not None and len(recorded.times) == len(simulation.t)
+    columns = {names[state]: tuple(simulation[state].tolist()) for state in simulation.states}
+    return Simulated(
+        name=beginning.name or "1",
+        times=tuple(simulation.t.tolist()),
+        values={name: curve for name, curve in columns.items() if name in model.result.columns.states},
+        start=dict(beginning.start),
+        measured=dict(recorded.measured) if recorded is not None and is_same else {},
+    )
+
+
+def _trajectory(model: Model, part: Simulated) -> Mapping[str, Any]:
+    curves, rows = curves_of(model, part), some(len(part.times), MOST_ROWS)
+    lower, upper = (
+        {name: _numbers(curve) for name, curve in side.items()} if side else None
+        for side in (curves.lower, curves.upper)
+    )
+    return {
+        "name": part.name,
+        "held_out": part.held_out,
+        "pieces": curves.pieces,
+        "times": _numbers(curves.times, 12),
+        "values": {name: _numbers(curve) for name, curve in curves.values.items()},
+        "lower": lower,
+        "upper": upper,
+        "measured_times": _numbers((part.times[row] for row in rows), 12) if part.measured else [],
+        "measured": {name: _numbers(curve[row] for row in rows) for name, curve in part.measured.items()},
+    }
+
+
+def _fitted_values(model: Model) -> Mapping[str, Any] | None:
+    """Return measured and fitted values of a regression; None where the result has none."""
+    known = model.result.regression
+    if known is None or not known.measured:
+        return None
+    rows = some(len(known.measured), MOST_ROWS)
+    variables = {name: np.array([values[row] for row in rows], dtype=float) for name, values in known.variables.items()}
+    return {
+        "target": model.result.columns.target,
+        "measured": _numbers(known.measured[row] for row in rows),
+        "fitted": _numbers(model.predict(variables).tolist()),
+    }
