@@ -60,7 +60,7 @@ def refine_all(
         config: the resolved configuration of the job.
         pools: what the search handed on, by variable.
         deadline: when it must end with the best so far; None: never.
-        laws: those among many variables that preparing found (`sparse.product_laws`); None: they are sought.
+        laws: those among many variables that preparing found (`sparse.laws`); None: they are sought.
         batches: has batches of the work computed elsewhere; None: all is computed by threads of this process. The same
             comes of it, to the bit.
     """
