@@ -104,7 +104,7 @@ def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, anal
 
 
 def outcomes_of(job: Job) -> list[VariableOutcome]:
-    """Return the outcomes of the searches of a job so far, refined where they are, and the known equations.
+    """Return the outcomes of the searches of a job so far, and the known equations.
 
     They are in the order of the dataset.
     """
