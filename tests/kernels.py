@@ -14,7 +14,7 @@ from typing import Final
 from atoll_core.compilation.cache import WarmUpDisplay, cache_directory, is_compiled
 from atoll_core.machine import usable_cores
 
-_WORKER: Final = "from atoll_island_worker.compute.compute_thread import warm_up"
+_WORKER: Final = "from atoll_island_worker.compute.warmup import warm_up"
 _COORDINATOR: Final = "from atoll_coordinator.warmup import warm_up"
 _DATA: Final = "from atoll_coordinator.data.differentiation.derivatives import warm_up as data"
 _RUN: Final = "warm_up(lambda sentence: print(sentence, flush=True))"

@@ -72,7 +72,7 @@ NOT_RUN = {
     r"identifiability \(95 %": "of data that the page does not have: tests/unit/library/experiments",
     r"candidates, their constants": "of data that the page does not have: tests/unit/library/experiments",
     r"dhare/dyear: ": "of the run that examples/quotes.py makes: tests/integration/test_quotes.py",
-    r"dx/dt = 0.534067": "of data that the page lacks: tests/unit/coordinator/model/inference/test_group_constants.py",
+    r"dx/dt = 0.534067": "of data that the page lacks: tests/unit/coordinator/model/inference/test_groups.py",
     r"dx/dt = x\*\(1\.5 - y\)": "of data that the page does not have: tests/unit/coordinator/test_units.py",
     r"warning: Trajectories were simulated in pieces": "a search of chaotic data: benchmarks/RESULTS.md",
     r"site A: workers": "a drawing",

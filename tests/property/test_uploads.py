@@ -118,8 +118,8 @@ class Users:
         assert set(self.store.unused_blobs()) <= own_names, "bytes are stored that count for nobody"
         for own in self.uploads._uploads.values():
             name = own.digest if own.is_whole else own.key
-            size = stored.get(name, own.shown)  # a table whose last job was deleted may be gone
-            assert own.shown == size or (own.shown < size and self.store.has_blob(name))
+            size = stored.get(name, own.sent)  # a table whose last job was deleted may be gone
+            assert own.sent == size or (own.sent < size and self.store.has_blob(name))
 
 
 def chunks_of(table: bytes) -> list[tuple[int, bytes]]:

@@ -6,7 +6,17 @@ import pytest
 
 from tests.simulation.hostile_messages import Mutator, Overheard, Score, fuzz_decoder, fuzz_sessions, overhear
 
-KINDS = {"Answer", "Request", "Control", "EpochReport", "Greeting", "GreetingAnswer", "Mail", "Pull", "PullAnswer"}
+KINDS = {
+    "Answer",
+    "ClientRequest",
+    "Control",
+    "EpochReport",
+    "Greeting",
+    "GreetingAnswer",
+    "Mail",
+    "Pull",
+    "PullAnswer",
+}
 
 
 @pytest.fixture(scope="module")

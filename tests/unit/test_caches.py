@@ -5,6 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 UNBOUNDED = {
+    "_codec": "of the types of values that programs write and read",
     "_digest": "of the packages whose kernels are compiled",
     "_style": "of the style sheets that come with the package",
     "_version": "of the packages that results name",

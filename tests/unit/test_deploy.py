@@ -127,7 +127,8 @@ def test_compose_shows_the_page_on_this_machine_alone(compose: dict[str, Any]) -
 
 def test_the_image_has_what_the_page_needs(image: list[Instruction]) -> None:
     (install,) = re.findall(r"pip install [^&]*", " ".join(of(image, "RUN")))
-    assert ".[web]" in shlex.split(install)
+    assert ".[$EXTRAS]" in shlex.split(install)
+    assert "EXTRAS=web" in of(image, "ARG")
 
 
 def test_compose_builds_the_one_image_that_both_services_use(compose: dict[str, Any]) -> None:

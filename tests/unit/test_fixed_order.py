@@ -41,10 +41,9 @@ FUNCTIONS = {
 ALLOWED = {
     ("inputs.py", "scipy"): "slopes of inputs are for simulations; the search sees inputs at rows only",
     ("matlab_child.py", "scipy"): "reads files",
-    ("roughness.py", "np.median"): "one or two values of those that are there, added and halved",
-    ("steps.py", "np.median"): "the same",
+    ("increments.py", "np.median"): "one or two values of those that are there, added and halved",
     ("selected_rows.py", "np.cumsum"): "adds one after another",
-    ("gaps.py", "np.cumsum"): "of whole numbers",
+    ("measurements.py", "np.cumsum"): "of whole numbers",
     ("row_means.py", "np.cumsum"): "adds one after another",
     ("row_means.py", ".sum"): "of whole numbers",
     ("rows.py", "np.cumsum"): "of whole numbers",

@@ -64,9 +64,11 @@ def python(code: str, *words: str) -> set[str]:
     return set(subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout.split())
 
 
-@pytest.mark.parametrize("package", ["atoll_coordinator.data.differentiation", "atoll_coordinator.model.shooting"])
+@pytest.mark.parametrize(
+    "package", ["atoll_coordinator.data.differentiation.derivatives", "atoll_coordinator.model.shooting.warmup"]
+)
 def test_without_a_compiler_there_is_nothing_to_do(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = __import__(f"{package}.warmup", fromlist=["warm_up"])
+    module = importlib.import_module(package)
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     monkeypatch.setattr(module, "np", None)
     module.warm_up()

@@ -240,7 +240,8 @@ class MultipleShooting:
                 return system, np.ascontiguousarray(simulated[:, begun].T)
             residuals = self.residuals(simulated, starts, segments)
             blocks = self.blocks(segments, sensitivities, residuals, fit.errors, fitted)
-            condensed, moves = _condensed(blocks, ends, gaps, pieces)
+            with np.errstate(all="ignore"):  # sensitivities of a trajectory that blows up; no step is solved then
+                condensed, moves = _condensed(blocks, ends, gaps, pieces)
             change, its_own = np.empty(fitted), np.empty((len(condensed.own), states))
             if not solve_step(*condensed, LEAST_DAMPING, change, its_own):
                 return None
