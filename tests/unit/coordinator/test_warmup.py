@@ -1,5 +1,6 @@
 """What the coordinator compiles or loads ahead: all its kernels, and when it does so."""
 
+import importlib
 import logging
 import subprocess
 import sys
