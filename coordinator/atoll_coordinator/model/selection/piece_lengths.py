@@ -115,7 +115,7 @@ def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterato
     whole = task.longest
     if whole > task.piece:
         tested = (
-            "with constants fitted to whole trajectories, the model describes these, too"
+            "with constants fitted to whole trajectories, the model describes them, too"
             if is_tested_in_whole
             else "beyond a piece the model has not been tested"
         )
@@ -126,8 +126,8 @@ def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterato
     others = [state for state in task.recording.states if state not in task.variables]
     if others:
         yield (
-            f"Simulations take {', '.join(others)}, without an equation, as smoothed; errors of the smoothed values add "
-            "to the residuals."
+            f"Simulations take {', '.join(others)}, without an equation, as smoothed; errors of smoothed values add to "
+            "the residuals."
         )
 
 
