@@ -9,15 +9,8 @@
 - `prediction`: whether the model and its alternatives predict the same from other initial states
 - `evidence`, `target_evidence`: the facts about an equation from its simulation, or from the rows of its target
 - `residuals`: whether residuals are as large as the noise, and without a pattern; `quadratic_forms`: how large they may
-<<<<<<< HEAD
   be by chance; `residual_covariance`: their covariance in few rows, and how much larger standard errors are if these
   rows do not show whether errors are correlated; `null_models`: comparison with having no equation
-- `checks`: the table of checks, and the verdict that follows from it
-- `remarks`: warnings about the pattern of residuals: noise of the process, runs, a forcing, a hidden state
-=======
-  be by chance; `residual_covariance`: their covariance in few rows, and how much larger standard errors are where
-  these do not show whether errors are correlated; `null_models`: whether no equation describes as much
 - `verdict`: the table of checks, and the grade that follows from it
-- `remarks`: warnings of what residuals follow: noise of the process, runs, a forcing, a hidden state
->>>>>>> main
+- `remarks`: warnings about the pattern of residuals: noise of the process, runs, a forcing, a hidden state
 """
