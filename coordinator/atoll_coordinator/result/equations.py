@@ -214,7 +214,7 @@ class Equation(Part):
     seconds: Number = Field(default=None, description="duration of the search")
     why: Text | None = Field(
         default=None,
-        description="end of the search: `target`, `law`, `stagnation`, `max-epochs`, `max-time`, `cancelled` or `known`",
+        description="end of search: `target`, `law`, `stagnation`, `max-epochs`, `max-time`, `cancelled` or `known`",
     )
     bounds: tuple[Bound, ...] = Field(default=(), description="bounds from `--bound`")
     derivative_floor: Number = Field(
