@@ -52,7 +52,9 @@ class Covariance(Part):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if any(len(row) != len(self.constants) for row in (self.matrix, *self.matrix)):
-            raise misfit("this result has a covariance of other constants than it names; give it as it was written")
+            raise misfit(
+                "the covariance in this result does not match its constants; give the result.json as Atoll wrote it"
+            )
         return self
 
 

@@ -15,7 +15,9 @@ class _Listed(Part):
         fields = vars(self).values()
         by_name = [values for field in fields if isinstance(field, dict) for values in field.values()]
         if len({len(curve) for curve in (*fields, *by_name) if isinstance(curve, tuple)}) > 1:
-            raise misfit("this result has a curve that is not as long as its 'times'; give it as it was written")
+            raise misfit(
+                "this result has a curve that is not as long as its 'times'; give the result.json as Atoll wrote it"
+            )
         return self
 
 
