@@ -5,7 +5,7 @@ generalised cross-validation pooled over its trajectories. Long signals are thin
 that means of neighbouring rows tell as much as the rows do: every row counts, and the work does not grow with the span.
 
 Robust loess reduces the weight of rows far from the curve, to 0 for outliers (Cleveland 1979, section 2). Unlike
-there, span and degree are chosen again with every set of weights, since outliers favour wide spans. Medians are taken by
+there, span and degree are chosen again with every set of weights, since outliers favour wide spans. Medians use
 sorting.
 """
 
