@@ -147,7 +147,7 @@ def sent(readers: Readers, name: str, body: bytes, what: str = "outline") -> Ans
         ("a.csv", lambda: CSV, Limits(total_s=0.0), 422, "or 0 s in all"),
         ("a.parquet", parquet, Limits(), 200, ""),
         ("a.mat", matlab, Limits(), 200, ""),
-        ("a.parquet", broken_parquet, Limits(), 422, "is not a Parquet file that can be read"),
+        ("a.parquet", broken_parquet, Limits(), 422, "cannot be read as a Parquet file"),
         ("a.json", lambda: b"[" * 10**6, Limits(), 422, "is not valid JSON"),
     ],
     ids=lambda value: getattr(value, "__name__", None),
