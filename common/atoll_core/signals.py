@@ -25,7 +25,7 @@ ENDING: Final[tuple[signal.Signals, ...]] = (signal.SIGINT, *_TERMINATION)
 
 
 def termination_signals() -> list[signal.Signals]:
-    """Return the signals other than Ctrl-C that end this process, without ignored ones."""
+    """Return the signals that end this process, except Ctrl-C and ignored signals."""
     return [number for number in _TERMINATION if signal.getsignal(number) != signal.SIG_IGN]
 
 

@@ -160,7 +160,7 @@ class EquationBounds:
         return not self._holds(shape, value, is_inner=False)
 
     def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
-        """Return the roles of the constants of a program that is laid out, None of any other.
+        """Return the roles of the constants of a laid-out program, None for other programs.
 
         Only its structure decides: it is expanded to itself when its constants are small numbers without meaning.
         """
@@ -229,13 +229,13 @@ def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
 
 @lru_cache(maxsize=8192)
 def _roles(bounds: tuple[ConstantBound, ...], program: Program) -> tuple[Role, ...] | None:
-    """Return the roles of the constants of a program whose expansion is itself, None of any other."""
+    """Return the roles of the constants of a program that equals its expansion, None for other programs."""
     expansion = expand_program(program, EquationBounds(bounds).is_written)
     return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None
 
 
 def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:
-    """Return the bounds on the equation of `variable`, None where there are none.
+    """Return the bounds on the equation of `variable`, None without bounds.
 
     `texts` are valid bounds by equation, with bounds on all equations repeated for each. A bound on a term of variables
     that are not in `names`, which the equation may use, has no effect.
