@@ -151,7 +151,7 @@ def reap_children() -> None:
 
 
 def forget_handlers() -> None:
-    """Reset the handlers in a fork to those of a fresh process."""
+    """Reset the handlers in a fork to the handlers of a new process."""
     for number in ENDING:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)

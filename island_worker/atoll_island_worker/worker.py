@@ -376,8 +376,8 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
 
     Kernels are made ready while the connection is being opened. `wait_s` limits both the first connection and
     any later absence of the coordinator (None: `START_S`, then `RETURN_S`). `on_signal` makes a function be called when
-    this process is told to end; `show` is called with each sentence of the warm-up. `tasks` starts processes for tasks,
-    by default new interpreters.
+    this process gets a signal to end; `show` is called with each sentence of the warm-up. `tasks` starts processes for
+    tasks, by default new interpreters.
 
     Returns:
         The exit code.

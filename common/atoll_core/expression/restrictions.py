@@ -1,9 +1,10 @@
 """Conditions of users on an equation: bounds on its constants, and variables that it must contain.
 
 A bound is a text such as ``c > 0`` (every constant), ``0 < c < 10``, ``|c| < 5`` (every magnitude), ``x*y < 0`` (the
-coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). The constants are those of the expanded
-equation (`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2. A bound
-says nothing about terms that an equation does not contain. Ranges include their ends: a constant may lie on its bound.
+coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). The constants are the constants of the
+expanded equation (`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2.
+A bound says nothing about terms that an equation does not contain. Ranges include their ends: a constant may lie on its
+bound.
 """
 
 import math

@@ -178,7 +178,8 @@ def _space(problem: Problem, config: JobConfig) -> Space:
 
 
 def _scales(problem: Problem) -> FloatArray:
-    """Return the powers of two next to the mean magnitude of each column and the target, without those of order one.
+    """Return the powers of two next to the mean magnitude of each column and the target, without magnitudes of order
+    one.
 
     At least one number is returned, because an empty array means constants in [-10, 10].
     """

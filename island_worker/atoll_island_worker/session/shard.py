@@ -1,8 +1,8 @@
 """A shard: the islands of an archipelago that one worker computes under one term, and their mail. Pure.
 
 An island waits for exactly the senders that the reshuffle of the last epoch names, and gets all immigrants together. So
-it computes the same bits whenever and in whatever order the mail arrives. A term that begins at a checkpoint begins
-with the states of its islands, which are pulled from the coordinator.
+it computes the same bits regardless of the times and the order in which mail arrives. A term that begins at a
+checkpoint begins with the states of its islands, which are pulled from the coordinator.
 
 A hit ends the archipelago at one position in the commit order. A `Finished` message tells the other workers, and every
 shard stops computing after that position. Slices before it are still computed and reported, because they may contain an

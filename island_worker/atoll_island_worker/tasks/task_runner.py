@@ -261,7 +261,7 @@ class TaskRunner:
                     self._process.load_next(following)
 
     def _ended(self, life: int, message: frames.Ended) -> bool:
-        """Handle the end of a process that nobody stopped; return whether it had a task."""
+        """Handle the end of a process that this worker did not stop; return whether it had a task."""
         if self._helped is not None and self._helped.batch is not None and self._helped.life == life:
             self._helped = None
         lost = [one for one in self._leased.values() if one.life == life and one.state in ("waiting", "running")]

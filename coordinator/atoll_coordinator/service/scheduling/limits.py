@@ -116,7 +116,7 @@ class Limits(Frozen):
     time: Times = Times()
 
     def of(self, user: str | None) -> Allowance:
-        """Return the limits of a user: those under its name, and those of every user."""
+        """Return the limits of a user: the limits under its name, and the general limits of users."""
         own = self.users.get(user) if user is not None else None
         if own is None:
             return self.user
