@@ -11,7 +11,8 @@ queued = 1000
 stored = "2G"
 task_time = "24h"            # of the workers' processors a day; beyond, jobs wait
 
-[users.ann] # one user: these values override [user] queued = 5000
+[users.ann]                  # one user: these values override [user]
+queued = 5000
 
 [time]
 default = "1h"               # --max-time of jobs that have none
