@@ -42,7 +42,7 @@ class TextRow:
 
 @dataclass(frozen=True)
 class TextTable:
-    """Rows under a `title`, with a cell for each of `heads`; without a heading the lines stand for themselves."""
+    """Rows under a `title`, with a cell for each of `heads`; without a heading only the lines are printed."""
 
     title: str
     heads: tuple[str, ...]

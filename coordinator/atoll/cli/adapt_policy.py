@@ -12,7 +12,7 @@ from typing import Final, Literal
 from atoll_core.errors import AtollError
 
 MOST_FAILURES: Final = 3
-"""Jobs in a row that may end before a worker of theirs has joined: one or two may get a bad node."""
+"""Consecutive jobs that may end before one of their workers has joined: one or two may get a bad node."""
 
 BatchState = Literal["pending", "running", "ending", "failed"]
 """`failed`: the system could not start the job and keeps it until it is deleted, as Grid Engine does."""
@@ -41,7 +41,7 @@ class BatchJob:
 class Need:
     """The coordinator's need: workers that would have work, and workers of other origin.
 
-    `islands`: number of islands by id, of those of our jobs of which a worker has joined.
+    `islands`: number of islands by job id, for our jobs from which a worker has joined.
     """
 
     workers: int
@@ -59,7 +59,7 @@ class AdaptDecision:
 
 
 class AdaptPolicy:
-    """Decides at each look. It remembers what was needed lately, which jobs it has told to end, in which state they
+    """Decides at each poll. It remembers the recent needs, which jobs it has asked to end, in which state they
     were, and which have joined.
     """
 
@@ -72,10 +72,10 @@ class AdaptPolicy:
         self._failures = 0
 
     def decide(self, now: float, need: Need, jobs: Sequence[BatchJob]) -> AdaptDecision:
-        """Take in a look at `now`, in seconds that only rise; return what is to be done.
+        """Process one poll at `now`, in seconds that only increase; return the jobs to submit and to end.
 
         Raises:
-            AtollError: job after job ends without that a worker has joined.
+            AtollError: jobs keep ending before one of their workers has joined.
         """
         self._watch(need.islands.keys(), jobs)
         target = self._target(now, self._needed(need))

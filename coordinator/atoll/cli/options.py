@@ -1,5 +1,5 @@
 """The command line: every verb with its module, help and arguments in one table (`VERBS`), its parser, and the reading
-of values that argparse leaves as text.
+of values that argparse does not convert.
 
 Only light imports, because ``--help`` must be instant. The options of a job are declared in `atoll.client.options`.
 """
@@ -56,7 +56,7 @@ def natural_number(text: str, option: str) -> int:
 
 
 def if_given(read: Callable[[str, str], T], text: str | None, option: str) -> T | None:
-    """Return what `read` makes of the text of an option; None where it was not given."""
+    """Return the text of an option as parsed by `read`; None where it was not given."""
     return None if text is None else read(text, option)
 
 

@@ -1,8 +1,8 @@
 """Alternative systems of equations for the same data, fitted and weighted.
 
 Weights are Akaike's (Burnham & Anderson 2002, section 2.9), exp(-(misfit + k + k (k + 1)/(n - k - 1))) for k numbers
-fitted to n (Hurvich & Tsai 1989). They count the fit alone: an experiment should decide what the price of structure has
-decided so far.
+fitted to n (Hurvich & Tsai 1989). They count only the fit: an experiment should decide between models that differ so
+far only in description length.
 """
 
 import math
@@ -55,7 +55,7 @@ class WeightedSystem:
 def alternatives_of(
     result: Result, shown: FittedEquations, given: Sequence[Mapping[str, str]]
 ) -> tuple[WeightedSystem, ...]:
-    """Return the displayed system and those that fit about as well, the best first.
+    """Return the displayed system and the systems that fit about as well, the best first.
 
     Candidates of the result replace equations of `shown` one at a time and in pairs; systems `given` are right-hand
     sides by state. Raises UsageError for a state without an equation, and for a system that cannot be read or
@@ -168,7 +168,7 @@ def without_poles(program: Program, equations: EquationSet, measured: FitData) -
 
 
 def _without_constant(nodes: Sequence[Node], node: int) -> int:
-    """Return the other operand of a sum with a constant; the node itself where it is no such sum."""
+    """Return the other operand of a sum with a constant; the node itself otherwise."""
     code, left, right, _ = nodes[node]
     if code == ADD and nodes[left][0] == CONSTANT:
         return right

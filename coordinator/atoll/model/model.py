@@ -128,7 +128,7 @@ class Model(Shortcuts):
         return self._result.names if self.is_regression else self.field.inputs
 
     def input_kind(self, name: str) -> InputKind | None:
-        """Return the interpolation of an input between rows of the data, None where it is not known or no input."""
+        """Return the interpolation of an input between rows of the data, None where it is not known or not an input."""
         return self._result.columns.input_kinds.get(self._result.columns_by_symbol.get(name, name))
 
     @cached_property
@@ -151,7 +151,7 @@ class Model(Shortcuts):
     ) -> dict[str, tuple[float, float] | None]:
         """Return the confidence interval of each constant at `level`, None where it is not known.
 
-        From its standard error, or from its `profile`; then an end that the data leave open is infinite.
+        It follows from the standard error, or from the `profile`: then an end that the data do not bound is infinite.
         """
         if not 0.0 < number(level, "a level") < 1.0:
             raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
@@ -187,7 +187,7 @@ class Model(Shortcuts):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The groups of trajectories that differ in constants; none where there is one set of constants."""
+        """The groups of trajectories that differ in constants; empty where there is one set of constants."""
         return differing_groups(self._result)
 
     def of_group(self, group: object) -> "Model":

@@ -100,18 +100,18 @@ class Shortcuts:
         seed: int = 0,
         data: object = None,
     ) -> "Suggestions":
-        """Return the next experiments: those with the most information about the right candidate, for their cost.
+        """Return the next experiments: the most information about the right candidate for their cost.
 
-        Where candidates do not differ, or there is only one, the experiments that determine its constants best.
+        If candidates do not differ, or there is only one, experiments are chosen that determine its constants best.
 
         Args:
-            bounds: of initial states and constant inputs, by name; None: the range of the data.
-            duration: of an experiment; None: as the median measured trajectory.
+            bounds: bounds of initial states and constant inputs, by name; None: the range of the data.
+            duration: duration of an experiment; None: as the median measured trajectory.
             samples: measurements of each state; None: as the median measured trajectory.
-            cost: ``"trajectory"`` (all the same), ``"duration"`` or ``"samples"``: then shorter ones are tried as well.
+            cost: ``"trajectory"`` (all the same), ``"duration"`` or ``"samples"``: then also for shorter ones.
             count: the number of suggestions.
-            rivals: further systems to distinguish, as right-hand sides by state; their constants are fitted.
-            seed: of the experiments that are tried.
+            rivals: alternative models to distinguish, as right-hand sides by state; their constants are fitted.
+            seed: random seed of the experiments that are tried.
             data: as for `identifiability`.
 
         Raises:
@@ -180,7 +180,7 @@ class Shortcuts:
         return mathml(self.itself)
 
     def report(self, path: str | Path = "report.html") -> Path:
-        """Write the result as one HTML page that needs neither network nor script; return its path.
+        """Write the result as one HTML page without scripts or external resources; return its path.
 
         An existing file is replaced. The analysis of the model takes a second or two for two states.
 

@@ -12,7 +12,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core import VERSION
 
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""Nothing is loaded and no script runs, whatever a name in the data contains."""
+"""No resource is loaded and no script runs, regardless of the names in the data."""
 
 
 def as_html(result: Result) -> str:

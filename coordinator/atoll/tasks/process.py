@@ -1,7 +1,7 @@
 """The program of a task process: runs tasks one after another until its worker closes the pipe.
 
-Light to import. One thread runs tasks; another reads what the worker says, so that the end of the worker, however it
-came, ends this process in the middle of a task.
+Light to import. One thread runs tasks; another reads the messages of the worker, so that this process ends with the
+worker, even in the middle of a task.
 """
 
 import contextlib

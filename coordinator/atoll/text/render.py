@@ -102,7 +102,7 @@ def _words_text(words: ConstantWords) -> str:
 
 
 def constants_table(constants: Sequence[Constant]) -> list[str]:
-    """Return a table of the constants whose standard errors are known, or infinite; no lines if there are none."""
+    """Return a table of the constants whose standard errors are known, or infinite; no lines without such constants."""
     known = with_errors(constants)
     has_intervals = any(constant.interval is not None for constant in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
@@ -152,7 +152,7 @@ def units_line(units: Units | None) -> list[str]:
 def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str]) -> list[str]:
     """Return a line for each group of trajectories with the constants of its own; nothing where all share them.
 
-    `texts` are the expressions of the groups as they are shown, `names` those of the constants.
+    `texts` are the displayed expressions of the groups, `names` the names of the constants.
     """
     own = [place for place, constant in enumerate(equation.constants) if constant.shared is False]
     if not equation.groups or not own:
@@ -545,7 +545,7 @@ def _standing(equation: Equation) -> str:
     if equation.why == "known":
         return f"known: error {number_text(equation.normalized_error)} of the target's standard deviation"
     outcome = "converged: " if equation.converged else "not converged: "
-    if equation.converged and equation.verdict == "no model":  # the derivative is met, the measurements not
+    if equation.converged and equation.verdict == "no model":  # the derivative is fitted, the measurements are not
         outcome = ""
     text = f"{outcome}error {number_text(equation.normalized_error)} of the target's standard deviation"
     text += f", size {equation.complexity}, epoch {equation.epoch}"
@@ -569,7 +569,7 @@ def _front_lines(front: Sequence[Member], names: Sequence[str]) -> list[str]:
 
 
 def _unseen(member: Member) -> float | None:
-    """Return the error on held-out rows, over the deviation of the target on the rows of the search."""
+    """Return the error on held-out rows over the standard deviation of the target on the rows of the search."""
     unseen, error, normalized = member.holdout_error, member.error, member.normalized_error
     return unseen * normalized / error if unseen is not None and error and normalized else None
 

@@ -2,7 +2,7 @@
 ``suggest`` and ``export``.
 
 Analyses of a saved result run in this process; analyses of a coordinator's job run on a worker. Both go through `ask`.
-What only some verbs need is imported in these, because ``coordinator result`` should print at once.
+Modules that only some verbs need are imported in their functions, because ``coordinator result`` should print at once.
 """
 
 import argparse

@@ -1,6 +1,6 @@
-"""``coordinator serve``, ``router``, ``backup`` and ``restore``: what runs until it is told to end, and its store.
+"""``coordinator serve``, ``router``, ``backup`` and ``restore``: services that run until they are stopped.
 
-``serve`` has a router, a coordinator and a store for workers and clients on any machine. ``router`` is a router alone:
+``serve`` has a router, a coordinator and a store for workers and clients on any machine. ``router`` is a router only:
 for a site whose workers should share one connection to the central router, or in front of a coordinator
 (`serve --router`), so that connections stay while the coordinator is restarted.
 """
@@ -61,7 +61,7 @@ def read_options(options: argparse.Namespace, router: str | None = None) -> tupl
 
 
 def warnings_of(at: Destination, role_bindings: RoleBindings | None) -> list[str]:
-    """Return warnings about what other users, or other machines, can do."""
+    """Return warnings about access by other users or other machines."""
     if at.address.is_socket:
         return ["every user who can open that socket can submit, read and cancel jobs, and join as a worker"]
     if at.credentials is None and not is_loopback(at.address.host):

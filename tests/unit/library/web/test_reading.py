@@ -190,8 +190,8 @@ def test_what_is_pickled_in_a_file_is_not_run(readers, tmp_path, monkeypatch) ->
         (-signal.SIGABRT, 413, "more than"),
         (-signal.SIGXCPU, 422, "of a processor"),
         (LATE, 422, "of a processor"),
-        (-signal.SIGSEGV, 422, "broke the program that reads it"),
-        (1, 422, "broke the program that reads it"),
+        (-signal.SIGSEGV, 422, "crashed the program that reads it"),
+        (1, 422, "crashed the program that reads it"),
     ],
 )
 def test_however_a_reader_ends_a_sentence_says_it(code, status, said) -> None:
