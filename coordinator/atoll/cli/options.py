@@ -203,7 +203,7 @@ _JOB: Final = (
     _value("--name", "NAME", "a label for lists (default: the first file's name)"),
     _value("--id", "ID", "the job's id (default: random)"),
     _value("--config", "job.toml", "the same settings as a file; options override it"),
-    _switch("--dry-run", "show how the data are read and what would be searched; start nothing"),
+    _switch("--dry-run", "show how the data are read and the plan of the search; start nothing"),
     *(_job_options(heading) for heading in GROUPS),
 )
 
@@ -321,7 +321,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _value(
             "--worker", "COMMAND",
             "how a job starts its workers, such as 'apptainer exec atoll.sif island-worker' (default: the "
-            "island-worker beside this program)",
+            "island-worker next to this program)",
         ),
         _value(
             "--idle", "TIME", type=duration, default=300.0,
@@ -426,9 +426,9 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _repeatable("--hold", "u=1", "value of an input (default: as measured)"),
         _value(
             "--paths", "N",
-            "of a stochastic process: draw N paths; writes mean, median and bounds that leave 5 %% outside",
+            "for a stochastic process: draw N paths; write mean, median, 5 %% and 95 %% quantiles",
         ),
-        _value("--seed", "S", "of the paths (default: 0)"),
+        _value("--seed", "S", "random seed of the paths (default: 0)"),
         _switch("--each-path", "write every path, in rows with a column trajectory, instead of bounds"),
         _OUTPUT,
         _switch("--json", "write JSON: status, message, columns"),
@@ -449,11 +449,11 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _OUTPUT,
         _switch("--json", "write JSON, with all curves"),
     )),
-    "report": ("verbs.results", "a result as one HTML page that needs neither network nor script", (
+    "report": ("verbs.results", "a result as one HTML page without scripts or external resources", (
         _value("result", "RESULT", "PATH/result.json, its folder, or the id of a job; one or several", nargs="+"),
         *_CONNECT,
         _GROUP,
-        _output("the page (default: report.html beside the result)"),
+        _output("the page (default: report.html next to the result)"),
         _value("--pictures", "DIR", "also write every picture as an SVG file"),
     )),
     "suggest": ("verbs.results", "propose the next experiment: where the candidates of a result differ most", (
@@ -467,7 +467,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _value("--samples", "N", "measurements of each state (default: of the median trajectory)"),
         _value(
             "--cost", "trajectory|duration|samples", default="trajectory",
-            text="what an experiment costs: the same for all, its duration, its samples (default: trajectory)",
+            text="cost of an experiment: the same for all, its duration, its samples (default: trajectory)",
         ),
         _value("--count", "N", "how many experiments (default: 3)", default="3"),
         _repeatable(
@@ -492,7 +492,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _RESULT,
         *_CONNECT,
         _GROUP,
-        _value("--format", None, "what to write; see docs/export.md", required=True, choices=EXPORT_FORMATS),
+        _value("--format", None, "output format; see docs/export.md", required=True, choices=EXPORT_FORMATS),
         _output("write to this file (default: stdout); for petab, to this folder"),
         _PICK,
         _value(
@@ -506,7 +506,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _HOLD,
         _DATA,
     )),
-    "doctor": ("doctor", "check this machine, a coordinator and data files, and say what to do; 1: problems", (
+    "doctor": ("doctor", "check this machine, a coordinator and data files, and print advice; 1: problems", (
         _value("data", "DATA", "data files to read in the same way as submit", nargs="*"),
         _value("--connect", "tcp/HOST:PORT", "the coordinator to check (default: $ATOLL_CONNECT, if set)"),
         _value("--listen", "tcp/HOST:PORT", "check that a coordinator could listen at this address"),

@@ -174,7 +174,7 @@ def _profiles(identifiability: "Identifiability") -> list[Element]:
     listed = [element("li", f"{constant.name} = {constant.sentence}") for constant in identifiability.constants]
     listed += [element("li", direction.words) for direction in identifiability.sloppy]
     drawn = [_profile(constant, identifiability.quantile**2) for constant in identifiability.constants]
-    return [element("h3", "What the data determine"), text, element("ul", *listed), pictures(drawn)]
+    return [element("h3", "Identifiability"), text, element("ul", *listed), pictures(drawn)]
 
 
 def _profile(constant: "ProfiledConstant", most: float) -> Element:

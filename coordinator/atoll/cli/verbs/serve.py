@@ -300,7 +300,7 @@ def serve(options: argparse.Namespace) -> int:
     wanted, role_bindings = read_options(options, options.router)
     limits = _limits(options)
     if options.http is not None and role_bindings is not None and options.http_users is None:
-        raise UsageError("--http shows nothing where there is a --roster, unless --http-users says who may see what")
+        raise UsageError("--http needs --http-users where there is a --roster, for the rights of users on the page")
     if options.standby:
         refuse_network(Path(options.state))
     from atoll_coordinator.service.monitoring.metrics import served
