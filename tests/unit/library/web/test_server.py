@@ -43,9 +43,15 @@ def users(place: Path, text: str | bytes, mode: int = 0o600) -> Path:
         (entry("ann") + entry("ann"), 0o600, "is not valid TOML"),
         (entry("ann", token_sha256='""'), 0o600, "token_sha256 of ann is not a SHA-256"),
         (entry("ann", token_sha256='"a-token-in-clear"'), 0o600, "token_sha256 of ann is not a SHA-256"),
-        (entry("ann", token_sha256=f'"{hashlib.sha256(b"").hexdigest()}"'), 0o600, "token_sha256 of ann is not a
-        SHA-256"), (entry("ann"), 0o600, "ann: "), (entry("ann", tls_ca='"\\u0000"'), 0o600, "ann: "), (entry("ann"),
-        0o604, "run: chmod 600"), (entry("ann"), 0o620, "run: chmod 600"),
+        (
+            entry("ann", token_sha256=f'"{hashlib.sha256(b"").hexdigest()}"'),
+            0o600,
+            "token_sha256 of ann is not a SHA-256",
+        ),
+        (entry("ann"), 0o600, "ann: "),
+        (entry("ann", tls_ca='"\\u0000"'), 0o600, "ann: "),
+        (entry("ann"), 0o604, "run: chmod 600"),
+        (entry("ann"), 0o620, "run: chmod 600"),
     ],
 )
 def test_a_mistake_in_the_file_of_users_is_said_in_a_sentence(text, mode, said, tmp_path) -> None:
