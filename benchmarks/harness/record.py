@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from atoll_coordinator.model.result.result import versions
+from atoll_coordinator.model.result.building import versions
 from atoll_core.errors import UsageError
 
 

@@ -29,7 +29,7 @@ from atoll.terminal.output import note, say
 from atoll.text.render import render_text
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_core.errors import DataError, RemoteProtocolError, UsageError

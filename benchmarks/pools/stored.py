@@ -18,7 +18,7 @@ from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool, Pools
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result
 from atoll_coordinator.service.tasks.background import RefiningFailed
 from atoll_coordinator.service.tasks.task_controller import TaskController
 from atoll_coordinator.tasks.preparing import prepare_job

@@ -13,7 +13,7 @@ import numpy as np
 from atoll.terminal.output import note, say, table
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
-from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import Account, VariableOutcome, build_result
 from atoll_core.config import DataConfig, JobConfig
 from atoll_core.data.dataset import FloatArray
 from benchmarks.harness.command_line import OUT, option, program, seeds_of, workers

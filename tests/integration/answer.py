@@ -9,7 +9,7 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Law, Pool
-from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import Account, VariableOutcome, build_result
 from atoll_coordinator.model.sparse.laws import find_all_laws, laws_among_many, settled_variables
 from atoll_coordinator.tasks.defaults import resolve
 from atoll_core.config import BudgetConfig, EvolutionConfig, JobConfig, MigrationConfig, PredictorConfig

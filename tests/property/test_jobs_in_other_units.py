@@ -23,7 +23,7 @@ from atoll.report.trajectories import trajectories
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.pools import Pool
-from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import Result
 from atoll_coordinator.tasks.preparing import prepare_job
 from atoll_core.config import PRESETS, DataConfig, SpaceConfig

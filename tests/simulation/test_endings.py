@@ -9,7 +9,7 @@ import pytest
 from atoll.client.client import Client
 from atoll.client.follower import Subscription
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.result import Account, build_result
+from atoll_coordinator.model.result.building import Account, build_result
 from atoll_coordinator.service.jobs.job import Job
 from atoll_coordinator.service.monitoring.job_views import Draft, ended_view, outcomes_of
 from atoll_coordinator.service.requests import waiting

@@ -17,10 +17,10 @@ from typing import Final
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.batches import Batches, spreading
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.inference.checks import judge
 from atoll_coordinator.model.inference.conclusion import conclude
 from atoll_coordinator.model.inference.remarks import stochastic_remarks, unexplained_remarks
 from atoll_coordinator.model.inference.target_evidence import target_evidence
+from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.pools import LawsByGroup, Member, Pools
 from atoll_coordinator.model.refinement import Refined, Refinement
 from atoll_coordinator.model.regression.equation import WeighedRows, fit_equation

@@ -7,7 +7,7 @@ from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.deadline import Deadline
 from atoll_coordinator.model.pools import LawsByGroup, Pool, Pools
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result
 from atoll_coordinator.result.result import UNTIMED
 from atoll_coordinator.tasks.preparing import Prepared
 from atoll_core.config import JobConfig

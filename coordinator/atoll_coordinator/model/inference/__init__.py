@@ -11,6 +11,6 @@
 - `residuals`: whether residuals are as large as the noise, and without a pattern; `quadratic_forms`: how large they may
   be by chance; `residual_covariance`: their covariance in few rows, and how much larger standard errors are where
   these do not show whether errors are correlated; `null_models`: whether no equation describes as much
-- `checks`: the table of checks, and the verdict that follows from it
+- `verdict`: the table of checks, and the grade that follows from it
 - `remarks`: warnings of what residuals follow: noise of the process, runs, a forcing, a hidden state
 """

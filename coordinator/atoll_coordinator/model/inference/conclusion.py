@@ -12,7 +12,6 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.inference.checks import judge
 from atoll_coordinator.model.inference.evidence import ModelEvidence
 from atoll_coordinator.model.inference.final_model import FinalModel, finalize
 from atoll_coordinator.model.inference.long_run import long_run_of
@@ -35,6 +34,7 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     scaled_covariance,
     simulate_trajectories,
 )
+from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import grouped_errors_on

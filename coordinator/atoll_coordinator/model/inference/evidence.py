@@ -9,12 +9,12 @@ import numpy as np
 from atoll_coordinator.data.differentiation.inputs import unknown_variance
 from atoll_coordinator.data.differentiation.kernels.stencils import HALF_WIDTHS
 from atoll_coordinator.data.recording import InputKind, Smoothing
-from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.final_model import FinalModel
 from atoll_coordinator.model.inference.long_run import LongRun
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
 from atoll_coordinator.model.inference.residual_covariance import residual_covariance
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
+from atoll_coordinator.model.inference.verdict import Evidence
 from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.noise import roughness

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.differentiation.quantisation import find_quantisation
-from atoll_coordinator.model.inference.checks import Evidence
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, structure_price
 from atoll_coordinator.model.inference.residual_covariance import projected_away
+from atoll_coordinator.model.inference.verdict import Evidence
 from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.model.selection.comparison import differ
 from atoll_coordinator.model.shooting.points_between import points_between

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.increments import Rows, split_into_bins, take_steps
-from atoll_coordinator.model.inference.checks import Verdict, failures, sentence
 from atoll_coordinator.model.inference.residuals import residual_statistics
 from atoll_coordinator.model.inference.standard_errors import joint_covariance
+from atoll_coordinator.model.inference.verdict import Verdict, failures, sentence
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95

@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol, cast
 from pydantic import ValidationError
 
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, equation_of
+from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result, equation_of
 from atoll_coordinator.result.base import finite
 from atoll_coordinator.result.result import UNTIMED
 from atoll_coordinator.service.jobs.checks import DAMAGED_RECORD

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from atoll_coordinator.model.result.result import VariableOutcome
+from atoll_coordinator.model.result.building import VariableOutcome
 from atoll_coordinator.service.tasks.background import RefiningFailed
 from atoll_coordinator.settings import Settings, with_changes
 from atoll_coordinator.tasks.preparing import prepare_job

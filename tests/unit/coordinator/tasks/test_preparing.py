@@ -7,7 +7,7 @@ import pytest
 from atoll_coordinator.model import pipeline
 from atoll_coordinator.model.pools import Law, Pool
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.result import KNOWN, VariableOutcome
+from atoll_coordinator.model.result.building import KNOWN, VariableOutcome
 from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.sparse import laws
 from atoll_coordinator.result.result import timed

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from atoll_coordinator.model.inference.checks import Evidence, judge
+from atoll_coordinator.model.inference.verdict import Evidence, judge
 from atoll_core.data.dataset import FloatArray
 from tests.unit.coordinator.model.parts import chaos, constant, prediction
 

@@ -13,7 +13,7 @@ from atoll_coordinator.data.roles.roles import assign_roles
 from atoll_coordinator.data.trajectories.measurements import take_measurements
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Refinement
-from atoll_coordinator.model.result.result import KNOWN, NOT_BY_GROUP, Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import KNOWN, NOT_BY_GROUP, Account, VariableOutcome, build_result
 from atoll_coordinator.model.selection import joint_search
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.table import Table

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.checks import judge
 from atoll_coordinator.model.inference.target_evidence import target_evidence
+from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_core.data.dataset import Problem, Target
 from atoll_core.expression.text.parsing import from_infix

@@ -7,8 +7,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.checks import RULES, Evidence, judge, make_checks, with_objection
 from atoll_coordinator.model.inference.residuals import residual_statistics
+from atoll_coordinator.model.inference.verdict import RULES, Evidence, judge, make_checks, with_objection
 from atoll_coordinator.model.refinement import JobKind
 from atoll_coordinator.result.equations import Check
 from tests.unit.coordinator.model.inference.cases import (

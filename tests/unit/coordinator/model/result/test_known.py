@@ -8,8 +8,8 @@ import pytest
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.refinement import Refinement
+from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result, result_digest
 from atoll_coordinator.model.result.known import known_entries, with_remarks
-from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, result_digest
 from atoll_core.config import EvolutionConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.data.notes import Note

@@ -12,7 +12,7 @@ import pytest
 from atoll.text.render import parse_picks
 from atoll_coordinator.data.recording import Preparation, Source
 from atoll_coordinator.model.refinement import Refined, Refinement
-from atoll_coordinator.model.result.result import KNOWN, Account, VariableOutcome, build_result, result_digest
+from atoll_coordinator.model.result.building import KNOWN, Account, VariableOutcome, build_result, result_digest
 from atoll_coordinator.result.equations import Equation
 from atoll_coordinator.result.findings import Correlation, Place
 from atoll_coordinator.result.listed_trajectories import Simulated, Simulation

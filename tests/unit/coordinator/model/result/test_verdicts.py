@@ -8,7 +8,7 @@ import pytest
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing
 from atoll_coordinator.dimensions import EquationUnits
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
-from atoll_coordinator.model.result.result import Account, VariableOutcome, build_result
+from atoll_coordinator.model.result.building import Account, VariableOutcome, build_result
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, Target
 from atoll_core.expression.text.parsing import from_infix

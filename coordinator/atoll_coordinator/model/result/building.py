@@ -52,7 +52,7 @@ from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
 if TYPE_CHECKING:
-    from atoll_coordinator.model.inference.checks import Verdict
+    from atoll_coordinator.model.inference.verdict import Verdict
 
 KNOWN: Final = "known"
 """Why there was no search: the equation was given."""
@@ -286,8 +286,8 @@ def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined 
     best then: it could not be simulated along them, or there was no time.
     """
     # loads kernels, which the process that serves needs for the results of jobs that were not refined alone
-    from atoll_coordinator.model.inference.checks import Verdict, judge, with_objection
     from atoll_coordinator.model.inference.target_evidence import target_evidence
+    from atoll_coordinator.model.inference.verdict import Verdict, judge, with_objection
 
     if shown is None:
         return Verdict("no model", "The search has found no equation.", ())
