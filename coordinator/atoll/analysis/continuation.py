@@ -201,7 +201,7 @@ class Coefficients:
 
 
 def _separate_uses(program: Program, origins: Sequence[int | None]) -> tuple[Program, tuple[int | None, ...]]:
-    """Return a program in which each use of a constant is a constant of its own, and their origins in node order."""
+    """Return a program in which each use of a constant is a separate constant, and their origins in node order."""
     nodes, builder = program.nodes(), ProgramBuilder()
     numbers = dict(zip(constant_places(program), origins, strict=True))
     used: dict[int, int | None] = {}
@@ -270,7 +270,7 @@ class Curve(Protocol[PointT]):
 
 @dataclass(frozen=True, eq=False)
 class CurveSide(Generic[PointT]):
-    """One side of a curve: its `points` from the first one, the special ones in order with their kinds, its end."""
+    """One side of a curve: its `points` from the first one, the special points in order with their kinds, its end."""
 
     points: list[PointT]
     special: list[tuple[str, PointT]]

@@ -52,7 +52,7 @@ _APART: Final = 1e-5
 """Points nearer than this, in widths of the box, are one."""
 
 _APART_DEGENERATE: Final = 1e-3
-"""The same where the Jacobian is singular: Newton steps approach such points slowly."""
+"""The same for a singular Jacobian, where Newton steps converge slowly."""
 
 NON_HYPERBOLIC: Final = "non-hyperbolic"
 
@@ -210,7 +210,7 @@ def fixed_points(flow: Flow, box: Box) -> FixedPoints:
 
 
 def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
-    """Return one of each group of fixed points (n, D) that lie together, in order of their coordinates."""
+    """Return one point for each cluster of fixed points (n, D), in order of their coordinates."""
     singular = np.linalg.svd(_scaled_jacobian(flow, points, box, rate_scale(flow, box)), compute_uv=False)
     apart = np.where(singular[:, -1] < _SINGULAR * singular[:, 0], _APART_DEGENERATE, _APART)
     kept: list[FloatArray] = []

@@ -30,7 +30,7 @@ SETTLING: Final = 60.0
 decayed to exp(-6), a quarter of a percent."""
 
 LONGER: Final = (1e2, 1e4, 1e6)
-"""Factors by which initial states that have nearly come to rest are followed longer: they move in a slow direction."""
+"""Factors by which the duration is extended for initial states nearly at rest, which move in a slow direction."""
 
 _RESTING: Final = 0.02
 """A state is nearly at rest when it moves less than this number of box widths within the time needed to cross

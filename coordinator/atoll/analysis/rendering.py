@@ -1,4 +1,4 @@
-"""An analysis as sentences and tables, which text and report draw each in its own way, and as plain data.
+"""An analysis as sentences and tables, rendered by text and report, and as plain data.
 
 ``analyse --json`` prints the plain data.
 """

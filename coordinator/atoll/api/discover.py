@@ -103,7 +103,7 @@ class LocalService:
         return str(json.loads(lines[-1]).get("error", "")) if lines else ""
 
     def close(self) -> None:
-        """End it and wait, within a limit, until it and its workers are gone."""
+        """End it and wait, within a limit, until it and its workers have ended."""
         if self.owner != os.getpid():
             return
         for pipe in (self._process.stdin, self._process.stdout):

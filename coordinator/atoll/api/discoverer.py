@@ -29,7 +29,7 @@ class Discoverer:
     """
 
     def __init__(self, **options: object) -> None:
-        """Take the options of `atoll.discover`, such as ``seed``, ``operators``, ``connect``, ``progress``."""
+        """Set the options of `atoll.discover`, such as ``seed``, ``operators``, ``connect``, ``progress``."""
         self._options = dict(options)
         self.model_: Model | None = None
 

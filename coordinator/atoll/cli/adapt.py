@@ -348,7 +348,7 @@ class Adapting:
             self._has_submitted = True
             _LOG.info("submitted", extra=fields(batch_job=job, workers_wanted=need.workers))
         self._end(decision.take_back, self._batch.take_back, "taken back", need)
-        self._end(decision.drain, self._batch.drain, "told to drain", need)
+        self._end(decision.drain, self._batch.drain, "asked to drain", need)
 
     def _end(self, jobs: Sequence[str], end: Callable[[str], None], done: str, need: Need) -> None:
         """End each of these jobs. A job that fails has usually just ended; otherwise the next poll tries again."""

@@ -100,7 +100,7 @@ class AdaptPolicy:
         return min(max(jobs, self._limits.minimum), self._limits.maximum)
 
     def _target(self, now: float, needed: int) -> "_Target":
-        """Return the range of the number of jobs: at least what is needed now, at most what was needed recently."""
+        """Return the range of the number of jobs: at least the current need, at most the largest recent need."""
         if self._began_at is None:
             self._began_at = now
         self._needs = [(at, count) for at, count in self._needs if now - at < self._limits.idle_s]
@@ -110,7 +110,7 @@ class AdaptPolicy:
         return _Target(needed, most)
 
     def _order(self, job: BatchJob, need: Need) -> tuple[bool, int, int]:
-        """Sort by the cost of ending: first pending jobs, the last one first, then those with the fewest islands.
+        """Sort by the cost of ending: pending jobs, the last one first; then running jobs, fewest islands first.
 
         Of equal jobs the oldest ends: its time limit is the next anyway.
         """
@@ -138,7 +138,7 @@ class AdaptPolicy:
         if self._failures >= MOST_FAILURES:
             raise AtollError(
                 f"{self._failures} jobs one after the other ended before a worker of theirs had joined, the last of "
-                f"them {', '.join(sorted(gone))}; see what they have written, and try their command by hand"
+                f"them {', '.join(sorted(gone))}; read their output, and try their command by hand"
             )
 
 

@@ -150,7 +150,7 @@ def _job_options(heading: str) -> Add:
 
 
 def _host_and_port(text: str) -> tuple[str, int]:
-    """Return host and port of ``127.0.0.1:9464``, or of ``:9464`` on this machine alone."""
+    """Return host and port of ``127.0.0.1:9464``, or of ``:9464`` on this machine only."""
     host, colon, port = text.strip().rpartition(":")
     if not (colon and re.fullmatch("[0-9]{1,5}", port) and 0 < int(port) < 65536):
         raise argparse.ArgumentTypeError(f"HOST:PORT such as 127.0.0.1:9464 was expected, but {text!r} was given")
@@ -443,7 +443,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _DATA,
         _value(
             "--parameter", "c1",
-            "what to vary: a constant, several in a fixed ratio (c1,c2), a coefficient (y:x*y in dy/dt), an input",
+            "parameter to vary: a constant, several in a fixed ratio (c1,c2), a coefficient (y:x*y in dy/dt), an input",
         ),
         _value("--range", "A:B", "range of --parameter"),
         _OUTPUT,

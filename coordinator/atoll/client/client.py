@@ -49,7 +49,7 @@ ANSWER_LIMIT_S: Final = 10.0
 """How long any other request may remain without an answer."""
 
 IDLE_LIMIT_S: Final = 3600.0
-"""How long to wait until a worker begins an analysis: tasks that were leased before it have ended by then."""
+"""How long to wait until a worker begins an analysis: tasks that were leased earlier have ended by then."""
 
 CANCEL_LIMIT_S: Final = 60.0
 """How long to wait for a job that was cancelled: its result takes seconds, even with a million rows."""
@@ -327,7 +327,7 @@ class Client:
                 return None, _whole(parts, answer.digest)
 
     def table(self, job: str) -> bytes:
-        """Return the table that `job` was submitted with, as it was uploaded; raises RefusedError if it is gone."""
+        """Return the uploaded table of `job`; raises RefusedError if it was deleted."""
         parts: list[bytes] = []
         while True:
             body = messages.GetTable(job=job, index=len(parts))

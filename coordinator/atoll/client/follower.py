@@ -16,7 +16,7 @@ from atoll_core.wire.messages.clients import JobChange
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 QUIET_S: Final = 2.0
-"""Seconds without a change after which we ask again: a change may have been lost, or the coordinator may be gone."""
+"""Seconds without a change after which we ask again: a change may have been lost, or the coordinator may have ended."""
 
 RENEWED_AT: Final = 1.0 / 3.0
 """Share of a lease after which it is renewed; two renewals may be lost."""
@@ -100,7 +100,7 @@ class Display:
         """Show the latest state, observed at monotonic second `now`."""
 
     def print_note(self, sentence: str) -> None:
-        """Show a sentence that stays."""
+        """Print a permanent line."""
 
 
 class Follower:

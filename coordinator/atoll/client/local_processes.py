@@ -31,7 +31,7 @@ _SPEAKER: Final = b"island-worker: "
 def start_apart(
     command: Sequence[str], given: Mapping[str, str] = MappingProxyType({}), **streams: Any
 ) -> "subprocess.Popen[bytes]":
-    """Start a program in a session of its own, since a Ctrl-C on the terminal is ours alone to handle.
+    """Start a program in a new session, since only this process should handle Ctrl-C on the terminal.
 
     Its environment is ours with `given` and without certificates: traffic within this machine is not encrypted.
     """

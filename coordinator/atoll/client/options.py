@@ -244,7 +244,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
         Option(
             "missing_value", "data.missing_values", several_numbers, "-9999",
-            "a number that stands for a missing value, which is dropped", is_repeatable=True,
+            "a number that means a missing value, which is dropped", is_repeatable=True,
         ),
         Option("robust", "data.robust", switch, None, "smooth robustly: outliers get little weight"),
         Option(
@@ -282,7 +282,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "bound", "prior.bounds", bounds, '"[x:] c > 0"',
-            "bounds on constants: c all, |c| all magnitudes, inner those inside terms, x*y the coefficient of "
+            "bounds on constants: c all, |c| all magnitudes, inner constants inside terms, x*y the coefficient of "
             "that term, as in 'x: -2 < x*y < 0'", is_repeatable=True,
         ),
         Option(

@@ -40,7 +40,7 @@ _WANTED: Final = ("shown", "given")
 
 @dataclass(frozen=True, eq=False)
 class WeightedSystem:
-    """A system fitted to the data: `nats` is ln of the best weight over its own; weights sum to 1.
+    """A system fitted to the data: `nats` is ln of the best weight over its weight; weights sum to 1.
 
     `length` is the description length in nats, by which results choose equations.
     """
@@ -150,7 +150,7 @@ def _systems(result: Result, measured: FitData, shown: EquationSet) -> Iterator[
 
 
 def without_poles(program: Program, equations: EquationSet, measured: FitData) -> Iterator[Program]:
-    """Yield the program with another denominator: for n/d n/(d + c) and n d/(d**2 + c), for n/(d + c) the latter alone.
+    """Yield the program with another denominator: for n/d n/(d + c) and n d/(d**2 + c), for n/(d + c) only the latter.
 
     Where d is never near 0 in the data, these fit as well as n/d, and they have no pole.
     """

@@ -230,7 +230,7 @@ def _side(result: Result, fitted: FittedEquations) -> ComparedModel:
 
 
 def _regressions(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
-    """Compare two equations y = f(X) over the rows that a result lists, their constants as they are."""
+    """Compare two equations y = f(X) over the rows listed in a result, without fitting constants again."""
     rows = holder.regression
     if table is not None:
         raise UsageError("equations without time are compared on the rows of their results; leave the data out")

@@ -231,7 +231,7 @@ def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None
 
 
 def _trajectory_of_group(recording: Recording, group: str) -> Recording:
-    """Return the trajectory that is the group; a single trajectory is taken as it is."""
+    """Return the trajectory of the group; a single trajectory is returned unchanged."""
     names = [trajectory.name for trajectory in recording.trajectories]
     if len(names) == 1:
         return recording

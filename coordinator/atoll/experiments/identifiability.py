@@ -384,7 +384,7 @@ def _words(vector: FloatArray, profiles: Sequence[ConstantProfile], names: Seque
 
 
 def relation_of(path: FloatArray, names: tuple[str, str]) -> str | None:
-    """Return the combination of two constants that stays the same along a path (n, 2): ``a*b``, ``a + b``; or None.
+    """Return the combination of two constants that is constant along a path (n, 2): ``a*b``, ``a + b``; or None.
 
     Products of powers up to cubes are tried, and sums. A sum with a factor other than 1 is reported only if no product
     stays the same, since along a short path every relation is nearly such a sum.
@@ -515,7 +515,7 @@ def _reading_order(constant: FreeConstant, fitted: FittedEquations) -> tuple[int
 
 @dataclass(frozen=True)
 class _Parts:
-    """A `_Profiler` as it is sent to workers: its result as JSON, the bytes of its table, and the rest."""
+    """A `_Profiler` in the form sent to workers: its result as JSON, the bytes of its table, and the rest."""
 
     result: str
     table: bytes | None

@@ -211,7 +211,7 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class Suggestions:
-    """Experiments by falling worth per cost.
+    """Experiments in descending order of worth per cost.
 
     `purpose` and `reason` say what they are for and why; `entropy` in nats measures how undecided the candidates are:
     the most that an experiment can tell about them. `bounds` are the searched ranges of initial states and inputs;
@@ -344,14 +344,14 @@ class _Tried:
 
 @dataclass(frozen=True)
 class _DesignSearch:
-    """Finds the experiments of largest worth by the `value` of each; the best are examined again by `examined`."""
+    """Finds the experiments of largest worth, computed by `value`; `examined` evaluates the best ones again."""
 
     space: DesignSpace
     value: Callable[[Design], Gain]
     examined: Callable[[_Tried], _Tried] = lambda tried: tried
 
     def best(self, count: int, seed: int) -> list[_Tried]:
-        """Return `count` experiments that differ, the best first; fewer where others are worth nothing."""
+        """Return `count` distinct experiments, the best first; fewer where other experiments have no worth."""
         space, most = self.space, max(_IMPROVED, count)
         points = space.points(seed)
         tried = [self._tried(space.design(point, share)) for share in space.shares for point in points]

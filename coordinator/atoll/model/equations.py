@@ -269,7 +269,7 @@ def r2_text(value: float | None) -> str:
 
 
 def unit_text(unit: str | None) -> str:
-    """Return a unit as it stands after a number; "" for a pure number and where units do not tell."""
+    """Return a unit as printed after a number; "" for a pure number or an unknown unit."""
     return f" {unit}" if unit not in (None, "1") else ""
 
 

@@ -81,7 +81,7 @@ class Model(Shortcuts):
             raise UsageError("the result has not found every equation, so there is no model; look at its verdicts")
 
     def __reduce__(self) -> tuple[type["Model"], tuple[Result]]:
-        """Pickle the result alone: compiled functions are compiled again in the other process."""
+        """Pickle only the result: functions are compiled again in the other process."""
         return type(self), (self._result,)
 
     @classmethod
@@ -215,7 +215,7 @@ class Model(Shortcuts):
         return remark_on_groups(self._result)
 
     def __eq__(self, other: object) -> bool:
-        """Models with equal results are equal, such as a saved and a loaded one."""
+        """Models with equal results are equal, such as a saved and a loaded model."""
         return self._result == other._result if isinstance(other, Model) else NotImplemented
 
     def __hash__(self) -> int:
@@ -429,7 +429,7 @@ _OF_THE_SEARCH = (
 
 
 def _with_candidate(result: Result, place: int, other: Candidate) -> Result:
-    """Return the result with a candidate in place of an equation, without errors, verdicts and shared terms."""
+    """Return the result with a candidate instead of an equation, without errors, verdicts and shared terms."""
     # constants of candidates, and of equations without their groups, belong to all groups together
     equations = [
         equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})

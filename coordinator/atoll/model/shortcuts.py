@@ -133,9 +133,9 @@ class Shortcuts:
         return suggestions(self.itself, data, request)
 
     def compare(self, other: "Model", data: object = None) -> "Comparison":
-        """Compare this model, A, with another one, B, such as one of its `candidates`, on the same data.
+        """Compare this model, A, with another model, B, such as one of its `candidates`, on the same data.
 
-        The result says which one fits better and with what odds, and which equations have the same form.
+        The result has the better model, its odds, and the equations that have the same form.
 
         Args:
             other: a model of the same states or target.
@@ -256,7 +256,7 @@ class Shortcuts:
         return written(self.itself, format, x0, t, u)
 
     def to_python(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
-        """Return a Python module that needs numpy alone and integrates by itself."""
+        """Return a Python module that needs only numpy and has its own integrator."""
         return self.export("python", x0, t, u)
 
     def to_c(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:

@@ -214,7 +214,7 @@ class Team:
         self._send(Give(question.token, batch))
 
     def _batch(self, question: Ask) -> TaskBatch | None:
-        """Return a batch for a helper: the last of the call with most waiting items; the first one stays here."""
+        """Return a batch for a helper: the last of the call with most waiting items; its first batch stays here."""
         fit = [call for call in self._calls if len(call.waiting) > 1 and _size(call) <= MAX_BATCH]
         if not fit:
             return None

@@ -1,4 +1,4 @@
-"""The API's description as OpenAPI 3.1 has it, made of the declared operations and their models.
+"""The API's description in OpenAPI 3.1, built from the declared operations and their models.
 
 ``python -m atoll.web.description`` writes ``openapi.json``; a test compares the two.
 """

@@ -271,7 +271,7 @@ class Feed:
 _NOTHING: Final = object()
 
 _AGEING: Final = {"elapsed", "point_evaluations_per_second"}
-"""Fields of a view that change by time alone."""
+"""Fields of a view that change only with time."""
 
 
 def _encode(value: object) -> str:

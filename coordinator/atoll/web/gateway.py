@@ -15,7 +15,7 @@ THREADS: Final = 4
 """Simultaneous requests: they take milliseconds, and an upload must not hold up others."""
 
 MAX_WAITING: Final = 256
-"""Requests that wait for a thread; more are refused, so that memory stays bounded."""
+"""Limit of requests that wait for a thread; more are refused, so that memory stays bounded."""
 
 A = TypeVar("A")
 

@@ -1,6 +1,6 @@
 """Uploaded files: their temporary folders, and their reading in another process, within limits.
 
-See `reading_process`. A web process that is killed leaves its folders; the next one of the same user removes them.
+See `reading_process`. A web process that is killed leaves its folders; the user's next web process removes them.
 """
 
 import asyncio

@@ -40,7 +40,7 @@ _ENTRY: Final = {"token_sha256", "tls_ca", "tls_cert", "tls_key"}
 """Keys of each user in a file of users."""
 
 _OTHERS: Final = stat.S_IRWXO | stat.S_IWGRP
-"""File modes by which others could guess tokens or add one. A group may read the file, such as a service's."""
+"""File modes that let other users guess or add tokens. A group may read the file, such as the group of a service."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def access_of(
     if look_without_token and not is_own:
         raise UsageError(
             "--look-without-token shows all jobs to any user of the page: it needs a --listen on this machine, and "
-            "neither --allow-host, --users nor certificates of the bus; leave it out, and give people the token"
+            "neither --allow-host, --users nor certificates of the bus; remove it, and give the token to users"
         )
     if not listener.is_local and listener.certificate is None:
         raise UsageError(

@@ -285,7 +285,7 @@ def _worker_row(view: WorkerView) -> tuple[str, ...]:
 
 
 def coordinator_lines(view: CoordinatorView | None) -> str:
-    """Return the coordinator's own state, and its traffic by kind of message."""
+    """Return the coordinator's state, and its traffic by kind of message."""
     if view is None:
         return "the coordinator reports nothing about itself"
     counters, store = view.counters, view.store

@@ -89,7 +89,7 @@ def is_loopback(host: str) -> bool:
 
 
 def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
-    """Return the addresses to connect to, first those for other machines; with a certificate, the names in it."""
+    """Return the addresses to connect to, addresses for other machines first; with a certificate, the names in it."""
     address = at.address
     if is_behind_router or address.is_socket:
         return [str(address)]
@@ -288,7 +288,7 @@ ANOTHER_LIMIT_S: Final = 0.5
 """How long another coordinator behind the same router may take to answer."""
 
 LEAVING_LOOKS: Final = 10
-"""How often a coordinator that has taken over a store checks that its predecessor is gone: ten ticks of it."""
+"""Interval at which a coordinator that has taken over a store checks that its predecessor has ended: ten ticks."""
 
 
 def serve(options: argparse.Namespace) -> int:
@@ -345,7 +345,7 @@ def _limits(options: argparse.Namespace) -> "Limits":
 
 
 def _read_again(service: "Service", options: argparse.Namespace) -> None:
-    """Apply limits and roster as they are now; if they cannot be read, the old ones stay in force."""
+    """Read limits and roster again and apply them; if they cannot be read, the old ones stay in force."""
     try:
         limits = _limits(options)
         role_bindings = read_role_bindings(Path(options.roster)) if options.roster is not None else None

@@ -35,7 +35,7 @@ _ADDED: Final = re.compile(
 """Options, with values, that a warning about the columns proposes."""
 
 _WHY: Final = {
-    "missing-value": "a number that stands for missing values was taken as measured",
+    "missing-value": "a code for missing values was treated as a measured value",
     "hold": "the inputs seem to be constant between rows",
     "order": "the same values are passed with different velocities",
     "per-trajectory": "the trajectories seem to differ in a constant",
