@@ -1,4 +1,4 @@
-"""What coordinator and island worker share; it imports no other package of Atoll.
+"""Code shared by coordinator and island worker; it imports no other package of Atoll.
 
 ``config``, ``data`` and ``expression`` define a job; ``search`` holds the rules that both sides must apply alike
 (fronts, random streams, the commit order); ``wire`` the messages and the bus, ``task_frames`` the messages between a

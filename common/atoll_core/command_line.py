@@ -1,4 +1,4 @@
-"""What the command lines of both programs share. Few imports, because ``--help`` must be fast."""
+"""Parts of the command line that both programs share. Few imports, because ``--help`` must be fast."""
 
 import argparse
 import os
@@ -42,7 +42,7 @@ class Parser(argparse.ArgumentParser):
         return options
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Print help; raises AtollError where it cannot be written, unless its reader has gone."""
+        """Print help; raises AtollError if it cannot be written, except when the reader has closed the pipe."""
         stream = file or sys.stdout
         try:
             stream.write(message)
@@ -143,7 +143,7 @@ _ALTERNATIVES = re.compile(r"[a-z0-9]+(?:\|[a-z0-9]+)+")
 
 
 def complete(parser: argparse.ArgumentParser, **settings: Any) -> None:
-    """Answer a shell that asks for completions, and end the process; else do nothing.
+    """Answer a shell that asks for completions, and end the process; otherwise do nothing.
 
     `settings` are arguments of `argcomplete.autocomplete`.
     """

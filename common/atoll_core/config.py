@@ -40,7 +40,7 @@ def _fail_fast(schema: object) -> None:
 
 
 class Frozen(BaseModel):
-    """Base of everything that is validated: frozen, unknown fields refused, NaN and infinity refused."""
+    """Base of all validated models: frozen, unknown fields refused, NaN and infinity refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -53,7 +53,7 @@ class Frozen(BaseModel):
 
 
 def _without(retired: Mapping[str, object]) -> Callable[[object], object]:
-    """Return a validator that drops `retired` options whose value in an older file is what is always done now."""
+    """Return a validator that drops `retired` options of older files if their value describes the present behaviour."""
 
     def drop(data: object) -> object:
         if not isinstance(data, dict):
@@ -96,22 +96,22 @@ class DataConfig(Frozen):
     stochastic: bool = Field(default=False, description="identify the drift and the diffusion of a stochastic process")
     robust: bool = Field(default=False, description="smooth so that outliers lose their weight")
     holdout: PositiveInt | Annotated[str, Field(pattern=r"^.+=.+$")] | None = Field(
-        default=None, description="trajectories kept from the search: so many last ones, or COLUMN=VALUE"
+        default=None, description="trajectories kept from the search: the last N, or COLUMN=VALUE"
     )
     weights: str | None = Field(
         default=None, description="column of row weights: inverse variances, up to a factor; 0: unused"
     )
     offsets: tuple[str, ...] = Field(
-        default=(), description="states measured up to an offset that each trajectory has its own"
+        default=(), description="states measured with an unknown offset, different in each trajectory"
     )
     hold: tuple[str, ...] = Field(
         default=(), description="inputs that keep the value of a row until the next row (zero-order hold)"
     )
     group: str | None = Field(
-        default=None, description="column: trajectories of one value share constants, others have own"
+        default=None, description="column: trajectories with equal values share constants, others have own"
     )
     per_trajectory: bool = Field(default=False, description="each trajectory has separate constants")
-    units: dict[str, str] = Field(default_factory=dict, description="units of columns, by name; over those of headers")
+    units: dict[str, str] = Field(default_factory=dict, description="units of columns, by name; they override headers")
     missing: Literal["refuse", "drop"] = Field(default="refuse", description="what to do with NaN and infinity")
     sheet: str | None = Field(
         default=None, description="sheet of an Excel workbook; the first with a table unless named"
@@ -125,7 +125,7 @@ class SpaceConfig(Frozen):
     """The space of expressions."""
 
     operators: tuple[str, ...] | None = Field(
-        default=None, description="None: + - * / sin cos, and where they leave something to gain the others"
+        default=None, description="None: + - * / sin cos, and the others where they may improve the equation"
     )
     operators_of: dict[str, tuple[str, ...]] = Field(default_factory=dict, description="per equation; overrides")
     variables_of: dict[str, tuple[str, ...]] = Field(
@@ -143,11 +143,12 @@ class SpaceConfig(Frozen):
     )
 
     def operators_for(self, variable: str) -> tuple[str, ...]:
-        """Return the operators that the search for the equation of `variable` is made of."""
+        """Return the operators that the search for the equation of `variable` uses."""
         return self.operators_of.get(variable, BASE_OPERATORS if self.operators is None else self.operators)
 
     def further_operators_for(self, variable: str) -> tuple[str, ...]:
-        """Return the operators that may be tried for the equation of `variable` besides; none where some are named."""
+        """Return further operators that may be tried for the equation of `variable`; none if the user named
+        operators."""
         return () if self.operators is not None or variable in self.operators_of else FURTHER_OPERATORS
 
     def columns_for(self, variable: str, names: Sequence[str]) -> tuple[int, ...]:
@@ -156,7 +157,7 @@ class SpaceConfig(Frozen):
         return tuple(index for index, name in enumerate(names) if name in allowed)
 
     def terminals_for(self, variables: int) -> int:
-        """Return the number of terminals of a list over so many variables."""
+        """Return the number of terminals of a list over this many variables."""
         return self.terminals or max(PAPER_TERMINALS, variables + TERMINALS_BEYOND_VARIABLES)
 
 
@@ -169,7 +170,7 @@ class PriorConfig(Frozen):
     guesses: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="expressions among which the islands begin; their constants are fitted"
     )
-    known: dict[str, str] = Field(default_factory=dict, description="equations that are given, not searched")
+    known: dict[str, str] = Field(default_factory=dict, description="known equations, which are not searched")
     bounds: dict[str, tuple[str, ...]] = Field(
         default_factory=dict, description="on constants, such as c > 0, by left-hand side, or * for all equations"
     )
@@ -201,7 +202,8 @@ class EvolutionConfig(Frozen):
     )
     refit_interval: PositiveInt = Field(default=10, description="generations between offers to the front")
     runners_up: Annotated[int, Field(ge=0, le=64)] | None = Field(
-        default=None, description="next best of each complexity kept beside the front; None: 0, or 8 with noisy targets"
+        default=None,
+        description="next best of each complexity kept next to the front; None: 0, or 8 with noisy targets",
     )
 
 
@@ -240,7 +242,7 @@ class BudgetConfig(Frozen):
     max_epochs_of: dict[str, PositiveInt] = Field(default_factory=dict, description="per variable; overrides")
     max_time: Annotated[float, Field(gt=0.0)] | None = Field(default=None, description="seconds")
     stagnation: PositiveInt | None = Field(
-        default=None, description="epochs without a better equation after which a search ends; None: by the data"
+        default=None, description="epochs without a better equation after which a search ends; None: from data"
     )
 
 

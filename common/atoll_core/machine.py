@@ -1,4 +1,4 @@
-"""What this process may use of its machine, and what it uses: cores, memory, folders, file systems, BLAS kernels.
+"""Resources that this process may use, and its use of them: cores, memory, folders, file systems, BLAS kernels.
 
 Standard library only, since programs import this module before anything else.
 """
@@ -107,7 +107,7 @@ _MOUNTS: Final = Path("/proc/self/mounts")
 
 
 def file_system(place: Path, mounts: Path = _MOUNTS) -> str | None:
-    """Return the kind of file system of an existing or future `place`; None where it is not known (Linux only)."""
+    """Return the kind of file system of an existing or future `place`; None if unknown (known only on Linux)."""
     kinds = {}
     with contextlib.suppress(OSError):
         for line in mounts.read_text("utf-8", "replace").splitlines():

@@ -36,7 +36,7 @@ _LONGEST: Final = 40
 """Characters of a value that a sentence shows."""
 _MOST_LINES: Final = 20
 _WIDEST: Final = 160
-"""Lines, and characters of each, that a value shows in a notebook."""
+"""Most lines, and most characters of a line, of a value in a notebook."""
 
 
 _SPECIAL: Final = re.compile(r"[^\x20-\x7e\t\n\r]|\r(?!\n)")

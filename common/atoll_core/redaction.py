@@ -22,7 +22,7 @@ _SIGNS: Final = ("://", "token", "bearer", "authorization")
 def without_secrets(text: str) -> str:
     """Return a text without the queries of HTTP addresses, tokens, and names with passwords before a host.
 
-    The whole word of a token is removed, whatever its characters. Words end differently in JSON: see `redacted`.
+    The whole word of a token is removed, regardless of its characters. Words end differently in JSON: see `redacted`.
     """
     lower = text.lower()
     if not any(sign in lower for sign in _SIGNS):

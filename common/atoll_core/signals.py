@@ -25,7 +25,7 @@ ENDING: Final[tuple[signal.Signals, ...]] = (signal.SIGINT, *_TERMINATION)
 
 
 def termination_signals() -> list[signal.Signals]:
-    """Return the signals other than Ctrl-C that end this process, without ignored ones."""
+    """Return the signals that end this process, except Ctrl-C and ignored signals."""
     return [number for number in _TERMINATION if signal.getsignal(number) != signal.SIG_IGN]
 
 
@@ -151,7 +151,7 @@ def reap_children() -> None:
 
 
 def forget_handlers() -> None:
-    """Reset the handlers in a fork to those of a fresh process."""
+    """Reset the handlers in a fork to the handlers of a new process."""
     for number in ENDING:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)

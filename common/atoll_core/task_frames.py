@@ -43,7 +43,7 @@ class Ask:
 
 @dataclass(frozen=True, slots=True)
 class Give:
-    """From the process of a task: the batch for the asking helper; None: none now, ask again."""
+    """From the process of a task: the batch for the asking helper; None: there is none now, ask again."""
 
     token: int
     batch: "TaskBatch | None"
@@ -128,7 +128,7 @@ class Logged:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """Posted by the thread that watches the process: it has ended; `why` in a few words."""
+    """Posted by the thread that watches the process: it has ended; `why` is the reason in a few words."""
 
     failure: Failure
     why: str

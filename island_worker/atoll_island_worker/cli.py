@@ -30,7 +30,7 @@ _GRACE_S: Final = 30.0
 _MOST_PROCESSES: Final = 1024
 
 _EPILOG: Final = """\
-exit codes: 0 the coordinator ended or the worker was told to end, 1 failed, 2 bad usage or refused by the coordinator,
+exit codes: 0 the coordinator ended or the worker was asked to end, 1 failed, 2 bad usage or refused by the coordinator,
 3 coordinator not reachable, 130 interrupted; of several processes the worst. A process that dies is started again
 after 1 s, then 2 s and so on up to 30 s; after five deaths within a minute it is given up, and counts as failed
 
@@ -44,7 +44,7 @@ examples:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line (None: that of the process) and return its exit code."""
+    """Run one command line (None: the command line of this process) and return its exit code."""
     words = sys.argv[1:] if argv is None else argv
     return exit_code_of(lambda: _dispatch(_parse(words)), complain)
 

@@ -5,9 +5,9 @@ its kernels once they are ready. Only then are islands placed here. If the coord
 would accept us (an enquiry, which changes nothing); if it stays away too long, the worker ends. A coordinator that has
 opened the store again has a later incarnation; an earlier one that answers late, or hangs, is never joined again.
 
-A worker that is told to end (SIGTERM, its lifetime) drains: its heartbeats say ``leaving``, the coordinator places its
-islands elsewhere and answers ``shutdown``. Without that answer the worker ends when its grace, or a shorter absence of
-the coordinator, is over.
+A worker that is asked to end (by SIGTERM or its lifetime) drains: its heartbeats say ``leaving``, the coordinator
+places its islands elsewhere and answers ``shutdown``. Without that answer the worker ends when its grace, or a shorter
+absence of the coordinator, is over.
 """
 
 import logging

@@ -10,7 +10,8 @@ died too often. A child reports why it ends through a pipe (`ExitReasons`), and 
 children report it.
 
 No child outlives its parent. Children have sessions of their own, so that Ctrl-C on the terminal reaches only the
-parent, which then tells them. If the parent dies without a word, the kernel (on Linux) and a watching thread end them.
+parent, which then signals them. If the parent dies without a signal, the kernel (on Linux) and a watching thread end
+them.
 """
 
 import contextlib
@@ -38,7 +39,7 @@ _STDIN: Final = 0
 
 
 class Child(Protocol):
-    """A process that was started here."""
+    """A process started by the supervisor."""
 
     pid: int
 
@@ -65,7 +66,7 @@ def can_fork() -> bool:
 def load_ahead() -> None:
     """Load libraries, and kernels if they have been compiled; errors are ignored: every worker reports them.
 
-    Compiling is left to the workers, which tell the coordinator that they are compiling.
+    The workers compile, because they can report this to the coordinator.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
     with contextlib.suppress(Exception):
@@ -237,7 +238,7 @@ MOST_DEATHS: Final = 5
 """After this many deaths within `STEADY_S` a process is not started again."""
 
 ENDS: Final = frozenset({0, 3, 130})
-"""Exit codes of processes that end in order, or for a reason that a new process would meet as well."""
+"""Exit codes of processes that end in order, or for a reason that would also end a new process."""
 
 REFUSED: Final = 2
 """Exit code of a process that is refused; after a first start it may only mean that the name is not free yet."""
@@ -270,7 +271,8 @@ class RestartPolicy:
     def end(self, code: int, now: float) -> float | None:
         """Record an end; return the seconds until the next start.
 
-        None: there is no next start: the process ended in order or dies too often, or all are told to end.
+        None: there is no next start: the process ended in order or dies too often, or all processes were signalled to
+            end.
         """
         self.code = code
         is_final = self._is_stopped or code in ENDS or (code == REFUSED and self.number == 1)
@@ -287,7 +289,7 @@ class RestartPolicy:
         return pause_s
 
     def stop(self) -> None:
-        """Allow no further start: all are told to end."""
+        """Allow no further start: all processes were signalled to end."""
         self._is_stopped = True
         if self.state == "paused":
             self.state, self.code = "ended", 0
@@ -400,8 +402,8 @@ class Supervisor:
             left = f"{others} {'other process runs' if others == 1 else 'other processes run'} on" if others else ""
             complain(
                 f"{subject} {ending}, {len(process.policy.deaths)} deaths within a minute, and is not started again "
-                f"({left or 'no other process is left'}); see its last messages, and whether this machine has enough "
-                "memory"
+                f"({left or 'no other process is left'}); read its last messages, and check that this machine has "
+                "enough memory"
             )
 
     def _stop(self, now: float) -> None:

@@ -1,8 +1,8 @@
 """The loop of a worker: events of the bus go to the session, its actions to the bus and the compute thread.
 
 `Worker.step` handles one event and never blocks; `Worker.run` is the thin loop around `Bus.receive`; `run_worker` is
-what the command line calls. Everything that decides is in `session`, `connection`, `tasks` and `downloads`, each of
-which owns its state; this module only connects them, and it alone knows all of them.
+what the command line calls. All decisions are made in `session`, `connection`, `tasks` and `downloads`, each of which
+owns its state; this module connects them, and no other module knows all of them.
 """
 
 import logging
@@ -102,7 +102,7 @@ class Worker:
         self._bus.call_later(TICK_S, _TICK)
 
     def leave(self) -> None:
-        """Drain from the next tick on: hand over what is computed here, then end. Signal handlers may call this."""
+        """Drain from the next tick on: hand over the islands computed here, then end. Signal handlers may call this."""
         self._is_drain_requested = True
 
     def run(self) -> int:
@@ -240,7 +240,7 @@ class Worker:
                     self._on_control(decode(payload, messages.Control, MAX_MESSAGE).body)
                 self.session.forget_pending(request.subject)
             case PendingRequest("states", states=epochs.PullStates() as pull):
-                states: object = None  # also without an answer: then they are asked for again
+                states: object = None  # without an answer the states are asked for again
                 try:
                     states = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
                 finally:
@@ -292,7 +292,7 @@ class Worker:
             self._send_heartbeat()
 
     def _drain(self) -> None:
-        """End this worker once the coordinator says that nothing is left here, or after a while."""
+        """End this worker once the coordinator says that no work remains here, or after a while."""
         if self._connection.drain():
             self._send_heartbeat()
 
@@ -376,15 +376,15 @@ def run_worker(  # noqa: PLR0913  # one caller, which hands on the options of th
 
     Kernels are made ready while the connection is being opened. `wait_s` limits both the first connection and
     any later absence of the coordinator (None: `START_S`, then `RETURN_S`). `on_signal` makes a function be called when
-    this process is told to end; `show` is called with each sentence of the warm-up. `tasks` starts processes for tasks,
-    by default new interpreters.
+    this process gets a signal to end; `show` is called with each sentence of the warm-up. `tasks` starts processes for
+    tasks, by default new interpreters.
 
     Returns:
         The exit code.
 
     Raises:
         UnreachableError: The coordinator was not there, or stayed away.
-        RefusedError: It refused this worker, for instance because of its version or its certificate.
+        RefusedError: the coordinator refused this worker, for instance because of its version or its certificate.
         AtollError: The kernels cannot be made ready, or the compute thread failed.
     """
     from atoll_core.wire.bus.zenoh_bus import open_client

@@ -138,7 +138,7 @@ def test_a_certificate_for_something_else_is_refused(lab: Lab, router: ZenohBus)
 def test_what_does_not_speak_tls_is_told_apart(lab: Lab) -> None:
     with open_router("tcp/127.0.0.1:0") as plain:
         address = plain.endpoint.replace("tcp/", "tls/")
-        with pytest.raises(UnreachableError, match="what listens there does not speak TLS"):
+        with pytest.raises(UnreachableError, match="the program that listens there does not speak TLS"):
             open_client(destination(address, load(*lab.files("ann"), use="connect")))
 
 

@@ -183,7 +183,7 @@ def test_a_search_that_another_version_stored_ends_its_job_and_blocks_no_other(
     lasting.submit(config(), job="other")
     view = lasting.finish()
     assert view.state == "failed"
-    assert "what the store keeps of its search is not understood by version" in (view.reason or "")
+    assert "the stored search cannot be read by version" in (view.reason or "")
     assert lasting.finish("other").state == "done"
 
 

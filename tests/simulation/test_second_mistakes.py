@@ -128,7 +128,7 @@ def test_nothing_is_thrown_away_where_only_another_version_could_read_it() -> No
     with world.store._transaction() as sql:
         sql.execute("UPDATE jobs SET prepared_digest = NULL")
     start_alone(world)
-    with pytest.raises(RefusedError, match=r"goes on from a search that is stored.*start a worker"):
+    with pytest.raises(RefusedError, match=r"continues a stored search.*start a worker"):
         world.client.cancel("job")
     world.background_s = 0.001
     world.start_worker("w9")

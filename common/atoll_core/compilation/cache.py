@@ -121,7 +121,7 @@ def sentence_of(done: int, kernels: int) -> str:
 
 
 def count_of(sentence: str) -> tuple[int, int] | None:
-    """Return how many kernels of how many a sentence names as compiled; None when it names no count."""
+    """Return the numbers of compiled kernels and of all kernels that a sentence names; None when it names no count."""
     match = _COUNT.search(sentence)
     return (int(match[1]), int(match[2])) if match else None
 
@@ -165,9 +165,9 @@ Report = Callable[[str], None]
 def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, report: Report) -> None:
     """Compile or load all kernels of `package`, which `exercise` runs. Does nothing with ``NUMBA_DISABLE_JIT``.
 
-    `exercise` compiles or loads so many `kernels`, each with the types that it is used with. `report` is called with a
-    sentence before the first compilation and after each kernel, or when this process waits. Raises AtollError where the
-    cache of compiled kernels cannot be written, or this numba lacks a part that `jit` builds on.
+    `exercise` compiles or loads this number of `kernels`, each with the types of its arguments in use. `report` is
+    called with a sentence before the first compilation and after each kernel, or when this process waits. Raises
+    AtollError where the cache of compiled kernels cannot be written, or this numba lacks a part that `jit` builds on.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
@@ -175,7 +175,7 @@ def compile_or_load(package: str, exercise: Callable[[], None], kernels: int, re
         importlib.import_module("atoll_core.compilation.jit")
     except (AttributeError, ImportError) as error:
         raise AtollError(f"kernels cannot be compiled with numba {version('numba')} ({error}); {_ADVICE}") from error
-    if not is_compiled(package):  # else a folder that can only be read does
+    if not is_compiled(package):  # otherwise a read-only folder is enough
         with _locked(_make(cache_directory(package)) / "lock", report):
             if not is_compiled(package):
                 with _counted(kernels, report):
@@ -193,7 +193,7 @@ def _make(directory: Path) -> Path:
     except OSError as error:
         raise AtollError(
             f"the folder of compiled kernels {directory} cannot be written ({error.strerror}); "
-            "set ATOLL_KERNEL_CACHE to one that can"
+            "set ATOLL_KERNEL_CACHE to a folder that can be written"
         ) from error
     return directory
 

@@ -87,8 +87,8 @@ class Dataset:
     """All regression problems of a job over the same rows.
 
     `names` are the V symbols used in expressions, in the order of the rows of `inputs`; `symbols` maps each column name
-    of the user's file to its symbol; `warnings` are sentences for the user about the treatment of the data, `notes`
-    those of them that are no warnings; `groups` are as in `Problem`.
+    of the user's file to its symbol; `warnings` are sentences for the user about the treatment of the data; `notes`
+    lists the sentences among them that are only information; `groups` are as in `Problem`.
     """
 
     names: tuple[str, ...]
@@ -117,7 +117,7 @@ class Dataset:
 
     @cached_property
     def digest(self) -> str:
-        """Hex digest of everything that can influence the search."""
+        """Hex digest of all data that can influence the search."""
         digest = hashlib.sha256()
         _update(digest, self.names)
         digest.update(self.inputs.tobytes())

@@ -1,4 +1,5 @@
-"""Arrays from what Python users pass in, missing entries marked, and data frames of polars or pandas for output."""
+"""Arrays from the data that Python users pass in, with missing entries marked, and polars or pandas frames for
+output."""
 
 import importlib
 from collections.abc import Mapping
@@ -15,14 +16,15 @@ if TYPE_CHECKING:
 
 
 _MISSING: Final[dict[str, object]] = {**dict.fromkeys("mM", "NaT"), **dict.fromkeys("biufc", np.nan)}
-"""What stands for a missing entry, by the kind of an array; None elsewhere."""
+"""Values that mark a missing entry, by the kind of an array; other kinds use None."""
 
 
 def plain_array(values: object) -> AnyArray:
-    """Return `values` as an array without a mask: what is masked is NaN, of dates and durations NaT, else None.
+    """Return `values` as an array without a mask: masked entries become NaN, NaT (dates and durations) or None (other
+    types).
 
-    What lies below a mask is no measurement, such as -9999. Missing values of pandas (``NA``) are None as well. Raises
-    ValueError where rows have different lengths.
+    A number under a mask, such as -9999, is not a measurement. Missing values of pandas (``NA``) are None as well.
+    Raises ValueError where rows have different lengths.
     """
     array = np.asarray(values)
     if isinstance(values, np.ma.MaskedArray) and array.dtype.names is None:
@@ -40,7 +42,7 @@ def plain_array(values: object) -> AnyArray:
 
 
 def _is_na(cell: object) -> bool:
-    """Tell whether a cell is pandas' NA, which is neither true nor false, so that it cannot be compared."""
+    """Tell whether a cell is pandas' NA, whose comparisons are neither true nor false."""
     return type(cell).__name__ == "NAType"
 
 

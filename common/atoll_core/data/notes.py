@@ -1,12 +1,12 @@
-"""Sentences for the user about a job: warnings, and notes, which only report what was done by rule."""
+"""Sentences for the user about a job: warnings, and notes, which only report steps taken by rule."""
 
 from collections.abc import Container, Iterable
 
 
 class Note(str):
-    """A sentence that is a note; all other sentences in a list of warnings are warnings.
+    """A sentence that is a note, in a list in which all other sentences are warnings.
 
-    Messages and the store hold plain texts, and the list of those that are notes.
+    Messages and the store hold plain texts and a list of the texts that are notes.
     """
 
     __slots__ = ()

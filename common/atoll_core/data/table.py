@@ -39,7 +39,7 @@ class Origin(NamedTuple):
 
 
 class _Header(Frozen):
-    """The parts of a table in bytes that are no arrays; see `Table`."""
+    """The parts of a table in bytes that are not arrays; see `Table`."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -103,7 +103,7 @@ class Table:
         try:
             since = datetime.timedelta(seconds=round(time * origin.seconds, 6))
             moment = datetime.datetime.fromisoformat(start) + since
-        except (OverflowError, ValueError):  # no calendar goes so far
+        except (OverflowError, ValueError):  # the date is beyond the calendar
             return repr(time)
         return str(moment.time() if origin.since == MIDNIGHT else moment)
 
@@ -143,7 +143,7 @@ class Table:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Table":
-        """Parse the result of `to_bytes`; raises RemoteProtocolError when `data` is anything else."""
+        """Parse the result of `to_bytes`; raises RemoteProtocolError when `data` is something else."""
         header, arrays = decode_arrays(data)
         try:
             parts = _Header.model_validate(header)

@@ -17,7 +17,7 @@ _LONGEST: Final = 200
 
 
 def function_of(programs: Sequence[Program], variables: int, functions: Functions) -> Callable[..., tuple[Any, ...]]:
-    """Return a function of so many variables, numbers or arrays, that returns the values of `programs`.
+    """Return a function of this many variables (numbers or arrays) that returns the values of `programs`.
 
     It raises the errors of `functions` and of divisions where there is no value.
     """

@@ -18,7 +18,7 @@ def derivative(program: Program, variable: int) -> Program:
     """Return the derivative by the input variable of this index, the constant 0 where the program does not contain it.
 
     It may contain `PARTIAL_OPERATORS`, and more nodes than a message allows. It has no finite value where a partial
-    derivative of the table has none.
+    derivative in the table of operators has none.
     """
     draft = _DerivativeDraft()
     output = draft.copy(program.nodes())[-1]

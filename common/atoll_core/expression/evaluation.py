@@ -70,7 +70,7 @@ def node_values(program: Program, inputs: FloatArray) -> list[FloatArray]:
 def values_and_gradient(program: Program, inputs: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
     """Return the values (R,), and d(output)/d(constant) (K, R) for the K constants at the indices `places`.
 
-    One reverse sweep gives all derivatives; NaN or infinity where there is none.
+    One reverse sweep gives all derivatives; NaN or infinity where a derivative does not exist.
     """
     values = node_values(program, inputs)
     nodes = program.nodes()

@@ -112,7 +112,7 @@ def moved(node: Node, place: Mapping[int, int]) -> Node:
 
 
 def structure(program: Program) -> bytes:
-    """Return a program without the values of its constants: equal for programs that differ in these alone."""
+    """Return a program without the values of its constants: equal for programs that differ only in these values."""
     return program.operators.tobytes() + program.left.tobytes() + program.right.tobytes()
 
 
@@ -120,7 +120,7 @@ def check_program_bytes(data: bytes, variables: int) -> None:
     """Check canonical bytes as `Program.from_bytes` does without making a program, in a tenth of the time.
 
     Raises:
-        RemoteProtocolError: they are no program over `variables` inputs.
+        RemoteProtocolError: they are not a program over `variables` inputs.
     """
     count = data[0] if data else 0
     if not 1 <= count <= MAX_NODES or len(data) < 1 + 5 * count:

@@ -1,9 +1,10 @@
 """Conditions of users on an equation: bounds on its constants, and variables that it must contain.
 
 A bound is a text such as ``c > 0`` (every constant), ``0 < c < 10``, ``|c| < 5`` (every magnitude), ``x*y < 0`` (the
-coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). The constants are those of the expanded
-equation (`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2. A bound
-says nothing about terms that an equation does not contain. Ranges include their ends: a constant may lie on its bound.
+coefficient of the term x*y) or ``inner > 0`` (the numbers inside terms). The constants are the constants of the
+expanded equation (`atoll_core.expression.writing.expansion`), each with its sign: in ``3*x - 2*x*y`` they are 3 and -2.
+A bound says nothing about terms that an equation does not contain. Ranges include their ends: a constant may lie on its
+bound.
 """
 
 import math
@@ -160,7 +161,7 @@ class EquationBounds:
         return not self._holds(shape, value, is_inner=False)
 
     def _roles_of(self, program: Program) -> tuple[Role, ...] | None:
-        """Return the roles of the constants of a program that is laid out, None of any other.
+        """Return the roles of the constants of a laid-out program, None for other programs.
 
         Only its structure decides: it is expanded to itself when its constants are small numbers without meaning.
         """
@@ -229,13 +230,13 @@ def _numbers_of(program: Program) -> list[tuple[Shape, float, bool]]:
 
 @lru_cache(maxsize=8192)
 def _roles(bounds: tuple[ConstantBound, ...], program: Program) -> tuple[Role, ...] | None:
-    """Return the roles of the constants of a program whose expansion is itself, None of any other."""
+    """Return the roles of the constants of a program that equals its expansion, None for other programs."""
     expansion = expand_program(program, EquationBounds(bounds).is_written)
     return expansion.roles if expansion is not None and structure(expansion.program) == structure(program) else None
 
 
 def equation_bounds(texts: Mapping[str, Sequence[str]], variable: str, names: Sequence[str]) -> EquationBounds | None:
-    """Return the bounds on the equation of `variable`, None where there are none.
+    """Return the bounds on the equation of `variable`, None without bounds.
 
     `texts` are valid bounds by equation, with bounds on all equations repeated for each. A bound on a term of variables
     that are not in `names`, which the equation may use, has no effect.

@@ -104,7 +104,8 @@ class _CoefficientDraft:
             yield index
 
     def _product(self, index: int, *, has_factor: bool) -> int:
-        """Add a factor to a product: its constant if it has one, else factors of a sum in it, else one of the whole."""
+        """Add a factor to a product: its constant if it has one, else factors in a sum that it contains, else a factor
+        of the whole product."""
         _, left, right, _ = self._old[index]
         if has_factor or self._holds_factor(index):
             return self._new.append(op.MULTIPLY, self._scaled(left), self._scaled(right))

@@ -1,4 +1,4 @@
-"""What coordinator, workers and clients exchange: messages, their bytes, and the bus that carries them.
+"""Communication of coordinator, workers and clients: messages, their bytes, and the bus that carries them.
 
 - ``messages``: the messages as validated models. ``codec``: their bytes, and the bytes of arrays and datasets.
 - ``values``: bytes of dataclasses, arrays and programs, read by the type that is expected.

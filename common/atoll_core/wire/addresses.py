@@ -97,7 +97,7 @@ def destination(text: str, credentials: Credentials | None = None, *, listens: b
     """Return the addresses that `text` names, separated by commas, with the credentials to use there.
 
     Raises:
-        UsageError: a part is no address, an encrypted address comes without credentials or an unencrypted one with
+        UsageError: a part is not an address, an encrypted address comes without credentials or an unencrypted one with
             them, or an address cannot be dialled although this program does not listen there (`listens`).
     """
     addresses = addresses_in(text)
@@ -233,12 +233,13 @@ def why_unreachable(address: Address, limit_s: float = _PROBE_LIMIT_S) -> str | 
 
 
 def check_certificates(address: Address, credentials: Credentials | None, listen_s: float) -> str | None:
-    """Return a problem with TLS at `address` other than certificates; None without one, or where it cannot be known.
+    """Return a problem with TLS at `address` other than certificates; None without a problem, or if it cannot be
+    determined.
 
     Waits up to `listen_s` seconds for the other side to refuse our certificate.
 
     Raises:
-        RefusedError: certificates do not fit, or are required and not given.
+        RefusedError: certificates do not match, or are required but missing.
     """
     if address.protocol == "quic" or address.is_socket:
         return None
@@ -289,7 +290,7 @@ def address_in(path: Path, wait_s: float) -> str:
 
     Raises:
         UnreachableError: no address accepted connections in time.
-        UsageError: the file holds something else than addresses.
+        UsageError: the file does not hold addresses.
     """
     end = time.monotonic() + wait_s
     while True:

@@ -28,13 +28,13 @@ MAX_ITEMS: Final = 2_000_000
 """Most items in a message, keys and values each counted: eight bytes an item in the largest message."""
 
 MAX_MAP: Final = 4096
-"""Most entries of a map: no model has so many fields, and no job so many variables."""
+"""Most entries of a map: no model has more fields, and no job more variables."""
 
 MAX_ARRAYS_BYTES: Final = 2**31
 MAX_DIMENSIONS: Final = 4
 DTYPES: Final = ("f8", "i8", "i4", "i2", "i1", "u1", "u8")
 
-_SMALL: Final = 64 * 1024  # so many bytes cannot make enough items to be worth counting
+_SMALL: Final = 64 * 1024  # fewer bytes hold too few items to be worth counting
 _MAGIC: Final = b"atollar1"
 _ALIGNMENT: Final = 64
 BROKEN: Final = (
@@ -62,7 +62,7 @@ def decode(data: bytes, kind: type[M], max_bytes: int = MAX_PAYLOAD) -> M:
     """Return the message in `data`, checked by the model `kind`.
 
     Raises:
-        RemoteProtocolError: `data` is oversized, malformed or not what `kind` describes.
+        RemoteProtocolError: `data` is oversized, malformed or not of this `kind`.
     """
     tree = unpack(data, max_bytes)
     try:
@@ -277,7 +277,7 @@ _TOO_DEEP: Final = f"it is nested deeper than {MAX_NESTING} levels"
 
 
 def _brief(error: BaseException) -> str:
-    """Return an error in one line; of a model that does not fit, the first field that does not."""
+    """Return an error in one line; for a model, the first invalid field."""
     if isinstance(error, ValidationError):
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         return f"field {'.'.join(map(str, first['loc'])) or '(whole)'}: {first['msg']}"[:300]

@@ -96,7 +96,7 @@ class MailKey:
 
 @dataclass(frozen=True, slots=True)
 class ClientKey:
-    """A request of a client, or changes of what it follows."""
+    """A request of a client, or changes of a job that it follows."""
 
     cluster: str
     client: str
@@ -171,7 +171,7 @@ def parse(key: str) -> Key:
     """Return the meaning of `key`.
 
     Raises:
-        RemoteProtocolError: It is none of the keys at the top of this module.
+        RemoteProtocolError: it is not one of the keys at the top of this module.
     """
     root, *parts = key.split("/") if len(key) <= 512 else [""]
     parsed: Key | None = None

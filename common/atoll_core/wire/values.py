@@ -4,8 +4,8 @@ The expected type decides how bytes are read, the bytes never do. `_codec` retur
 once per type: a dataclass is a map of its fields, a tuple, sequence or set a list, a mapping a list of pairs, a union
 the number of the member and its value, an array its type, shape, order and bytes, a pydantic model its own message.
 Numbers, texts and lengths of tuples must have exactly the expected type. Equal values give equal bytes on every
-machine; what is read is equal to the bit, NaN and infinity included, and arrays may be written to. Anything that does
-not fit raises a RemoteProtocolError.
+machine; decoded values are equal to the bit, NaN and infinity included, and decoded arrays are writable. Anything that
+does not fit raises a RemoteProtocolError.
 
 Supported types: dataclasses whose fields have supported types, None, bool, int of 64 bits, float, str, bytes, Fraction,
 tuples, sequences, mappings, sets, literals, unions, arrays of `DTYPES` and of bool, `Program`, pydantic models such as
@@ -63,7 +63,7 @@ def encode_value(value: object, kind: object = None) -> bytes:
 
 
 def decode_value(data: bytes, kind: type[V], max_bytes: int = MAX_ARRAYS_BYTES) -> V:
-    """Return the value of the type `kind` in `data`; memory besides the value is a small multiple of `data`.
+    """Return the value of the type `kind` in `data`; memory in addition to the value is a small multiple of `data`.
 
     Raises:
         RemoteProtocolError: `data` is oversized or malformed, or holds no value of that type.
@@ -104,7 +104,7 @@ def _codec(kind: Any) -> _Codec:
         return _collection_codec(_COLLECTIONS[origin], _codec(parts[0]))
     if origin in (Mapping, dict):
         return _mapping_codec(*map(_codec, parts))
-    raise TypeError(f"{kind} is of no type that can be encoded")
+    raise TypeError(f"{kind} is not a type that can be encoded")
 
 
 def _dataclass_codec(kind: Any) -> _Codec:
@@ -121,7 +121,8 @@ def _dataclass_codec(kind: Any) -> _Codec:
 
 
 def _union_codec(kind: Any, parts: tuple[Any, ...]) -> _Codec:
-    """Return the codec of a union: None is itself, a single other member too, and others come with their number."""
+    """Return the codec of a union: None and a single other member are encoded as they are, several members with their
+    number."""
     members = [part for part in parts if part is not _NONE]
     codecs = [_codec(member) for member in members]
     classes = [get_origin(member) or member for member in members]
@@ -243,4 +244,4 @@ _PLAIN: Final[dict[Any, _Codec]] = {
     np.ndarray: _Codec(_array, _array_tree),
 }
 _COLLECTIONS: Final[dict[Any, Any]] = {tuple: tuple, AnySequence: tuple, list: list, frozenset: _set, Set: _set}
-"""Types of many items of one type, and what items become when they are read."""
+"""Types of many items of one type, and the types in which items are decoded."""

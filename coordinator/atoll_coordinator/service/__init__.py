@@ -1,9 +1,9 @@
 """The coordinator at work: jobs, workers, results.
 
-``service_loop`` is the only loop; it hands what the bus brings to ``job_controller`` and ``requests``. Below them,
-``tasks`` has what is leased to workers, ``workers`` who computes what, ``monitoring`` what people are shown,
-``scheduling`` whose turn it is, ``jobs`` a job, ``search`` an archipelago, and ``store`` what lasts. Imports go down
-this list only.
+``service_loop`` is the only loop; it passes events of the bus to ``job_controller`` and ``requests``. Below them,
+``tasks`` leases tasks to workers, ``workers`` places islands on workers, ``monitoring`` has views, events and metrics,
+``scheduling`` decides whose turn it is, ``jobs`` has the states of a job, ``search`` of an archipelago, and ``store``
+is the durable memory. Imports go down this list only.
 
 A job: `requests.clients` -> `job_controller.submit` -> `scheduling.job_queue` -> `tasks.task_controller` (prepare) ->
 `job_controller.start_search` -> `workers.scheduling` -> `search.collector` (cut) -> `tasks.task_controller`

@@ -21,14 +21,14 @@ from a running job by `Job.hold`: its archipelagos stop at a barrier, and its st
 its tasks back to waiting and its archipelagos to another placement; neither changes the state of the job, unless the
 losses are too many: then the task or the archipelago fails the job. On the worker's side, `worker_session` has the jobs
 and islands, and `task_runner` the tasks, with tables of their own. Both sides are compared at each heartbeat, so that
-the worker's tables need not be reliable: what they have too much or too little is corrected by a message.
+the worker's tables need not be reliable: messages correct any difference.
 
 A job whose end is decided stays in `ending` until its result is composed, in which it is neither live nor ended.
 
-*Doubts.* `ending` is a state of a job that is not in its table: it is kept apart because the coordinator must be able
-to die at any time before the end is stored, and the job goes on then. `is_paused` (by a user), `is_held` (no place) and
-`had_begun` (before a restart) are three flags that a fifth state of the queue could replace. And all changes of a job
-go through `_change`, in one long module: whoever reads one of them reads what ends a job and what follows from it.
+*Doubts.* `ending` is a state of a job that is not in its table: it is kept separately because the coordinator may die
+at any time before the end is stored; then the job continues. `is_paused` (by a user), `is_held` (no place) and
+`had_begun` (before a restart) are three flags that a fifth state of the queue could replace. All changes of a job go
+through `_change`, in one long module: a reader of one change also meets the end of jobs and its effects.
 """
 
 import contextlib
@@ -160,7 +160,7 @@ class JobController:
                     self._take_over(record, config, now)
 
     def _take_over(self, record: JobRecord, config: JobConfig, now: float) -> None:
-        """Continue a stored job; if its prepared data are stored, from what it had found, without a worker."""
+        """Continue a stored job; if its prepared data are stored, from the equations found so far, without a worker."""
         has_begun = record.state != "queued"
         if record.submitted_s is not None:
             record = replace(record, elapsed=max(record.elapsed, self._store.served_s - record.submitted_s))
@@ -168,7 +168,9 @@ class JobController:
         self.workers.crash_loops.recover(record.id)
         if record.prepared_digest is None or record.dataset_digest is None:
             return
-        if not self._store.is_sound(record.dataset_digest):  # else workers would ask for the damaged one for ever
+        if not self._store.is_sound(
+            record.dataset_digest
+        ):  # otherwise workers would ask for the damaged dataset for ever
             return
         try:
             prepared = self.tasks.take_prepared(
@@ -186,7 +188,7 @@ class JobController:
         actions = self._set_up(job, record.dataset_digest, prepared, now)
         if not job.has_ended:
             job.hold(job.state == "running")
-            self.events.record("resumed", "the coordinator was started again; it goes on from what is stored", job.id)
+            self.events.record("resumed", "the coordinator was started again; the job continues from the store", job.id)
             self._channel.publish(job.announcement())
         return actions
 
@@ -204,7 +206,7 @@ class JobController:
                 raise RefusedError(f"job {body.job} exists already with other contents; submit under another id")
             return
         if self._store.is_deleted(body.job):  # workers may still have its data, and would use them for this job
-            raise RefusedError(f"job {body.job} was deleted, and its id is not given again; submit under another id")
+            raise RefusedError(f"job {body.job} was deleted, and its id is not used again; submit under another id")
         if not self._store.has_blob(body.table):
             raise TableMissingError(f"the table of job {body.job} has not been uploaded; upload it, then submit again")
         submitted = self._clock()
@@ -294,7 +296,7 @@ class JobController:
         """Pause or resume the queue; it lasts over restarts."""
         self._store.pause_queue(is_paused)
         self.queue.is_paused = is_paused
-        self.events.record("changed", "no more jobs are taken up" if is_paused else "jobs are taken up again")
+        self.events.record("changed", "no more jobs are started" if is_paused else "jobs are started again")
         self._take_turns(now)
 
     def set_worker(self, worker: str, service: WorkerService, now: float) -> None:
@@ -343,7 +345,7 @@ class JobController:
         )
 
     def cancel(self, job_id: str, now: float) -> None:
-        """End a job and keep what it has found; without effect when it has ended or is `ending`.
+        """End a job and keep its equations; without effect when it has ended or is `ending`.
 
         Raises:
             RefusedError: Its stored search could not be kept before its data are prepared again.
@@ -351,7 +353,7 @@ class JobController:
         job = self.jobs.get(job_id)
         if job is not None and job.prepared is None and self._store.has_search(job_id):
             raise RefusedError(
-                f"job {job_id} goes on from a search that is stored, of which nothing could be kept before its data "
+                f"job {job_id} continues a stored search, whose equations cannot be kept before its data "
                 "are prepared again; start a worker, and cancel it when `status` shows equations"
             )
         self._change(job_id, "cancelling", now, Job.cancel)
@@ -487,7 +489,7 @@ class JobController:
 
         Raises:
             RemoteProtocolError: The worker names a later incarnation that does not exist.
-            StoreError: It exists: another coordinator has taken over.
+            StoreError: that incarnation exists: another coordinator has taken over.
         """
         is_known = self.workers.add_heartbeat(worker, status, now)
         if is_known:
@@ -517,7 +519,7 @@ class JobController:
         return self.tasks.views(job_id)
 
     def waiting_reason(self, job: Job) -> str | None:
-        """Return in words what the islands or tasks of a job wait for; None: they do not wait."""
+        """Return in words why the islands or tasks of a job wait; None: they do not wait."""
         reason = self.workers.waiting_reason(job) or self.tasks.waiting_reason(job.id)
         if reason is None or self._may_run(job) or job.state != "refining":
             return reason
@@ -629,7 +631,7 @@ class JobController:
         self.changed(job.id)
 
     def _place(self, now: float) -> None:
-        """Have islands placed. That concerns all jobs: an error ends none of them."""
+        """Have islands placed. This step concerns all jobs: an error ends none of them."""
         with self.breakages.tolerated("placing islands"):
             self.workers.place(now)
 
@@ -856,17 +858,17 @@ class JobController:
             if oldest is None:
                 job.state, job.fault = "failed", "internal"
                 job.reason = (
-                    f"its result of {size} bytes does not fit into the {most} that limits let its user store; delete "
+                    f"its result of {size} bytes exceeds the {most} that limits let its user store; delete "
                     "jobs or have the limit raised, then: coordinator retry"
                 )
                 job.result_text = None
                 return None
-            self.forget_ended(oldest.id, "a newer job of its user needs the room that limits give")
+            self.forget_ended(oldest.id, "a newer job of its user needs the space allowed by limits")
         return text
 
     def forget_ended(self, job_id: str, reason: str) -> None:
         """Delete a job that has ended."""
-        self.events.flush()  # else its last events would be written after its end
+        self.events.flush()  # otherwise its last events would be written after its end
         self.tasks.cancel(job_id)
         self._store.delete_job(job_id)
         self.events.record("deleted", f"job {job_id} is deleted: {reason}")
@@ -910,7 +912,7 @@ class JobController:
 
 
 def _broken(job: Job | None, sentence: str) -> Ending | None:
-    """Return the end of a job by an error, with what it has found; None if that is not possible."""
+    """Return the end of a job by an error, with its equations; None if that is not possible."""
     with contextlib.suppress(Exception):
         if job is not None and job.prepared is not None:
             was = job.former_state if job.has_ended else job.state

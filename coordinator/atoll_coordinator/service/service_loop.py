@@ -58,7 +58,7 @@ TICK_S: Final = 0.5
 _TICK: Final = "tick"
 
 LAG_WINDOW_S: Final = 60.0
-"""The view of the coordinator has the longest lag of the loop in so many seconds."""
+"""The view of the coordinator has the longest lag of the loop in this number of seconds."""
 
 _ABSENCE: Final = "absence"
 _CHANGES: Final = "changes"
@@ -102,7 +102,7 @@ class Service:
             expected_workers: number of workers that the first placement waits for, for a limited time.
             dismisses_workers: whether workers are shut down at the end; otherwise they wait for another coordinator.
             dependencies: clock, retention, background thread; None: the real ones.
-            role_bindings: names and roles, with certificates; None: every client may do everything.
+            role_bindings: names and roles, with certificates; None: every client has all permissions.
             metrics: for Prometheus; None: nothing is measured.
         """
         self.rejects: Final = Rejects(_LOG)
@@ -369,9 +369,9 @@ class Service:
         self._store.beat()
         if self._bus.dropped > self._dropped:
             self._dropped = self._bus.dropped
-            _LOG.warning("messages were dropped, since they came too fast", extra=fields(dropped=self._dropped))
+            _LOG.warning("messages were dropped because they came too fast", extra=fields(dropped=self._dropped))
             self.controller.workers.membership.renew_leases(now)
-        if self._is_linked:  # else no worker can be heard, and silence means nothing
+        if self._is_linked:  # otherwise no message of a worker can arrive, and silence means nothing
             self.controller.tick(now)
         with self.controller.breakages.tolerated("updating followers"):
             self._followers.expire(now)
@@ -390,7 +390,7 @@ class Service:
 
     @_on.register
     def _on_link(self, event: Link) -> None:
-        """Handle the loss or return of the router; one in this process never goes."""
+        """Handle the loss or return of the router; a router in this process never goes away."""
         _LOG.warning("router link", extra=fields(up=event.up))
         self._is_linked = event.up
         if event.up:
@@ -437,19 +437,19 @@ class Service:
     def _add_lines(self, worker: str, message: WorkerLog) -> None:
         """Record a worker's log lines with the jobs that they are about."""
         if self.controller.workers.membership.member(worker) is None:
-            raise RemoteProtocolError(f"lines of a log came of the worker {worker}, which has not greeted")
+            raise RemoteProtocolError(f"log lines came from the worker {worker}, which has not greeted")
         jobs = {line.job for line in message.lines if line.job is not None}
         known = {job for job in jobs if job in self.controller.jobs or self._store.job(job) is not None}
         self._worker_logs.take(worker, message, known, self._bus.now())
 
     def _add_report(self, worker: str, report: EpochReport) -> None:
-        """Hand on a report. It is sent once, or pulled again for ever, so that an error ends its job."""
+        """Pass on a report. It is sent once, or pulled again for ever, so that an error ends its job."""
         now = self._bus.now()
         with self.controller.guarded(report.job, "adding a report", now, by_peer=True):
             self.controller.add_report(worker, report, now)
 
     def _add_states(self, worker: str, pull: PullStates, payload: bytes | None) -> None:
-        """Hand on an answer, or that there was none: the states are pulled again."""
+        """Pass on an answer; without one the states are pulled again."""
         try:
             body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
         except Exception:
@@ -477,7 +477,7 @@ class Service:
             self._bus.post(_Turn())
 
     def _party(self, client: str, event: Query) -> str:
-        """Return the party that takes turns with others: a user, without certificates a session."""
+        """Return the party that takes turns with others: a user, or without certificates a session."""
         return self._authorization.submitter(client) or f"/{event.session}"
 
     def _take_turn(self) -> None:

@@ -127,7 +127,7 @@ class ComputeFailed:
 
 
 Result = WarmUpNote | WarmedUp | ComputeFailed | io.JobReady | io.LoadFailed | io.Snapshot | io.Outcome
-"""Everything that the compute thread posts."""
+"""All messages that the compute thread posts."""
 
 
 class ComputeThread:
@@ -188,7 +188,7 @@ class ComputeThread:
         self._commands.put(lambda: self._post_all(self._queue.add(task)))
 
     def stop_at(self, shard: io.ShardKey, hit: Position, commit_order: CommitOrder) -> None:
-        """Stop computing what is not needed of this archipelago after the target was met at `hit`."""
+        """Stop computing tasks of this archipelago that are not needed after the target was met at `hit`."""
         self._commands.put(lambda: self._post_all(self._queue.stop_at(shard, hit, commit_order)))
 
     def discard(self, shard: io.ShardKey) -> None:

@@ -170,7 +170,7 @@ class RunQueue:
         return (of_user, self._charged[key.job], epoch, group, generation, key.job, key.variable, island)
 
     def _settle(self, keys: Iterable[io.TaskKey]) -> list[io.Outcome]:
-        """Close those of these tasks that need no more computation, and return their outcomes."""
+        """Close the tasks among these that need no more computation, and return their outcomes."""
         outcomes: list[io.Outcome] = []
         for key in keys:
             open_task, hit = self._open[key], self._hits.get(key.shard)

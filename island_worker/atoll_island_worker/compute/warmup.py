@@ -1,4 +1,4 @@
-"""Making the kernels of the search ready before work comes: compiled once per machine, loaded everywhere else."""
+"""Prepares the kernels of the search before work arrives: compiled once per machine, loaded everywhere else."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 _PACKAGE: Final = "atoll_island_worker"
 _ROWS: Final = 40
 KERNELS: Final = 13
-"""How many kernels an epoch needs that are compiled apart."""
+"""Number of separately compiled kernels that an epoch needs."""
 
 
 def warm_up(report: Report) -> None:
@@ -23,7 +23,7 @@ def warm_up(report: Report) -> None:
 
 
 def run_small_epochs() -> None:
-    """Run one small epoch of one island for each preset, and what lies between two epochs."""
+    """Run one small epoch of one island for each preset, and the steps between two epochs."""
     from atoll_core.config import PRESETS, BudgetConfig, JobConfig, MigrationConfig
     from atoll_island_worker.evolution.island import Island
 

@@ -210,14 +210,14 @@ def _fitted(program: Program, bounds: EquationBounds, scratch: Scratch, refit: R
 
 
 KNOWN = 4096
-"""Places for structures that were offered before, a power of two; see `kernels_offers.choose_near`."""
+"""Size of the table of structures that were offered before, a power of two; see `kernels_offers.choose_near`."""
 
 _WRITTEN = 2 * MOST_TERMS + 2
 """Most nodes by which a program grows when its coefficients are written into it."""
 
 
 class RunnersUp:
-    """At most `most` entries of each complexity beside the front, by complexity and error.
+    """At most `most` entries of each complexity in addition to the front, by complexity and error.
 
     `known` are the structures that were offered before; empty when no runners-up are kept.
     """
@@ -250,7 +250,7 @@ class RunnersUp:
     def limits(self, sizes: int) -> npt.NDArray[np.float64]:
         """Return, for programs of each size below `sizes` before their coefficients are written, the useful loss.
 
-        One with a loss above it comes behind `most` others, however large it becomes.
+        A program with a larger loss ranks behind at least `most` others of its complexity, now and later.
         """
         worst = [self._worst.get(complexity, math.inf) for complexity in range(sizes + _WRITTEN + 1)]
         return np.array([max(worst[size : size + _WRITTEN + 1]) for size in range(sizes)])
@@ -278,10 +278,10 @@ _NEAR = 2.0
 _NEAR_EXACT = 1e-6
 _PROMISING = 10.0
 _POLISHED = 0.95
-"""Share of its loss that a program may have left when its constants are refined once more."""
+"""Largest expected reduction: refining constants again leaves a program at least this share of its loss."""
 
 _SLACK = 1.2
-"""Where runners-up are kept: how far above the useful loss an individual may be that steps are spent on."""
+"""If runners-up are kept: constants are refined for individuals with a loss up to this factor above the useful loss."""
 
 Tag = tuple[int, int, int]
 Additions = tuple[list[FrontEntry], list[FrontEntry]]
@@ -289,7 +289,7 @@ Additions = tuple[list[FrontEntry], list[FrontEntry]]
 
 
 class Front:
-    """Non-dominated `entries` by rising complexity and falling error. Of equal ones the earlier is kept."""
+    """Non-dominated `entries` by rising complexity and falling error. Among equal entries the earliest is kept."""
 
     def __init__(self) -> None:
         self._entries: tuple[FrontEntry, ...] = ()
@@ -306,7 +306,7 @@ class Front:
         self._least = None
 
     def least_error(self) -> float | None:
-        """Return the least error, None while the front is empty."""
+        """Return the smallest error, None while the front is empty."""
         return self._entries[-1].error if self._entries else None
 
     def error_at(self, complexity: int) -> float:
@@ -447,7 +447,7 @@ class FrontUpdater:
         return True
 
     def begin_epoch(self) -> None:
-        """Forget what is only needed within an epoch."""
+        """Forget the data that are only needed within an epoch."""
         self._measured_loss.clear()
 
     def _measured(self, formula: Formula, expected: float, counters: Ints, tag: Tag) -> FrontEntry | None:

@@ -49,7 +49,7 @@ GUESS_STEPS: Final = 25
 """Levenberg-Marquardt steps at most by which the constants of a guess are fitted before the first generation."""
 
 OCTAVES: Final = 3
-"""A varied constant is at least 2^-OCTAVES and less than 2^OCTAVES times the given one."""
+"""A varied constant is at least 2^-OCTAVES and less than 2^OCTAVES times the original constant."""
 
 Guess = Sequence[PlacedNode]
 
@@ -221,7 +221,7 @@ class Island:
         return self._hit is not None or self.generation == last
 
     def _begin(self) -> None:
-        """Draw the first population and its predictors at epoch 0; measure what immigrated later on."""
+        """At epoch 0 draw the first population and its predictors; in later epochs measure the immigrants."""
         setup, part = self._setup, OFFSPRING if self.epoch == 0 else REEVALUATION
         if self.epoch == 0:
             random_population(self._lists, setup.space, self._stream)
@@ -318,7 +318,7 @@ class Island:
         }
 
     def to_bytes(self) -> bytes:
-        """Return everything that can influence later bits or counters, between epochs; used for checkpoints."""
+        """Return all state, between epochs, that can influence later bits or counters; used for checkpoints."""
         if self._begun:
             raise LocalProtocolError("an island is written between epochs only, before generation 0")
         arrays = {k: a.astype(np.int32) if a.dtype == np.int16 else a for k, a in self._state_arrays().items()}

@@ -1,4 +1,4 @@
-"""What does not change during an island's life: the problem's rows, the space, and the settings of fits."""
+"""The constant parts of an island: the problem's rows, the search space, and the settings of fits."""
 
 import math
 import threading
@@ -31,17 +31,17 @@ from atoll_island_worker.evolution.structures import (
 )
 
 LEAST_INNER = 2
-"""Constants inside terms that may be fitted even on few rows, where a quarter of the rows would be fewer (ADR 0005)."""
+"""Number of constants inside terms that may always be fitted; with more rows, a quarter of the rows (ADR 0005)."""
 
 LEAST_SHARE = 2
-"""Fewest runners-up of each complexity that an island keeps, if so many are wanted."""
+"""An island keeps at least this number of runners-up of each complexity, unless fewer are wanted."""
 
 UNREACHABLE_TARGET = -1.0
 """A target error that no equation reaches."""
 
 
 class IslandSetup:
-    """Everything about one island that follows from problem and configuration, in the form that kernels need.
+    """All settings of one island that follow from problem and configuration, in the form that kernels need.
 
     The island only knows the variables that its equation may use: `columns` are their places in the whole problem.
     """
@@ -99,7 +99,8 @@ class IslandSetup:
         return entry(*arguments)
 
     def outward(self, entry: FrontEntry) -> FrontEntry:
-        """Return a front member for other programs: over all variables, not only over those allowed here."""
+        """Return a front member for use outside of the island: over all variables, not only the variables allowed
+        here."""
         if not self.is_narrowed:
             return entry
         program = Program.from_bytes(entry.program, len(self.columns))
@@ -137,7 +138,8 @@ def _shared_scratch(thread: int, population: int, nodes: int, variables: int, sa
 
 
 def island_share(runners_up: int, islands: int) -> int:
-    """Return how many runners-up of each complexity an island keeps, so that all islands together find `runners_up`.
+    """Return the number of runners-up of each complexity that an island keeps so that all islands together find
+    `runners_up`.
 
     Solutions are reshuffled, so islands find similar ones: together they keep twice as many as are wanted.
     """
@@ -176,7 +178,8 @@ def _space(problem: Problem, config: JobConfig) -> Space:
 
 
 def _scales(problem: Problem) -> FloatArray:
-    """Return the powers of two next to the mean magnitude of each column and the target, without those of order one.
+    """Return the powers of two next to the mean magnitude of each column and the target, without magnitudes of order
+    one.
 
     At least one number is returned, because an empty array means constants in [-10, 10].
     """

@@ -1,4 +1,4 @@
-"""What a worker computes, sends and answers next: a pure state machine, without clock, thread or I/O.
+"""Decides what a worker computes, sends and answers next: a pure state machine, without clock, thread or I/O.
 
 - ``interface``: events in, actions out, and the keys of shards and epochs.
 - ``worker_session``: the whole worker; one ``shard`` for each archipelago that is placed here under a term.

@@ -1,4 +1,4 @@
-"""What goes into a worker's session and what comes out: keys of shards and epochs, events, actions. Plain data."""
+"""Inputs and outputs of a worker's session: keys of shards and epochs, events, actions. Plain data."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -80,7 +80,7 @@ class Mailed:
 
 @dataclass(frozen=True, slots=True)
 class PullAsked:
-    """Another worker or the coordinator asks for what we sent; the answer refers to `handle`."""
+    """Another worker or the coordinator asks for messages that we sent; the answer refers to `handle`."""
 
     handle: Query
     body: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
@@ -213,7 +213,7 @@ class RunTask:
 
 @dataclass(frozen=True, slots=True)
 class StopAt:
-    """Compute nothing more of the shard that is not needed after the target was met at `hit`."""
+    """Stop computing the parts of the shard that are not needed after the target was met at `hit`."""
 
     shard: ShardKey
     hit: Position
@@ -266,6 +266,6 @@ class Respond:
 
 
 Outgoing = Send | SendReport | AskPeer | Respond | FetchPlacements | FetchStates
-"""What goes out on the bus."""
+"""The messages that are sent on the bus."""
 
 Action = RunTask | StopAt | Discard | DiscardJob | FetchJob | SendHeartbeat | Outgoing

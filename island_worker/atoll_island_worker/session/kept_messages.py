@@ -1,4 +1,5 @@
-"""Messages that a worker keeps: immigrants, mail that came before its placement, and what others may ask for. Pure.
+"""Messages that a worker keeps: immigrants, mail that came before its placement, and messages that others may request.
+Pure.
 
 Immigrants are filed by (epoch, destination, source), each once, so the order in which mail arrives cannot matter.
 Emigrants and reports are kept until every island has reported their epoch; snapshots are kept until they, or a later

@@ -1,12 +1,12 @@
 """A shard: the islands of an archipelago that one worker computes under one term, and their mail. Pure.
 
 An island waits for exactly the senders that the reshuffle of the last epoch names, and gets all immigrants together. So
-it computes the same bits whenever and in whatever order the mail arrives. A term that begins at a checkpoint begins
-with the states of its islands, which are pulled from the coordinator.
+it computes the same bits regardless of the times and the order in which mail arrives. A term that begins at a
+checkpoint begins with the states of its islands, which are pulled from the coordinator.
 
 A hit ends the archipelago at one position in the commit order. A `Finished` message tells the other workers, and every
-shard stops what comes after that position. What comes before it is still computed and reported, because an earlier hit
-may be among it.
+shard stops computing after that position. Slices before it are still computed and reported, because they may contain an
+earlier hit.
 """
 
 from collections.abc import Iterator, Mapping
@@ -86,17 +86,17 @@ class Shard:
 
     @property
     def stop(self) -> Position | None:
-        """Where the target was met, as far as known here; nothing after it is needed."""
+        """The earliest known position at which the target was met; nothing after it is needed."""
         hits = (Position(hit.epoch, hit.generation, hit.island) for hit in self.hits.values())
         return min(hits, key=self.placement.commit_order.rank, default=None)
 
     @property
     def stop_epoch(self) -> int:
-        """The last epoch of which anything is needed, as far as known here."""
+        """The last epoch that is needed at least in part, as far as known here."""
         return self.placement.epochs - 1 if self.stop is None else self.stop.epoch
 
     def assignment_status(self) -> AssignmentStatus:
-        """Return what heartbeats report of this shard."""
+        """Return the status of this shard for heartbeats."""
         return AssignmentStatus(
             **self._names, islands=len(self.islands), reported=self.reported, commit=self.commit,
             snapshots=self._buffer.snapshots(), waited_s=self.waited_s,
@@ -154,7 +154,7 @@ class Shard:
         return taken.key.epoch in self._buffer.snapshots()
 
     def computed(self, done: io.EpochComputed) -> list[io.Send]:
-        """File what an island computed, for the report; return messages with its emigrants, or with a hit."""
+        """Store the outcome of an island for the report; return messages with its emigrants, or with a hit."""
         local, key = self.islands[done.key.island], done.key
         self._mailbox.forget(key.epoch - 1, local.index)
         messages: list[io.Send] = []
@@ -179,7 +179,7 @@ class Shard:
         return messages
 
     def _emigrate(self, key: io.TaskKey, emigrants: Mapping[int, bytes]) -> list[io.Send]:
-        """Keep an island's emigrants, deliver those to islands here; return one message for each other worker."""
+        """Keep an island's emigrants, deliver the ones for islands here; return one message for each other worker."""
         self._buffer.keep_emigrants(key.epoch, key.island, emigrants)
         leaving: dict[str, list[epochs.Block]] = {}
         for destination in sorted(emigrants):
@@ -244,10 +244,11 @@ class Shard:
         return (self._states.wanted, self._states.offset) != before
 
     def commit_at(self, commit: Commit) -> None:
-        """Take in how far the archipelago is durable and reported, and forget what nobody will ask for any more.
+        """Take in how far the archipelago is durable and reported, and forget messages that no process will request
+        again.
 
         Raises:
-            RemoteProtocolError: The epoch is beyond what has been reported from here.
+            RemoteProtocolError: the epoch is later than the last one reported from here.
         """
         if max(commit.epoch, commit.reported) > self.reported:
             raise RemoteProtocolError(

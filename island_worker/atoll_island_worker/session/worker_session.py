@@ -1,4 +1,4 @@
-"""A worker's session: what it computes next, what it sends, keeps, asks and answers. A pure state machine.
+"""A worker's session: decides what the worker computes, sends, keeps, asks and answers. A pure state machine.
 
 Events go in, actions come out (both in `atoll_island_worker.session.interface`); there is no clock, I/O or thread.
 `Session.handle` is called by the worker's loop, by the simulation and by tests. It keeps the rules of docs/protocol.md.
@@ -71,7 +71,7 @@ class Session:
         return "waiting" if any(shard.is_waiting() for shard in self._shards.values()) else "ready"
 
     def assignment_statuses(self) -> tuple[workers.AssignmentStatus, ...]:
-        """Return what heartbeats report of every shard."""
+        """Return the status of every shard for heartbeats."""
         return tuple(shard.assignment_status() for shard in self._shards.values())
 
     def failures(self) -> tuple[workers.IslandFailure, ...]:

@@ -3,10 +3,10 @@
 One thread reads its messages from a pipe and posts them to the worker's loop. Another thread writes to it, so that the
 loop never waits for a process that does not read.
 
-Loading what a task needs takes a second or two and tens of megabytes. So all workers of one command share a server
+Loading the modules for a task takes a second or two and tens of megabytes. So all workers of one command share a server
 (`TaskServer`) that has loaded it and forks task processes. The server has neither a thread nor a bus, so forking it is
-safe; it is itself forked before anything else is loaded. The workers inherit its socket, and it ends when they have
-all closed it. Where the system cannot fork, or the server is gone, a new interpreter is started.
+safe; it is itself forked before anything else is loaded. The workers inherit its socket, and it ends when they have all
+closed it. Where the system cannot fork, or the server is gone, a new interpreter is started.
 
 A process pool of a library was tried and is not smaller: while a task runs, its process exchanges batches with helpers
 through the worker, which needs this pipe and these threads next to the pool's own; and the fork server of
@@ -44,7 +44,7 @@ IDLE_S: Final = 120.0
 
 MAX_TASKS: Final = 100
 MAX_MEMORY: Final = 1 << 30
-"""After so many tasks, or with so much memory, a process runs no further task, because of leaks."""
+"""After this number of tasks, or above this memory, a process runs no further task, because of leaks."""
 
 _PROGRAM: Final = """
 import sys
@@ -67,7 +67,7 @@ class StartedProcess(Protocol):
         """Wait for its end; return its exit code, negative for a signal; None: unknown, or not in time."""
 
     def close(self) -> None:
-        """Release what belongs to it."""
+        """Release its resources."""
 
 
 class _Interpreter(subprocess.Popen[bytes]):
@@ -94,7 +94,7 @@ class Starter(Protocol):
 
 
 class Interpreters(Starter):
-    """Starts a new interpreter for each process, which takes a second or two to load what a task needs."""
+    """Starts a new interpreter for each process, which takes a second or two to load the modules for a task."""
 
     def start(self, connection: "Connection[object, object]") -> StartedProcess:
         """See `start_process`."""
@@ -156,7 +156,7 @@ class TaskProcess:
         return self._life
 
     def load_next(self, function: str) -> None:
-        """Make a running process load what tasks of this function need."""
+        """Make a running process load the modules for tasks of this function."""
         if self.is_started:
             self.send(frames.Load(function))
 
@@ -286,8 +286,8 @@ def cause_of(code: int | None) -> tuple[frames.Failure, str]:
 
 
 LOAD_AFTER_S: Final = 2.0
-"""After this time without a request the server loads what refining needs, too: the first process that refines has
-loaded it for itself by then, and helpers that start later find it loaded."""
+"""After this time without a request the server also loads the modules for refining. By then the first refining process
+has loaded them for itself, and helpers that start later find them loaded."""
 
 _MOST: Final = 256
 

@@ -24,7 +24,7 @@ from atoll_island_worker.downloads import ByteCache, Download
 from atoll_island_worker.tasks.task_process import TaskProcess
 
 NEXT: Final = {"prepare": "refine"}
-"""After a task of one function a process loads what this function needs: the task that most likely follows."""
+"""Function of a task -> function of the most likely next task, whose modules the process loads in advance."""
 
 TaskStep = Literal["fetched", "begun", "finished", "failed", "release"]
 
@@ -103,7 +103,7 @@ class TaskRunner:
         return self._process.is_started
 
     def statuses(self) -> tuple[messages.TaskStatus, ...]:
-        """Return what heartbeats report of tasks."""
+        """Return the status of tasks for heartbeats."""
         statuses = [
             messages.TaskStatus(task=task, job=leased.lease.job, state=leased.state, compared=leased.compared)
             for task, leased in self._leased.items()
@@ -133,7 +133,7 @@ class TaskRunner:
     def _lease(self, lease: messages.Lease) -> None:
         """Begin a task; if it has already ended, push its result again.
 
-        A task that failed begins again when the term is another one: then the coordinator has it tried again.
+        A failed task begins again if the term is new, which means that the coordinator retries it.
         """
         known = self._leased.get(lease.task)
         if known is not None and (known.failed is None or known.failed.term == lease.term):
@@ -261,7 +261,7 @@ class TaskRunner:
                     self._process.load_next(following)
 
     def _ended(self, life: int, message: frames.Ended) -> bool:
-        """Handle the end of a process that nobody stopped; return whether it had a task."""
+        """Handle the end of a process that this worker did not stop; return whether it had a task."""
         if self._helped is not None and self._helped.batch is not None and self._helped.life == life:
             self._helped = None
         lost = [one for one in self._leased.values() if one.life == life and one.state in ("waiting", "running")]
@@ -311,7 +311,7 @@ class TaskRunner:
                     self._cache.add(hashlib.sha256(body.context).hexdigest(), body.context)
                 context = self._cache.get(body.digest)
                 if context is None:
-                    raise RemoteProtocolError(f"a batch came with the context {body.digest}, which is not here")
+                    raise RemoteProtocolError(f"a batch came with the unknown context {body.digest}")
                 self._helped, helped.batch = helped, body.number
                 batch = frames.TaskBatch(body.number, body.function, body.digest, context, body.item)
                 helped.life = self._process.send(batch)
@@ -347,7 +347,7 @@ class TaskRunner:
         self._reply(query, PullAnswer(body=given))
 
     def _answer_helpers(self, task: str) -> None:
-        """Tell helpers that wait for batches of a task that the task has ended."""
+        """Notify helpers that wait for batches of a task that the task has ended."""
         for token in [token for token, (asked, _) in self._questions.items() if asked == task]:
             _, query = self._questions.pop(token)
             self._reply(query, PullAnswer(body=messages.NoTask()))

@@ -23,7 +23,7 @@ _LATEX_ESCAPES: Final = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", 
 }
 
 _WORD: Final = re.compile(r"(?<![^\W\d_])(?<!\\)[^\W\d_]{2,}")
-"""Adjacent letters that are no command."""
+"""Adjacent letters that are not a command."""
 
 _LATEX_UNITS: Final = {" ": r"\ ", "°": r"{}^{\circ}", "µ": r"\mu ", "μ": r"\mu ", "Ω": r"\Omega "}
 _RAISED: Final = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺"
@@ -43,7 +43,7 @@ def to_sympy(program: Program, names: Sequence[str]) -> "sympy.Expr":
 
 
 def to_latex(program: Program, names: Sequence[str], *, digits: int = 6) -> str:
-    """Return `program` as LaTeX mathematics, in the form of `to_infix` with so many `digits` of constants.
+    """Return `program` as LaTeX mathematics, in the form of `to_infix`, with `digits` significant digits of constants.
 
     Factors are spaced where a name is a word.
     """

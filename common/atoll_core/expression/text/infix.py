@@ -27,7 +27,7 @@ _QUOTIENTS: Final = {(op.SIN, op.COS): TANGENT, (op.COS, op.SIN): COTANGENT}
 
 
 class Kind(Enum):
-    """What a form is."""
+    """Kind of a form."""
 
     NAME = "a variable"
     NUMBER = "a number without its sign"
@@ -192,7 +192,7 @@ class _Writer:
             return self._multiplied(left, right)
         if code == op.DIVIDE:
             return self._divided(left, right)
-        if code == op.BASE_LOG:  # in derivatives by an exponent, times a power that is 0 where this would be
+        if code == op.BASE_LOG:  # in derivatives by an exponent, times a power that is 0 where the log is infinite
             return self.unary(op.LOG, left)
         return Signed(self.form(Kind.POWER, left, right))
 
@@ -309,7 +309,7 @@ def exact_form(program: Program) -> Written:
 
 
 def displayed_form(program: Program, digits: int) -> Written:
-    """Return the form for display with so many significant digits; raises ValueError when `program` is too large."""
+    """Return the form for display with this many significant digits; raises ValueError when `program` is too large."""
     _check_size(program)
     # Imported here: exact printing does not need it.
     from atoll_core.expression.writing.shortest import shortest

@@ -45,7 +45,7 @@ def from_infix(text: str, names: Sequence[str], *, merges_constants: bool = True
     Without `merges_constants` each number is a separate node, so that equal ones can be fitted separately.
 
     Raises:
-        UsageError: the text is no expression over `names`; the message has the position.
+        UsageError: the text is not an expression over `names`; the message has the position.
     """
     return _Parser(text, names, merges_constants).parse()
 

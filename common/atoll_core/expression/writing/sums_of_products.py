@@ -52,8 +52,8 @@ def contained(function: Callable[Arguments, Result]) -> Callable[Arguments, Resu
 
 
 Atom: TypeAlias = tuple[Any, ...]
-"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the code tells what
-follows, which no type can say."""
+"""``(VARIABLE, index)``, ``(code of a function, Sum)``, ``(ADD, Sum)`` or ``(POW, Sum, Sum)``: the code determines the
+types that follow, which type hints cannot express."""
 Monomial: TypeAlias = tuple[tuple[Atom, int], ...]
 Sum: TypeAlias = tuple[tuple[Monomial, float], ...]
 
@@ -208,7 +208,7 @@ def bracket(terms: Sum) -> tuple[float, Monomial]:
 
 
 def common(monomials: Iterable[Monomial]) -> Monomial:
-    """Return the largest monomial that divides all of these; common negative powers are included."""
+    """Return the largest monomial that divides all terms; common negative powers are included."""
     first, *others = (dict(monomial) for monomial in monomials)
     shared: list[tuple[Atom, int]] = []
     for atom, exponent in first.items():

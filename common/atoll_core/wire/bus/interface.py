@@ -1,7 +1,7 @@
-"""The bus: what every participant may rely on, whichever implementation carries the messages.
+"""The bus: the guarantees for every participant, regardless of the implementation that carries the messages.
 
 Coordinator, workers and clients are loops around `Bus.receive`: they take one event, change their state, and send.
-That is all they know of the network, so that tests run the real programs on a bus in virtual time with drawn faults
+They know nothing else of the network, so that tests run the real programs on a bus in virtual time with drawn faults
 (`tests.simulation.bus`). Clock and timers belong to the bus for the same reason. One contract suite (tests/contract)
 checks these promises on every implementation:
 
@@ -12,7 +12,7 @@ and `put` may be called from any thread. There are no callbacks.
 *Delivery.* `put` reaches every matching subscriber at most once, or is lost silently (a broken link, a peer that dies,
 a subscriber that does not exist yet). Puts of one participant on one key arrive in order; otherwise any order is
 possible. Payloads up to `MAX_PAYLOAD` are delivered whole; larger ones raise a LocalProtocolError. The bus neither
-acknowledges nor repeats: protocols above it ask again for what they miss (docs/protocol.md).
+acknowledges nor repeats: protocols above it ask again for missing messages (docs/protocol.md).
 
 *Queries.* `get` asks the participant that serves a key. It ends with exactly one Reply event with the token that `get`
 returned: the answer, or `payload=None` when no participant serves the key, the query was refused, or `timeout_s`
@@ -165,7 +165,7 @@ def check_expression(expression: str) -> str:
 
 
 def check_payload(key: str, payload: bytes) -> None:
-    """Raise LocalProtocolError when `payload` is larger than what a bus carries."""
+    """Raise LocalProtocolError when `payload` is larger than a bus can carry."""
     if len(payload) > MAX_PAYLOAD:
         raise LocalProtocolError(f"{len(payload)} bytes for {key} are more than the {MAX_PAYLOAD} a bus carries")
 

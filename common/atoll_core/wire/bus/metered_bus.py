@@ -10,7 +10,7 @@ from atoll_core.wire.bus.interface import Bus, Event, Message, Query, Reply
 from atoll_core.wire.messages.views import Traffic
 
 OTHER: Final = "other"
-"""The kind of keys that are none of ours."""
+"""The kind of foreign keys."""
 
 
 class MeteredBus:
@@ -66,7 +66,7 @@ class MeteredBus:
 
 @lru_cache(4096)
 def kind_of(key: str) -> str:
-    """Return the kind of a key in a word; `OTHER` for one that is none of ours."""
+    """Return the kind of a key in a word; `OTHER` for a foreign key."""
     try:
         parsed = topics.parse(key)
     except RemoteProtocolError:

@@ -37,7 +37,7 @@ THREADS: Final = 16
 """Threads for small answers, and for large ones. They are started when there are answers for them."""
 
 MAX_LARGE_OF_PARTY: Final = 8
-"""Large answers of one party that may wait. A party that asks for one more is told to ask again."""
+"""Large answers of one party that may wait. Further requests of the party are refused, and it asks again."""
 
 _MAX_SMALL_OF_PARTY: Final = 4096
 _MAX_BYTES_OF_PARTY: Final = 64 * 1024**2

@@ -8,12 +8,12 @@ fills /dev/shm), BLOCK instead of the default that drops messages under load, qu
 `_WAIT_FOR_PEER_US` for a peer that reads nothing, a lease short enough to notice a lost machine within seconds, and a
 limit on the size of messages.
 
-While one thread waits for a peer that reads nothing, other threads serve everyone else: the outbox sends answers, and
+While one thread waits for a peer that reads nothing, other threads serve all other peers: the outbox sends answers, and
 a router gets more threads than zenoh starts by default. Closing a socket must not wait either. Zenoh sets SO_LINGER to
 10 s on each TCP socket, and the thread that closes a socket is one of the few that read messages for all clients: if
 the other side reads nothing, ``close`` blocks it for 10 s. Zenoh has no setting for this, so `LingerRemover` resets the
-option on each socket when its link comes up. ``close`` then returns at once, and the operating system still sends what
-is buffered. Whether a later version of zenoh makes this unnecessary has to be tested, not read.
+option on each socket when its link comes up. ``close`` then returns at once, and the operating system still sends the
+buffered data. Whether a later version of zenoh makes this unnecessary has to be tested, not read.
 """
 
 import contextlib
@@ -109,7 +109,8 @@ def sockets_of(port: int) -> Iterator[socket.socket]:
 
 _WAIT_FOR_PEER_US: Final = 1_000_000
 _GIVEN_UP: Final = 0.9
-"""Share of `_WAIT_FOR_PEER_US` after which zenoh has nearly given up an answer, so that `_CLOSING_S` more is cheap."""
+"""Share of `_WAIT_FOR_PEER_US` after which zenoh soon gives up an answer, so that waiting `_CLOSING_S` longer is
+cheap."""
 
 _CLOSING_S: Final = 0.1
 _LEASE_MS: Final = 4_000
@@ -121,7 +122,7 @@ _CLOSE_LIMIT_S: Final = 5.0
 _FREE_PORT_ATTEMPTS: Final = 20
 _RUNTIME: Final = "ZENOH_RUNTIME"
 _THREADS: Final = 8
-"""Reading threads of a router, and writing ones: so many links may be closing while others are served."""
+"""Reading threads of a router, and writing ones: the number of links that may be closing while others are served."""
 
 _OVERHEAD: Final = 1024 * 1024  # key and attributes of a message, with room to spare
 
@@ -219,7 +220,7 @@ def _dial(address: Address, to: Destination, config: zenoh.Config) -> "ZenohBus 
         return ZenohBus(zenoh.open(config), str(address), is_router=False)
     except zenoh.ZError:
         slow = check_certificates(address, to.credentials, _SLOW_S)
-        return slow or "what listens there did not answer as a coordinator does"
+        return slow or "the program that listens there did not answer as a coordinator does"
 
 
 class ZenohBus:

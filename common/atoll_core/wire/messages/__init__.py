@@ -6,6 +6,6 @@
 - ``clients``: requests of clients and their answers. ``views``: jobs and workers as clients see them.
 - ``limits``: types of fields, and limits of sizes.
 
-An envelope names sender and receiver; its ``body`` is one of a closed union, told apart by ``kind``. A change of any
-message raises `atoll_core.PROTOCOL_VERSION`.
+An envelope names sender and receiver; its ``body`` belongs to a closed union; the field ``kind`` has its type. A change
+of any message raises `atoll_core.PROTOCOL_VERSION`.
 """

@@ -66,8 +66,8 @@ class IslandReport(Frozen):
     `generations` is the last one computed: the epoch's end, the island's own hit, or, after a hit of another island, at
     least the last one that counts. `additions` are the entries added to its front, in the order found, `runners_up`
     those added to its runners-up that were never on the front. `counters` are given for every slice that it finished.
-    `best_error` is the smallest normalized error on all rows so far (None: none finite yet), `digest` the digest of its
-    state.
+    `best_error` is the smallest finite normalized error on all rows so far (None: there is none yet), `digest` the
+    digest of its state.
     """
 
     island: IslandIndex

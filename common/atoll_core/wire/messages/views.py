@@ -94,7 +94,7 @@ class CoordinatorView(Frozen):
 
 
 class JobCounters(Frozen):
-    """Counters of a job since the coordinator's start, besides its point evaluations.
+    """Counters of a job since the coordinator's start, in addition to its point evaluations.
 
     `placements` counts terms, `deaths` terms that ended by the death of a worker, `stalls` the times without progress;
     the others are as in `Counters`.
@@ -160,11 +160,11 @@ class TaskView(Frozen):
 class JobView(Frozen):
     """One job as `jobs` and `status` show it. Times are seconds; `reason` says why it failed or what it waits for.
 
-    `fault` of a failed job: unusable data, two workers that diverged, islands that killed their workers (poison), or an
-    internal error. `stalls` says where it makes no progress, and why; `ahead` counts jobs before it in the queue.
+    `fault` is why the job failed: unusable data, two workers that diverged, islands that killed their workers (poison),
+    or an internal error. `stalls` says where it makes no progress, and why; `ahead` counts jobs before it in the queue.
     `submitter` is the name in the certificate; other users see the job when it is `shared`. A `paused` job waits to be
-    resumed; a job that is `held` has begun and has no place now. `tasks` have not ended. `notes` are those `warnings`
-    that only report what was done by rule.
+    resumed; a job that is `held` has begun and has no place now. `tasks` have not ended. `notes` are the `warnings`
+    that only report steps taken by rule.
     """
 
     job: str

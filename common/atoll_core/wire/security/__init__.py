@@ -1,1 +1,1 @@
-"""Who may do what: `credentials` checks certificates, `roles` reads the roster and makes the router's access rules."""
+"""Permissions: `credentials` checks certificates, `roles` reads the roster and makes the router's access rules."""

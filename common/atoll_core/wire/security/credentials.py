@@ -143,9 +143,13 @@ def check_welcome(host: str, port: int, credentials: Credentials, listen_s: floa
         for ending, sentence in _ALERTS.items():
             if (error.reason or "").endswith(ending):
                 raise RefusedError(sentence.format(certificate=credentials.certificate)) from error
-        return "what listens there does not speak TLS as a coordinator does"
+        return "the program that listens there does not speak TLS as a coordinator does"
     except OSError as error:
-        return "what listens there does not speak TLS" if isinstance(error, TimeoutError) else str(error).lower()
+        return (
+            "the program that listens there does not speak TLS"
+            if isinstance(error, TimeoutError)
+            else str(error).lower()
+        )
     return None
 
 
@@ -208,7 +212,7 @@ def _check_contents(file: Path, option: str, mark: str, expected: str) -> str:
 
 
 def _verified_fields(authority: Path, certificate: Path, key: Path, use: Use) -> _Certificate:
-    """Return our certificate as a verifier reads it that trusts `authority`; raises UsageError."""
+    """Return our certificate as read by a verifier that trusts `authority`; raises UsageError."""
     try:
         try:
             return _handshake(authority, certificate, key, use, 0)

@@ -26,17 +26,14 @@ def settings_reason(error: ValidationError) -> str:
 
 def stored_search_reason(error: RemoteProtocolError) -> str:
     """Return why the stored search cannot be continued."""
-    return (
-        f"what the store keeps of its search is not understood by version {VERSION} ({error}); submit it again under "
-        "another id"
-    )
+    return f"the stored search cannot be read by version {VERSION} ({error}); submit it again under another id"
 
 
 def lost_states_reason(variable: str) -> str:
     """Return why a search cannot go on whose durable states are missing in the store."""
     return (
-        f"states of the last checkpoint of {variable} are missing or damaged in the coordinator's store; see that its "
-        "disk is sound, and submit the job again under another id"
+        f"states of the last checkpoint of {variable} are missing or damaged in the coordinator's store; check that "
+        "its disk is sound, and submit the job again under another id"
     )
 
 

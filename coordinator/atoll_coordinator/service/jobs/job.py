@@ -35,8 +35,8 @@ SEARCH_SHARE: Final = 0.5
 """Share of the time after preparing that the search may take: refining takes about as long."""
 
 STAGNATION_GIVEN: Final = 60
-"""Targets that are given have no trajectories from which refining could improve an approximate equation; and a target
-error is given in order to be met."""
+"""Targets given as columns have no trajectories from which refining could improve an approximate equation, and a target
+error that the user gives should be met."""
 
 STAGNATION_CLEAN: Final = 5
 """The least; it grows with the epochs until the last improvement. Measured on random systems simulated at solver
@@ -68,7 +68,7 @@ class CommitCuts:
 
 @dataclass(frozen=True, slots=True)
 class PublishCommit:
-    """Publish what workers may forget."""
+    """Publish the commit, up to which workers may forget messages."""
 
     commit: Commit
 
@@ -186,7 +186,7 @@ class Job:
         return self._refine_if_cut(now)
 
     def wait_to_be_refined(self, seconds: float) -> None:
-        """Leave out so many seconds of waiting for refining to begin."""
+        """Do not count this number of seconds of waiting for refining to begin."""
         if self.refining_since is not None:
             self.refining_since += seconds
 
@@ -277,7 +277,7 @@ class Job:
         return [CommitResult()]
 
     def cancel(self) -> list[JobAction]:
-        """End it and keep what has been found; without effect on a job that has ended.
+        """End it and keep the equations found; without effect on a job that has ended.
 
         Only the result is committed: if the cancellation is lost in a crash, stored cuts would end a job that goes on.
         """
@@ -349,8 +349,8 @@ def commit_order_of(config: JobConfig) -> CommitOrder:
 def measure_of(target: Target, rows: float) -> Measure:
     """Return the measure of fronts of this target: their least description length.
 
-    `rows` have independent errors, see `independent_rows`: what fits correlated errors better is no improvement. For a
-    noisy target there is no floor: many equations have errors below the noise, and the search goes on while they
+    `rows` have independent errors, see `independent_rows`: a better fit of correlated errors is not an improvement. For
+    a noisy target there is no floor: many equations have errors below the noise, and the search goes on while they
     improve.
     """
     floor = 0.0 if target.is_noisy else target.uncertainty
@@ -368,7 +368,7 @@ def measure_of(target: Target, rows: float) -> Measure:
 def stagnation_of(config: JobConfig, target: Target, recording: Recording | None) -> Stagnation:
     """Return after how many epochs without a better equation the search for a target ends.
 
-    `recording` is what the target was estimated from; None: it was given.
+    `recording` has the data from which the target was estimated; None: the user gave the target.
     """
     if config.budget.stagnation is not None:
         return Stagnation(config.budget.stagnation)

@@ -22,11 +22,12 @@ MAX_PLACES: Final = 1000
 
 
 def what_to_send(config: JobConfig, *, is_certain: bool = True) -> str:
-    """Return the end of a sentence: what a bug report about a job must contain so that the error can be reproduced.
+    """Return the end of a sentence that lists the contents of a bug report, so that the error in a job can be
+    reproduced.
 
     Args:
         config: of the job.
-        is_certain: whether this program is certainly to blame, and not perhaps a machine that is short of memory.
+        is_certain: whether this program is certainly the cause; otherwise it may be a machine that is short of memory.
     """
     blame = f"this is a mistake of Atoll {VERSION}, not of the data:" if is_certain else "if it does so again,"
     version = "" if is_certain else f"Atoll {VERSION}, "
@@ -56,7 +57,7 @@ class Breakages:
     def add(self, task: str, error: Exception, config: JobConfig | None = None) -> str:
         """Count an error that ended `task`, such as "adding a report"; return a sentence about it.
 
-        With the `config` of a job that ends by it, the sentence says what a bug report must contain.
+        With the `config` of a job that ends by it, the sentence lists the contents of a bug report.
         """
         self.total += 1
         frames = traceback.extract_tb(error.__traceback__)
@@ -70,13 +71,14 @@ class Breakages:
         if place not in self._places and len(self._places) < MAX_PLACES:
             self._places.add(place)
             _LOG.error("broke", extra=fields(task=task), exc_info=error)
-            with contextlib.suppress(Exception):  # an error in the note must not end anything
+            with contextlib.suppress(Exception):  # an error in this report must not end anything
                 self._note(sentence)
         return sentence
 
     @contextlib.contextmanager
     def tolerated(self, task: str) -> Iterator[None]:
-        """Let an error in `task` end nothing else, except a StoreError: without a store nothing can go on."""
+        """Let an error in `task` end nothing else, except a StoreError: without a store the coordinator cannot
+        continue."""
         try:
             yield
         except StoreError:

@@ -22,7 +22,7 @@ from atoll_core.wire.messages.workers import Placement, WorkerLog
 _LOG = logging.getLogger("coordinator")
 
 MAX_REFUSALS: Final = 1000
-"""Different refusals of workers that are recorded, so that a flood of them does not fill the log."""
+"""Most different refusals of workers that are recorded, so that a flood of refusals does not fill the log."""
 
 RATE: Final = 40.0
 """Log lines per second that are accepted from one worker in the long run: twice what a worker sends."""

@@ -25,7 +25,7 @@ LEASE_S: Final = 30.0
 """How long a silent follower is notified; it renews its lease after a third of that."""
 
 MAX_FOLLOWERS: Final = 10_000
-"""As many as sessions of the router."""
+"""The number of sessions of the router."""
 
 PAGE: Final = 200
 """Events in one change at most."""
@@ -35,7 +35,7 @@ _LIVES: Final = 2**32
 
 
 _Key = tuple[str | None, Viewer | None]
-"""Of a topic: the job, or None with the viewer of all events. A follower of a job sees all of its events."""
+"""Key of a topic: the job, or None with the viewer of all events. A follower of a job sees all of its events."""
 
 
 @dataclass
@@ -54,7 +54,7 @@ class _Topic:
 class Followers:
     """All followers of one coordinator. Its owner calls `notify` after each event, and `expire` now and then."""
 
-    def __init__(  # what a change is made of, and where it goes
+    def __init__(  # the parts of a change, and its receivers
         self, incarnation: int, shown: JobViews, events: EventLog,
         workforce: Callable[[float], Workforce], put: Callable[[str, bytes], None],
     ) -> None:  # fmt: skip
@@ -77,7 +77,7 @@ class Followers:
     def follow(
         self, client: str, question: Follow, now: float, viewer: Viewer | None = None
     ) -> Following | None:  # fmt: skip
-        """Begin or renew a client's lease; return what it does not have yet. None: there is no such job.
+        """Begin or renew a client's lease; return the changes that it does not have yet. None: there is no such job.
 
         A follower of all events gets those that its `viewer` (None: sees all) sees. Whether it may see a job is checked
         before.
@@ -109,7 +109,7 @@ class Followers:
         self._changed.update(self._of_all)
 
     def look(self, now: float) -> None:
-        """Mark what changes without an event: the numbers of workers, and positions in the queue."""
+        """Mark values that change without an event: the numbers of workers, and positions in the queue."""
         if not self._topics:
             return
         workforce = self._workforce(now)

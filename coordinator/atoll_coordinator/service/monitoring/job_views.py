@@ -1,4 +1,4 @@
-"""Jobs as clients see them: views of live and ended jobs, their counters, and what results are composed of.
+"""Jobs as clients see them: views of live and ended jobs, their counters, and the drafts of results.
 
 Views are made when a client asks for them. Results of live jobs are composed in the background, from a `Draft`.
 """
@@ -36,7 +36,7 @@ from atoll_core.wire.messages.workers import AssignmentStatus
 
 
 class CounterRegistry:
-    """What live jobs have cost, besides their point evaluations."""
+    """Costs of live jobs, in addition to their point evaluations."""
 
     def __init__(self) -> None:
         self._counters: dict[str, JobCounters] = {}
@@ -69,7 +69,7 @@ class CounterRegistry:
 
 
 def queue_depth(begun: Iterable[Job], queued: int, ready: int, places: int, analyses: int = 0) -> QueueDepth:
-    """Return the numbers of jobs by state, and of what could be computed at once.
+    """Return the numbers of jobs by state, and of islands and tasks that could be computed at once.
 
     The equations of a job are unknown before its data are prepared: it counts with the islands of one equation, and so
     does a job that is refined, whose batches occupy about as many workers. Jobs that wait for their turn count only as
@@ -139,7 +139,8 @@ def _steps(improvements: Sequence[Improvement]) -> tuple[tuple[int, float], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Draft:
-    """What the result of a prepared job is composed of. It never changes, so that another thread may compose it.
+    """The parts from which the result of a prepared job is composed. They never change, so that another thread may do
+    it.
 
     `submitted_at` is in seconds of the bus.
     """
@@ -153,7 +154,7 @@ class Draft:
 
     @property
     def is_final(self) -> bool:
-        """Whether its job ends; else the job goes on."""
+        """Whether its job ends; otherwise the job continues."""
         return self.account.state in FINAL_STATES
 
     def compose(self) -> str:
@@ -180,7 +181,7 @@ class Ending:
 
 
 def draft_of(job: Job) -> Draft | None:
-    """Return what the result of a job is composed of now; None: its data are not prepared."""
+    """Return the parts of the present result of a job; None: its data are not prepared."""
     if job.prepared is None:
         return None
     outcomes = tuple(outcomes_of(job))
@@ -204,14 +205,14 @@ def job_view(
         job: the job.
         queue: in which it may wait.
         now: seconds of the bus.
-        waiting_reason: what its archipelagos or tasks without workers wait for, in words.
+        waiting_reason: why its archipelagos or tasks without workers wait, in words.
         counters: of this job.
         stalls: why its archipelagos make no progress, in words.
     """
     outcomes = outcomes_of(job)
     evaluations = sum(sum(outcome.evaluations.values()) for outcome in outcomes)
     seconds = job.search_seconds(now)
-    prepared = job.prepared if job.result_text is None else None  # else the result has them
+    prepared = job.prepared if job.result_text is None else None  # otherwise the result has them
     variables = tuple(_variable_view(prepared, outcome) for outcome in outcomes) if prepared else ()
     return JobView(
         job=job.id,
@@ -289,7 +290,7 @@ def with_equations(view: JobView, result: str) -> JobView:
 def view_of_record(record: JobRecord, warning: str) -> JobView:
     """Return the view of a job from its record alone, after an error; it never raises.
 
-    Of a damaged record only certain fields are shown; if it says that the job goes on, the job has failed.
+    For a damaged record only certain fields are shown; if it says that the job goes on, the job has failed.
     """
     try:
         return ended_view(record, None).model_copy(update={"warnings": (warning,)})
@@ -431,11 +432,11 @@ class JobViews:
         if job_id in self._jobs:
             return self._live_view(self._jobs[job_id], now)
         ending = self._ending.get(job_id)
-        if ending is not None and ending.sentence is None:  # else it may be half changed, and the record is shown
+        if ending is not None and ending.sentence is None:  # otherwise it may be half changed, and the record is shown
             as_it_was = {"state": ending.was, "reason": None, "fault": None}
             return self._live_view(ending.job, now).model_copy(update=as_it_was)
         if kept is not None:
-            with contextlib.suppress(ValidationError):  # else another version has stored it
+            with contextlib.suppress(ValidationError):  # otherwise another version has stored it
                 return JobView.model_validate_json(kept)
         record = self._store.job(job_id)
         if record is None:

@@ -17,7 +17,7 @@ LAG_S: Final = 0.1
 """How often the loop's lag is measured, in seconds."""
 
 UPDATE_S: Final = 5.0
-"""How often gauges are set, in seconds; Prometheus asks every 15 s unless it is told otherwise."""
+"""How often gauges are set, in seconds; Prometheus asks every 15 s by default."""
 
 MAX_USERS: Final = 200
 """Users with series of their own; all others are `OTHERS`, so that made-up names cannot fill a database."""
@@ -45,18 +45,20 @@ class Metrics:
 
         self._library = prometheus_client
         self.registry: Final = prometheus_client.CollectorRegistry()
-        self._lag = self._histogram("loop_lag_seconds", "From when a probe was due to when the loop took it", _LAGS)
-        self._step = self._histogram("loop_step_seconds", "What the loop takes for one event", _LAGS)
+        self._lag = self._histogram("loop_lag_seconds", "Delay between the due time of a probe and its handling", _LAGS)
+        self._step = self._histogram("loop_step_seconds", "Time that the loop takes for one event", _LAGS)
         self._wait = self._histogram("queue_wait_seconds", "From a job's submission to its preparation", _WAITS)
-        self._task = self._histogram("task_seconds", "What tasks take, by kind", _TASKS, "kind")
+        self._task = self._histogram("task_seconds", "Durations of tasks, by kind", _TASKS, "kind")
         self._leases = self._counter("leases_lost", "Workers that were lost to their islands")
         self._ended = self._counter("jobs_ended", "Jobs that have ended since the start, by how", "state")
         self._bytes = self._counter("bus_bytes", "Bytes of payloads, by kind of key", "direction", "kind")
         self._messages = self._counter("bus_messages", "Messages, by kind of key", "direction", "kind")
-        self._dropped = self._counter("messages_dropped", "Messages lost since they came too fast")
+        self._dropped = self._counter("messages_dropped", "Messages lost because they came too fast")
         self._refused = self._counter("messages_refused", "Messages that were malformed or foreign")
-        self._broken = self._counter("broken", "Events over which something of ours broke")
-        self._questions = self._counter("questions_refused", "Questions of clients that were too many")
+        self._broken = self._counter("broken", "Events that caused an internal error")
+        self._questions = self._counter(
+            "questions_refused", "Requests of clients that were refused because of their number"
+        )
         self._transactions = self._counter("store_transactions", "Transactions of the store")
         self._store_s = self._counter("store_seconds", "Seconds that transactions of the store took")
         self._cpu = self._counter("cpu_seconds", "Processor time of the coordinator's process")
@@ -64,9 +66,7 @@ class Metrics:
         self._memory = self._gauge("memory_bytes", "Memory that the coordinator's process occupies")
         self._followers = self._gauge("followers", "Leases of clients that follow jobs")
         self._jobs = self._gauge("jobs", "Jobs that have not ended, by state", "state")
-        self._users = self._gauge(
-            "user_jobs", "Jobs that have not ended, by who submitted them and state", "user", "state"
-        )
+        self._users = self._gauge("user_jobs", "Jobs that have not ended, by user and state", "user", "state")
         self._ready = self._gauge("tasks_ready", "Islands and tasks that could be computed at once")
         self._tasks = self._gauge("tasks", "Tasks that have not ended, by function and state", "function", "state")
         self._helpers = self._gauge("helpers", "Workers that help with the tasks of others")

@@ -105,7 +105,7 @@ class Admission:
 
 
 def _as_known(config: JobConfig, spec: str, limits: Limits) -> JobConfig:
-    """Return a configuration with the time limit that the stored job got, whatever the limits are now.
+    """Return a configuration with the time limit that the stored job got, regardless of the present limits.
 
     A configuration with a time limit keeps it: with another one it is another job.
     """

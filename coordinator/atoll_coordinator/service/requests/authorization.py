@@ -1,8 +1,9 @@
 """Authorization by certificates: which program may have which role, and which user may see and change which jobs.
 
 The router's access rules drop forbidden messages without an answer; here a program whose role does not fit gets a
-sentence, as the answer to its greeting. Rules on keys cannot say to whom a job belongs; that is decided here alone: a
-job is visible to its submitter and to admins, and to others only if it is shared; else it does not exist for them.
+sentence, as the answer to its greeting. Rules on keys cannot say to whom a job belongs; that is decided only here: a
+job is visible to its submitter and to admins, and to other users only if it is shared; otherwise it does not exist for
+them.
 """
 
 from typing import Final, Protocol
@@ -17,7 +18,7 @@ _MAY: Final[dict[Role, str]] = {
     "router": "pass messages on",
     "worker": "compute islands",
     "submitter": "submit jobs and look at its own and shared ones",
-    "admin": "submit jobs, and look at, change and end those of others",
+    "admin": "submit jobs, and look at, change and end jobs of others",
 }
 
 _CHANGES: Final[dict[type, str]] = {
@@ -36,7 +37,7 @@ class Jobs(Protocol):
 
 
 class Authorization:
-    """Decides by role bindings; without any (None) every client may do everything."""
+    """Decides by role bindings; without bindings (None) every client has all permissions."""
 
     def __init__(self, role_bindings: RoleBindings | None, jobs: Jobs) -> None:
         """`role_bindings` may be replaced at any time; a router has the new ones only after a restart."""
@@ -80,11 +81,11 @@ class Authorization:
         if role == "revoked":
             return self._revoked(client)
         if role not in ("submitter", "admin"):
-            return f"{client!r} is not the name of somebody who may submit jobs or look at them"
+            return f"{client!r} is not the name of a user who may submit jobs or look at them"
         if role == "admin":
             return None
         if isinstance(body, _OF_SERVICE):
-            return "only an admin may do that to workers or to the queue"
+            return "only an admin may change workers or the queue"
         if not isinstance(
             body,
             messages.Cancel | messages.Delete | messages.Pause | messages.SetPriority | messages.Share | messages.Retry,

@@ -32,7 +32,7 @@ _SHOWN: Final = 5
 class ClientRequests:
     """Answers requests of clients, one by one."""
 
-    def __init__(  # noqa: PLR0913  # what answers are made of
+    def __init__(  # noqa: PLR0913  # the sources of answers
         self, controller: JobController, store: Store, authorization: Authorization, deletion: JobDeletion,
         now: Callable[[], float], coordinator: Callable[[], CoordinatorView | None] = lambda: None,
         followers: Followers | None = None,
@@ -113,7 +113,7 @@ class ClientRequests:
                 return self._workers(messages.ListWorkers(limit=1), viewer)
             case messages.Follow():
                 if self._followers is None:
-                    sentence = "nothing can be followed here; ask for the status instead"
+                    sentence = "this coordinator does not notify followers; ask for the status instead"
                     return messages.Failure(failure="refused", sentence=sentence)
                 return self._followers.follow(client, body, now, viewer) or _unknown(body.job or "of any name")
             case messages.ListJobs():
@@ -153,7 +153,7 @@ class ClientRequests:
         return self._status(body.job)
 
     def _analyse(self, client: str, body: messages.AskAnalysis, user: str | None, viewer: Viewer | None) -> AnswerBody:
-        """Answer a question about the result of a job, or say what the answer waits for."""
+        """Answer a question about the result of a job, or say why there is no answer yet."""
         if self._store.job(body.job) is None:
             return _unknown(body.job)
         if body.table is not None and not self.uploads.has(body.table, user, viewer, client):
@@ -200,7 +200,7 @@ class ClientRequests:
         return messages.IslandList(islands=tuple(views[:MAX_SHOWN_ISLANDS]))
 
     def _workers(self, question: messages.ListWorkers, viewer: Viewer | None) -> messages.WorkerList:
-        """Return a page of workers, by name, without what they compute for other users."""
+        """Return a page of workers, by name, without the jobs of other users that they compute."""
         views = self._controller.workers.membership.views(self._now())
         wanted = [view for view in views if view.worker > question.after and view.worker.startswith(question.prefix)]
         page = tuple(wanted[: question.limit])
@@ -241,7 +241,7 @@ class ClientRequests:
         return messages.JobList(jobs=tuple(reversed(views)), before=None if is_last else min(numbers.values()))
 
     def _find(self, prefix: str, viewer: Viewer | None) -> messages.JobFound | messages.Failure:
-        """Return the one job whose id is `prefix` or begins with it, of those that the viewer sees."""
+        """Return the one job whose id is `prefix` or begins with it, among the jobs that the viewer sees."""
         if self._store.job(prefix) is not None and (viewer is None or self._store.is_seen(prefix, viewer)):
             return messages.JobFound(job=prefix)
         count = self._store.count_jobs(prefix, viewer)
@@ -253,9 +253,9 @@ class ClientRequests:
             is_whole = count < MAX_COUNTED
             shown += f" and {count - _SHOWN if is_whole else 'many'} more" if count > _SHOWN else ""
             number = f"{count}" if is_whole else f"{count} and more"
-            sentence = f"{number} jobs begin with {prefix!r} ({shown}); write more of the id"
+            sentence = f"{number} jobs begin with {prefix!r} ({shown}); give more characters of the id"
             return messages.Failure(failure="refused", sentence=sentence)
-        there = f"the last that came are {shown}" if ids else "there is none at all yet"
+        there = f"the last that came are {shown}" if ids else "there are no jobs yet"
         return messages.Failure(failure="unknown-job", sentence=f"the coordinator has no job {prefix!r}; {there}")
 
     def _status(self, job: str) -> messages.JobStatus | messages.Failure:

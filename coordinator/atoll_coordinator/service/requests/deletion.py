@@ -1,4 +1,4 @@
-"""Deletes ended jobs: those that a client names, and those that the retention no longer keeps."""
+"""Deletes ended jobs: jobs named by a client, and jobs that the retention no longer keeps."""
 
 from typing import Final
 

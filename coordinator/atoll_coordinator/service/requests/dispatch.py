@@ -31,7 +31,7 @@ _LOG: Final = logging.getLogger(__name__)
 class RequestDispatcher:
     """Answers queries by their keys."""
 
-    def __init__(  # noqa: PLR0913  # what answers are made of
+    def __init__(  # noqa: PLR0913  # the sources of answers
         self, controller: JobController, store: Store, authorization: Authorization, clients: ClientRequests,
         rejects: Rejects, now: Callable[[], float], clock: Callable[[], str],
     ) -> None:  # fmt: skip
@@ -44,7 +44,7 @@ class RequestDispatcher:
         self._now = now
         self._clock = clock
         self.store_error: StoreError | None = None
-        """Why the store failed in the middle of a question: nothing can go on after that."""
+        """Why the store failed in the middle of a question: the coordinator cannot continue after that."""
 
     def answer(self, event: Query) -> bytes | None:
         """Return the answer to a query; None when there is none. After an error, clients and greetings get a sentence.
@@ -100,7 +100,7 @@ class RequestDispatcher:
         """Return states of a committed checkpoint, as many as fit into one message; None when they are missing."""
         pull = decode(payload, Pull, MAX_MESSAGE).body
         if not isinstance(pull, PullStates) or pull.job != key.job:
-            raise RemoteProtocolError(f"states of job {key.job} were to be asked for, and {pull.kind!r} came")
+            raise RemoteProtocolError(f"states of job {key.job} were expected to be requested, but {pull.kind!r} came")
 
         def load(island: int) -> IslandState:
             state = self._store.state(pull.job, pull.variable, pull.epoch, island)
@@ -111,7 +111,7 @@ class RequestDispatcher:
         try:
             pieces = split_states(pull.islands, pull.offset, load)
         except KeyError:
-            if self._controller.has_lost(pull):  # else the worker would ask for ever
+            if self._controller.has_lost(pull):  # otherwise the worker would ask for ever
                 self._controller.fail_job(pull.job, "internal", checks.lost_states_reason(pull.variable), self._now())
             return None
         return encode(PullAnswer(body=States(pieces=pieces)))

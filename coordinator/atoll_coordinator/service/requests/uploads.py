@@ -23,14 +23,14 @@ MAX_STORED_BYTES: Final = 16 * 1024**3
 
 MOST_OF_USER: Final = 1_000
 MOST_OF_ALL: Final = 20_000
-"""Tables uploaded and not submitted, of a user (else a session) and of all together: each takes 3 kB of memory,
+"""Most tables uploaded and not submitted, of a user (or a session) and of all together: each takes 3 kB of memory,
 however small it is."""
 
 LEAST_RESERVE: Final = 256 * 1024**2
 MOST_RESERVE: Final = 2 * 1024**3
 RESERVED_SHARE: Final = 0.05
 MOST_RESERVED_SHARE: Final = 0.25
-"""Bytes and shares of the disk that uploads leave for checkpoints and results; on small disks the last one decides."""
+"""Bytes and shares of the disk that are reserved for checkpoints and results; on small disks the last one decides."""
 
 LEASE_S: Final = 5 * CHUNK_LIMIT_S
 """An active client sends a message within `CHUNK_LIMIT_S`; the factor allows for retries."""
@@ -81,7 +81,8 @@ class Uploads:
     def take(self, upload: Upload, user: str | None, viewer: Viewer | None, session: str) -> Uploaded:
         """Store a chunk if it is the next one, and return which are missing.
 
-        For a `viewer` that sees no job with this table, everything is missing that its `user` has not sent: a digest
+        For a `viewer` that sees no job with this table, all bytes count as missing that its `user` has not sent: a
+        digest
         alone must not reveal that the data are there. Without a user, each `session` sends its own.
 
         Raises:
@@ -141,7 +142,7 @@ class Uploads:
         own, total = self._begun[user, session], len(self._uploads)
         if own >= MOST_OF_USER or total >= MOST_OF_ALL:
             raise RefusedError(
-                f"{own} tables are uploaded and not submitted, of all users {total}, and at most {MOST_OF_USER} and "
+                f"{own} tables are uploaded and not submitted, of all users {total}, but at most {MOST_OF_USER} and "
                 f"{MOST_OF_ALL} may be; submit jobs with them, or try again in {LEASE_S / 60:.0f} minutes, when those "
                 "that were given up are deleted"
             )
@@ -181,7 +182,7 @@ class Uploads:
         return viewer is None or (own is not None and own.is_whole) or self._store.uses_table(digest, viewer)
 
     def end(self, digest: str, user: str | None, session: str) -> None:
-        """Record that a job of a user uses a table: it is no upload any more."""
+        """Record that a job of a user uses a table: it is not an upload any more."""
         self._forget(self._who(digest, user, session))
 
     def pending_bytes(self, user: str | None, but: str, session: str) -> tuple[int, int]:
@@ -212,7 +213,7 @@ class Uploads:
             self._store.delete_unused_blobs(expired)
 
     def delete_all(self) -> None:
-        """Delete all uploads that no job uses; their clients learn that everything is missing, and upload again.
+        """Delete all uploads that no job uses; their clients learn that all chunks are missing, and upload again.
 
         Also called when a coordinator starts, since it is not stored which user has sent which bytes.
         """
@@ -236,7 +237,7 @@ class Uploads:
             )
 
     def _refusal(self, missing: int) -> str | None:
-        """Return why there is no space for so many bytes; None: there is."""
+        """Return why there is no space for this number of bytes; None: there is space."""
         stored = self._store.blob_bytes()
         if stored + missing > MAX_STORED_BYTES:
             return (
@@ -253,6 +254,6 @@ class Uploads:
 
 
 def reserve_of(room: Room) -> int:
-    """Return the bytes of a disk that uploads leave free."""
+    """Return the bytes of a disk that uploads must not use."""
     wanted = min(max(RESERVED_SHARE * room.total, LEAST_RESERVE), MOST_RESERVE)
     return round(min(wanted, MOST_RESERVED_SHARE * room.total))

@@ -32,7 +32,7 @@ T = TypeVar("T")
 class NotYetError(Exception):
     """A question can be answered when the result of a `job` has been composed: the final one, or the best so far.
 
-    `meanwhile` returns an answer for a question that waits no longer; None: it waits.
+    `meanwhile` returns the answer for a question whose wait is over; None: it still waits.
     """
 
     def __init__(

@@ -2,14 +2,14 @@
 
 Deficit round robin (M. Shreedhar, G. Varghese, *Efficient fair queuing using deficit round robin*, IEEE/ACM
 Transactions on Networking 4(3), 1996, 375-385) gives each user in turn a quantum of service. The cost of a job is known
-only afterwards here. So a user may exceed the quantum by what is being served when it is used up; the excess is
-deducted from the next quanta, as in the same authors' surplus round robin.
+only afterwards here. So jobs that run when the quantum is used up may exceed it; the excess is deducted from the next
+quanta, as in the same authors' surplus round robin.
 
 A user's *round* is the number of quanta used up. Users in the lowest round are served first, in the order in which they
 came. A user who was idle enters the lowest round, behind the others in it: idle time gives no credit, and an excess
-stays owed. The lowest round is counted over users who want more than they have: a user who has all that it can use gets
-no credit either, and owes nothing for service that no other user wanted. While such a user is served in an earlier
-round, the lowest round is one less, so that nobody loses the rest of a quantum.
+stays owed. The lowest round is counted over users who want more than they have: a user who has all the service that it
+can use gets no credit either, and owes nothing for service that no other user wanted. While such a user is served in an
+earlier round, the lowest round is one less, so that no user loses the rest of a quantum.
 
 **The longest wait.** Let N users have jobs, S jobs be served at once, Q be the quantum, and let each user be charged
 after at most t seconds. A user who comes with one job enters the lowest round, v. Before this user are only users still
@@ -34,8 +34,9 @@ QUANTUM_S: Final = 60.0
 to other workers), which should be no more than the 3 % that checkpoints may cost (`checkpoints.SHARE`)."""
 
 AGE_S: Final = 3600.0
-"""Each step of priority is worth so many seconds of waiting among the jobs of one user: nearly all jobs take less, so
-that priority decides among jobs of one session, and after 20 hours the lowest priority overtakes the highest."""
+"""Among the jobs of one user, each step of priority is worth this number of seconds of waiting: nearly all jobs take
+less, so that priority decides among jobs of one session, and after 20 hours the lowest priority overtakes the
+highest."""
 
 _RUNNING_S: Final = 1e10
 """More seconds than any age and priority: running tasks come before waiting ones."""
@@ -103,7 +104,7 @@ class FairShare:
         self._share(user).spent += seconds
 
     def forget(self, job: str) -> None:
-        """Forget an ended job; what its user owes stays owed."""
+        """Forget an ended job; the charges of its user remain."""
         if job not in self._users:
             return
         user = self._users.pop(job)
@@ -118,7 +119,7 @@ class FairShare:
         return (self._round_of(share), share.number) if share is not None else (self._round, self._next_number)
 
     def _raise_round(self, users: Collection[str | None], content: Collection[str | None]) -> None:
-        """Raise the lowest round; if no user wants more, nobody owes anything."""
+        """Raise the lowest round; if no user wants more, all debts are cancelled."""
         wanting = [self.turn(user)[0] for user in users if user not in content]
         lowest = min(wanting) if wanting else max((self.turn(user)[0] for user in users), default=self._round)
         if wanting and any(self.turn(user)[0] < lowest for user in content):

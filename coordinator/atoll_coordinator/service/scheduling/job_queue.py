@@ -66,7 +66,7 @@ class _User:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What changes: jobs to prepare, jobs that lose their places, held jobs that get one again."""
+    """Changes: jobs to prepare, jobs that lose their places, held jobs that get one again."""
 
     take_up: tuple[str, ...] = ()
     hold: tuple[str, ...] = ()
@@ -173,7 +173,7 @@ class JobQueue:
     # ------------------------------------------------------------------------------------------ decisions
 
     def decide(self) -> Decision:
-        """Return what changes now. Held and released jobs count as such at once, others after `begin`."""
+        """Return the changes to make now. Held and released jobs count as such at once, others after `begin`."""
         preparing = [entry for entry in self._holders() if entry.stage == "preparing"]
         chosen = {entry.id: entry for entry in preparing}
         busy = Counter(entry.user for entry in preparing)
@@ -200,7 +200,8 @@ class JobQueue:
         )
 
     def _candidates(self) -> Iterator[_Entry]:
-        """Yield the jobs that could get a place: of each user those that have begun, and as many waiting as places."""
+        """Yield the jobs that could get a place: for each user the begun jobs, and at most as many waiting ones as
+        there are places."""
         for name, user in self._users.items():
             if self.has_no_time(name):
                 yield from (entry for entry in user.begun.values() if entry.stage == "preparing")
@@ -245,7 +246,8 @@ class JobQueue:
 
     @property
     def ready(self) -> int:
-        """Number of jobs that wait for a place only: no new ones in a paused queue, none of users without task time."""
+        """Number of jobs that wait only for a place: no new jobs if the queue is paused, no jobs of users without task
+        time."""
         users = (user for name, user in self._users.items() if not self.has_no_time(name))
         return sum(len(self._next_of(user) if self.is_paused else user.waiting) for user in users)
 
@@ -333,5 +335,5 @@ class JobQueue:
 
 
 def pause_reason(job: str) -> str:
-    """Return what a paused job waits for."""
-    return f"is paused; go on with: coordinator resume {job}"
+    """Return in words how a paused job is resumed."""
+    return f"is paused; continue with: coordinator resume {job}"

@@ -11,7 +11,7 @@ queued = 1000
 stored = "2G"
 task_time = "24h"            # of the workers' processors a day; beyond, jobs wait
 
-[users.ann]                  # one of them, in place of what [user] says
+[users.ann]                  # one user: these values override [user]
 queued = 5000
 
 [time]
@@ -41,7 +41,7 @@ MAX_QUEUED: Final = 100_000
 """Default number of waiting jobs: each takes 11 kB of memory, and the loop is as fast as without them."""
 
 DAY_S: Final = 86_400.0
-"""A day of service: task time is counted anew after so many seconds for which the store was served."""
+"""A day of service: task time is counted from zero again after the store has been served for this number of seconds."""
 
 _SIZES: Final = {"k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 
@@ -117,7 +117,7 @@ class Limits(Frozen):
     time: Times = Times()
 
     def of(self, user: str | None) -> Allowance:
-        """Return the limits of a user: those under its name, and those of every user."""
+        """Return the limits of a user: the limits under its name, and the general limits of users."""
         own = self.users.get(user) if user is not None else None
         if own is None:
             return self.user
@@ -192,9 +192,9 @@ class TaskTime:
         self._unsaved[user] += seconds
 
     def add_heartbeat(self, worker: str, instance: str, computed: Iterable[tuple[str | None, float]]) -> None:
-        """Charge users for what a worker process has computed for them since its last heartbeat.
+        """Charge users for the computing time of a worker process since its last heartbeat.
 
-        Its first heartbeat charges nothing: an earlier coordinator has counted what came before.
+        Its first heartbeat charges nothing: an earlier coordinator has counted the time before.
         """
         totals = dict(computed)
         before = self._totals.get((worker, instance))

@@ -25,7 +25,7 @@ from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement
 from atoll_core.wire.state_pieces import IslandState
 
 FORGET_EPOCHS: Final = 16
-"""Commits without a new checkpoint, which only say what workers may forget, are published every so many epochs."""
+"""Epochs between commits without a new checkpoint, which only let workers forget messages."""
 
 MOST_PULLED_EPOCHS: Final = 64
 
@@ -58,7 +58,7 @@ class Checkpoint:
         return sum(len(state.data) for state in self.states.values())
 
     def stored_search_state(self, search_seconds: float) -> StoredSearchState:
-        """Return what is stored together with the states of the islands."""
+        """Return the progress that is stored with the states of the islands."""
         return StoredSearchState.of(self.search_state, search_seconds)
 
 
@@ -110,7 +110,7 @@ class Archipelago:
 
     @property
     def cut(self) -> Cut | None:
-        """Where the search ended; None while it goes on."""
+        """Where the search ended; None while it continues."""
         return self._kept_cut or self.collector.cut
 
     @property
@@ -135,7 +135,7 @@ class Archipelago:
 
     @property
     def may_plan(self) -> bool:
-        """Whether another placement may be asked for although no worker leaves."""
+        """Whether another placement may be requested although no worker leaves."""
         return self._since_plan >= PLAN_COMMITS and not self.is_planned
 
     def restore(self, cut: Cut) -> None:
@@ -143,7 +143,7 @@ class Archipelago:
         self._kept_cut = cut
 
     def resume(self, state: SearchState) -> None:
-        """Go on from a checkpoint that was committed earlier."""
+        """Continue from a checkpoint that was committed earlier."""
         self.collector.resume(state)
         self.durable = state.epochs
 
@@ -212,7 +212,7 @@ class Archipelago:
         return PullReports(job=self.job, variable=self.variable, term=placement.term, first=first, last=last)
 
     def due_commit(self) -> Commit | None:
-        """Return the commit that says what workers may forget, when it is due; None: not yet."""
+        """Return the commit that lets workers forget messages, when it is due; None: not yet."""
         reached = min(min(self._latest, default=-1), self.collector.state.epochs - 1)
         if reached < self._forget + FORGET_EPOCHS or self.cut is not None:
             return None
@@ -222,7 +222,7 @@ class Archipelago:
     # ------------------------------------------------------------------------------------- checkpoints
 
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
-        """Return at most so many pulls of states, each with its worker; begins a checkpoint when one is due."""
+        """Return pulls of states up to a number, each with its worker; begin a checkpoint when one is due."""
         placement = self.placement
         if placement is None or self.cut is not None or self.is_writing:
             return []

@@ -1,4 +1,4 @@
-"""Checkpoints of an archipelago: at which epochs they are taken, how states are gathered, what is stored. Pure."""
+"""Checkpoints of an archipelago: at which epochs they are taken, how states are gathered, their stored form. Pure."""
 
 import math
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ FIRST_INTERVAL: Final = 8
 LEAST_INTERVAL: Final = 4
 MOST_INTERVAL: Final = 1 << 16
 MOST_GROWTH: Final = 8
-"""An interval is at most so many times the previous one: measurements of a few epochs are uncertain."""
+"""An interval is at most this multiple of the previous one: measurements of a few epochs are uncertain."""
 
 PAUSE_S: Final = 1.0
 """Intended seconds between two checkpoints; about as much is computed again when a worker is lost."""
@@ -79,8 +79,8 @@ class Counted(Frozen):
 class StoredSearchState(Frozen):
     """A `SearchState` as it is stored together with the states of the islands.
 
-    `search_seconds` is how long the job had been searched. `engine` is the engine revision: under another one the
-    states mean something else.
+    `search_seconds` is how long the job had been searched. `engine` is the engine revision: states of other revisions
+    have another meaning.
     """
 
     engine: int
@@ -97,7 +97,7 @@ class StoredSearchState(Frozen):
 
     @classmethod
     def of(cls, state: SearchState, search_seconds: float) -> "StoredSearchState":
-        """Return what is stored of a search state."""
+        """Return the stored form of a search state."""
         return cls(
             engine=ENGINE_REVISION,
             epochs=state.epochs,
@@ -113,7 +113,7 @@ class StoredSearchState(Frozen):
         )
 
     def search_state(self) -> SearchState:
-        """Return the state from which the collector goes on."""
+        """Return the state from which the collector continues."""
         return SearchState(
             epochs=self.epochs,
             front=self.front,
@@ -143,16 +143,16 @@ class Gathering:
 
     @property
     def size(self) -> int:
-        """Bytes that have come."""
+        """Bytes that have arrived."""
         return sum(assembly.size for assembly in self._assemblies.values())
 
     @property
     def states(self) -> dict[int, IslandState]:
-        """The states that have come, by island."""
+        """The states that have arrived, by island."""
         return {island: state for assembly in self._assemblies.values() for island, state in assembly.states.items()}
 
     def next_pulls(self, most: int) -> list[tuple[str, PullStates]]:
-        """Return at most so many pulls, each with its worker; they count as sent."""
+        """Return pulls up to a number, each with its worker; they count as sent."""
         waiting = [
             name for name, assembly in self._assemblies.items() if name not in self._asked and not assembly.is_complete
         ][: max(0, most)]
@@ -170,7 +170,7 @@ class Gathering:
         ]  # fmt: skip
 
     def add(self, worker: str, body: States | None) -> None:
-        """Add a worker's answer (None: there was none); what is missing is asked again.
+        """Add a worker's answer (None: there was none); missing states are requested again.
 
         Raises:
             RemoteProtocolError: A state was damaged on its way, and is asked again.

@@ -1,8 +1,8 @@
 """Collects the reports of one archipelago, merges front and runners-up and finds its end. Pure: no clock, no I/O.
 
 Decisions depend on epoch numbers, never on arrival times: epochs are merged in order, each once, when every island has
-reported as much of it as counts. Hence the result depends on the reports alone, and not on how far an island got beyond
-the cut.
+reported all slices of it that count. Hence the result depends on the reports alone, and not on how far an island got
+beyond the cut.
 """
 
 import math
@@ -18,7 +18,7 @@ from atoll_core.search.pareto import FrontEntry, merge, runners_up
 from atoll_core.wire.messages.epochs import Addition, IslandReport
 
 IMPROVEMENT_NATS: Final = 1.0
-"""A front counts as improved when its least description length falls by at least so many nats."""
+"""A front counts as improved when its least description length falls by at least this number of nats."""
 
 Measure = Callable[[tuple[FrontEntry, ...]], float]
 """Least description length of a front, in nats; infinity for an empty front."""
@@ -122,7 +122,7 @@ class Collector:
         self._end(why)
 
     def at(self, epochs: int) -> SearchState | None:
-        """Return the state after so many epochs; None: not reached, or forgotten."""
+        """Return the state after this number of epochs; None: not reached, or forgotten."""
         return self._past.get(epochs)
 
     def forget(self, before: int) -> None:
@@ -162,7 +162,9 @@ class Collector:
 
     def _check(self, worker: str, epoch: int, report: IslandReport) -> None:
         if epoch >= self.limits.epochs or report.island >= self.limits.islands:
-            raise RemoteProtocolError(f"a report of island {report.island} in epoch {epoch} came; there is none such")
+            raise RemoteProtocolError(
+                f"a report of island {report.island} in epoch {epoch} came, but there is no such island or epoch"
+            )
         if not self._is_whole(report):
             raise RemoteProtocolError(f"a report of island {report.island} in epoch {epoch} came with slices missing")
         filed = self._filed.get((epoch, report.island))
@@ -208,7 +210,7 @@ class Collector:
         return [(epoch, island) for island in range(self.limits.islands) if (epoch, island) in self._filed]
 
     def _merge_epoch(self, epoch: int, seconds: float) -> None:
-        """Merge what counts of a complete epoch, then decide whether the search ends."""
+        """Merge the slices of a complete epoch that count, then decide whether the search ends."""
         hit = self._hit(epoch)
         counted = [(report, self._needed(hit, report.island)) for report in self._release(epoch)]
         state = self.state
@@ -238,7 +240,7 @@ class Collector:
             self._end(why, epoch * self.limits.commit_order.generations + hit.generation if hit is not None else None)
 
     def _add_improvements(self, additions: Iterable[FrontEntry]) -> None:
-        """Add the improvements of one epoch; of those in one generation the last is the best."""
+        """Add the improvements of one epoch; the last one in a generation is the best of that generation."""
         convergence = self.state.convergence
         for entry in sorted(additions, key=lambda addition: (addition.generation, -addition.error)):
             before = convergence.get(entry.island, ())
@@ -247,7 +249,7 @@ class Collector:
                 convergence[entry.island] = (*before, Improvement(generation=generation, error=entry.error))
 
     def _release(self, epoch: int) -> list[IslandReport]:
-        """Return the reports of an epoch, by island, and keep only what comparing needs."""
+        """Return the reports of an epoch, by island, and keep only the fields needed for comparison."""
         reports = []
         for key in self._keys(epoch):
             filed = self._filed[key]

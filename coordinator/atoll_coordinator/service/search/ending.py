@@ -1,4 +1,4 @@
-"""The end of the search of one equation: what ends it, and the cut, which is what it had found there.
+"""The end of the search for one equation: its conditions, and the cut, which is the state of the search at its end.
 
 A search ends by its target, by a law found without it, by epochs without improvement, by their number, by time or by
 cancellation. Its cut is durable once it is committed.
@@ -36,7 +36,7 @@ class Stagnation:
 
 @dataclass(frozen=True, slots=True)
 class SearchLimits:
-    """What ends an archipelago by itself; `runners_up` are kept of each complexity.
+    """Conditions that end an archipelago by itself; `runners_up` is the number kept for each complexity.
 
     `has_law`: a law was found by regression, so that one epoch, for comparison, is enough.
     """
@@ -91,7 +91,7 @@ class Cut(Frozen):
     `epochs` is a number, so the last epoch is `epochs` - 1; `generation`, counted from the start of the search, met the
     target (None: no generation did, and the last epoch counts to its end); `evaluations` are the point evaluations of
     all islands by part; `seconds` run from the first epoch's start to the end of the last slice that counts;
-    `runners_up` are the next best next to the front (`atoll_core.search.pareto.runners_up`).
+    `runners_up` are the next best entries, outside the front (`atoll_core.search.pareto.runners_up`).
     """
 
     variable: str

@@ -1,7 +1,7 @@
 """Decides which states of checkpoints are pulled from workers during the search, within a limit on memory. Pure.
 
-The checkpoint that was begun first always goes on once nothing is being written, so that no checkpoint waits for ever,
-and one that is larger than the limit goes through alone.
+The checkpoint that was begun first always continues once no other is being written, so that no checkpoint waits for
+ever, and one that is larger than the limit goes through alone.
 """
 
 from collections.abc import Mapping

@@ -23,7 +23,7 @@ PAUSE_S: Final = 0.005
 """Pause between two steps: at most half of the disk's time is used where a step takes as long."""
 
 _COMPANIONS: Final = ("-wal", "-shm", "-journal")
-"""Endings of the files that SQLite keeps beside a store, and applies to any store of that name when it is opened."""
+"""Endings of the files that SQLite keeps next to a store, and applies to any store of that name when it is opened."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Copy:
 class Restored:
     """A restored store: its copy, its new cluster name, the store that was there before, and all files put aside.
 
-    `aside` also holds files that SQLite left of a store whose main file had been moved away (then `former` is None).
+    `aside` also holds SQLite's files for a store whose main file had been moved away (then `former` is None).
     """
 
     copy: Copy
@@ -61,7 +61,7 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
     if not source.is_file():
         raise WrongStoreError(f"there is no store in {directory}; name the folder of `coordinator serve` with --state")
     with _draft_of(target) as draft, contextlib.closing(_connected(source)) as store:
-        with _translated(f"the store {source} cannot be copied", "choose a sound one"):
+        with _translated(f"the store {source} cannot be copied", "choose an undamaged one"):
             check_kind(store, source)
             store.execute("BEGIN")
             store.execute("SELECT count(*) FROM realm").fetchone()  # the copy shows this instant
@@ -71,7 +71,7 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
         ):
 
             def take_step(_: int, left: int, pages: int) -> None:
-                _sync(draft)  # else all is written at the end, and every commit waits for that
+                _sync(draft)  # otherwise everything is written at the end, and every commit waits for it
                 show(pages - left, pages)
 
             store.backup(copy, pages=STEP_PAGES, progress=take_step, sleep=PAUSE_S)
@@ -80,7 +80,7 @@ def back_up(directory: Path, target: Path, show: Callable[[int, int], None] = la
 
 
 def check_copy(file: Path, what: str, mode: str = "ro") -> Copy:
-    """Check all of a file, called `what` in messages, and return what it holds; opened in SQLite's `mode`.
+    """Check all of a file, opened in SQLite's `mode`, and return a summary; messages call the file `what`.
 
     Raises:
         StoreError: it is damaged, no store, of a newer version, or cannot be read.
@@ -101,9 +101,9 @@ def check_copy(file: Path, what: str, mode: str = "ro") -> Copy:
 def restore(source: Path, directory: Path, *, replaces: bool = False) -> Restored:
     """Create the store in `directory` from the copy `source`, with a new cluster name, open it once and check it.
 
-    The name is new because the copied store may still be served elsewhere, and has gone on since: terms would be
-    issued twice. With `replaces` an existing store is put aside. Files that SQLite left beside a store that was moved
-    away are always put aside, as SQLite would apply them to the new one.
+    The name is new because the copied store may still be served elsewhere: both stores would issue the same terms. With
+    `replaces` an existing store is put aside. SQLite's files for a store that was moved away are always put aside, as
+    SQLite would apply them to the new one.
 
     Raises:
         StoreError: the copy is missing, damaged or no store; the directory has a store or a coordinator, or no room.
@@ -150,7 +150,7 @@ def _renamed_copy(source: Path, target: Path) -> str:
 def _put_aside(place: Path) -> tuple[Path, ...]:
     """Rename the files of a store that is not served; return the new names, the store itself first.
 
-    A sound store is one file afterwards. Of a store that was moved away only SQLite's other files are left.
+    An undamaged store is one file afterwards. If the store was moved away, only SQLite's other files exist.
     """
     with _translated(f"the store {place} cannot be put aside", "move it away by hand"):
         if place.exists():
@@ -171,7 +171,7 @@ def _put_aside(place: Path) -> tuple[Path, ...]:
 
 
 def _companions(path: Path) -> list[Path]:
-    """Return the existing files of a store: its own, and those that SQLite keeps beside it."""
+    """Return the existing files of a store: its main file, and SQLite's files next to it."""
     files = (path.with_name(path.name + end) for end in ("", *_COMPANIONS))
     return [file for file in files if file.exists()]
 
@@ -181,7 +181,8 @@ def _draft_of(target: Path, *, exists: bool = False) -> Iterator[Path]:
     """Yield a file that is renamed to `target`, durably, at the end of the block; after an error it is deleted.
 
     Raises:
-        StoreError: the folder cannot be written; or, unless `exists`, there is a `target` or another file of it.
+        StoreError: the folder cannot be written; or, unless `exists`, `target` or another file of that store exists
+            already.
     """
     there = [] if exists else _companions(target)
     if there:
@@ -209,7 +210,7 @@ def _sync(path: Path) -> None:
 
 
 def _connected(file: Path, mode: str = "rw") -> sqlite3.Connection:
-    """Open an existing file. Readers of a store that is served need "rw", as they write to the index of the WAL."""
+    """Open an existing file. Readers of a store that is served need "rw" because they write to the index of the WAL."""
     uri = f"{file.absolute().as_uri()}?mode={mode}"
     return sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_LIMIT_S)
 

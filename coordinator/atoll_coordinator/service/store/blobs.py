@@ -52,7 +52,7 @@ class BlobStore(OpenFile):
             stored = hashlib.sha256()
             for (data,) in sql.execute("SELECT data FROM chunks WHERE digest = ? ORDER BY number", (digest,)):
                 stored.update(data)
-            if stored.hexdigest() != digest:  # else it was written again in the meantime
+            if stored.hexdigest() != digest:  # otherwise it was written again in the meantime
                 _delete(sql, digest)
         return False
 
@@ -73,7 +73,7 @@ class BlobStore(OpenFile):
     def put_chunk(self, upload: str, index: int, data: bytes, digest: str | None = None) -> bool:
         """Store the next chunk of an upload; return False, changing nothing, when earlier chunks are missing.
 
-        Chunk 0 begins the upload anew. A `digest`, which all bytes must have, marks the last chunk: the upload becomes
+        Chunk 0 begins the upload again. A `digest`, which all bytes must have, marks the last chunk: the upload becomes
         the blob of that digest. A blob of this name or digest that is already stored stays.
         """
         with self._transaction() as sql:
@@ -99,7 +99,7 @@ class BlobStore(OpenFile):
         return tuple(digest for (digest,) in self._rows(f"SELECT digest FROM uploads WHERE {_UNUSED}"))
 
     def delete_unused_blobs(self, digests: Iterable[str]) -> None:
-        """Delete those of these blobs, complete or not, that no job uses."""
+        """Delete the unused ones among these blobs, complete or not."""
         with self._transaction() as sql:
             delete_unused(sql, digests)
 
@@ -143,7 +143,7 @@ def take(sql: sqlite3.Connection, digest: str) -> None:
 
 
 def delete_unused(sql: sqlite3.Connection, digests: Iterable[str]) -> None:
-    """Delete those of these blobs that no job uses."""
+    """Delete the unused ones among these blobs."""
     for digest in digests:
         _delete(sql, digest, _UNUSED)
 

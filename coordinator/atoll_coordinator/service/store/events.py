@@ -9,10 +9,10 @@ from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.open_file import OpenFile, first_value
 
 MAX_EVENTS: Final = 2000
-"""Events kept of each job, and without a job; older ones are deleted."""
+"""Events kept for each job, and as many without a job; older ones are deleted."""
 
 LEAST_COMMITS: Final = 500
-"""So many of these may be commits and log lines before any rarer event is deleted."""
+"""Commits and log lines up to this number are kept; only those beyond it are deleted before rarer events."""
 
 _COMMON: Final = "kind IN ('commit', 'log')"
 

@@ -33,7 +33,7 @@ class Held:
 
 
 class HoldingStore(OpenFile):
-    """The part of the store that says how many bytes are held for whom. Every method is one transaction."""
+    """The part of the store that counts the bytes held for each user. Every method is one transaction."""
 
     def held(self, owner: str | None) -> Held:
         """Return the bytes held for a user (None: for jobs without a submitter) or for `ALL` users together."""
@@ -42,7 +42,7 @@ class HoldingStore(OpenFile):
         return Held(*rows[0]) if rows else Held()
 
     def count_holders(self) -> int:
-        """Return for how many users bytes are held."""
+        """Return the number of users with held bytes."""
         return int(self._value("SELECT count(*) FROM holdings WHERE owner <> ?", ALL))
 
 
@@ -58,7 +58,8 @@ def most_freeable(sql: sqlite3.Connection) -> str | None:
 
 
 def use(sql: sqlite3.Connection, owner: str | None, digest: str, kind: Kind, *, live: int = 0, ended: int = 0) -> None:
-    """Change the numbers of jobs of a user that use a blob: of those that have not ended, and of those that have."""
+    """Change how many jobs of a user use a blob: the number of jobs that have not ended (`live`) and that have
+    ended."""
     owners = (owner or "", ALL)
     _count_freeable(sql, digest, kind, -1)
     for whose in owners:

@@ -43,7 +43,8 @@ class JobRecord:
 
     @property
     def is_sound(self) -> bool:
-        """Whether the fields have the types they were written with: SQLite returns whatever a damaged file holds."""
+        """Whether the fields have the types they were written with: SQLite returns values of any type from a damaged
+        file."""
         texts = (self.id, self.name, self.spec, self.table_digest, self.submitted, self.state)
         return (
             all(isinstance(text, str) for text in texts)
@@ -73,7 +74,7 @@ _INDICES: Final = {
     ("shared", "any"): "INDEXED BY shared_jobs", ("shared", "open"): "INDEXED BY shared_open_jobs",
     ("shared", "state"): "INDEXED BY shared_jobs_by_state",
 }  # fmt: skip
-"""Whose jobs, and which -> the index that has them in order, so that only rows of the answer are read."""
+"""(Owner, selection) of a list of jobs -> index in the order of the list, so that only rows of the answer are read."""
 
 _WHOSE: Final = {"all": "TRUE", "own": "submitter = :name", "shared": "shared"}
 _WHICH: Final = {"any": "TRUE", "open": OPEN, "state": "state = :state"}
@@ -157,7 +158,7 @@ class JobStore(OpenFile):
         return self._value(query, digest, submitter) is not None
 
     def submitter(self, job: str) -> str | None:
-        """Return who submitted a job; None without a certificate."""
+        """Return the user who submitted a job; None without a certificate."""
         submitter: str | None = self._value("SELECT submitter FROM jobs WHERE id = ?", job)
         return submitter
 

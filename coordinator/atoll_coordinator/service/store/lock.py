@@ -1,9 +1,11 @@
-"""The lock on the store's directory: one coordinator serves from it, and shows by its lock that it gets on.
+"""The lock on the store's directory: one coordinator at a time serves the store; beats in the lock show that it runs.
 
-The lock is gone with its process. One that hangs keeps it, but its beats stop, and then it may be replaced: what keeps
-the hung one from writing when it goes on is the incarnation (`OpenFile.beat`), not the lock.
+The operating system releases the lock when its process dies. A process that hangs keeps the lock, but its beats stop,
+and then another coordinator may replace the lock file. If the hung process continues later, the incarnation
+(`OpenFile.beat`), not the lock, keeps it from writing.
 
-Whoever may open a file may lock it. A lock that others could open, of an earlier version, is replaced by another file.
+Every user who may open a file may lock it. Therefore a lock file of an earlier version, which other users could open,
+is replaced by a new file.
 """
 
 import contextlib
@@ -24,38 +26,41 @@ _LOG = logging.getLogger("coordinator")
 
 LOCK_NAME: Final = "lock"
 _GUARD_NAME: Final = "guard"
-"""The lock under which a lock is replaced. Earlier versions had another name, of a file that others could open."""
+"""A process holds this second lock while it replaces the lock. Earlier versions used a file of another name, which
+other users could open."""
 
 _BEATS: Final = "beats"
-"""Stands in the lock of a coordinator that beats; one of an older version never does, and is not taken for hung."""
+"""This mark in the lock says that its coordinator beats. Coordinators of older versions never beat, and are not treated
+as hung."""
 
 _SIGN_OF_LIFE_S: Final = 3.0
-"""How long a beat is waited for, six ticks of a coordinator, where a lock that others could open names no process."""
+"""Longest wait for a beat (six ticks of a coordinator) if a lock that other users could open names no process."""
 
 _ATTEMPTS: Final = 5
-"""How often a lock is tried that is replaced meanwhile; each replacement is another coordinator's takeover."""
+"""Attempts to take a lock that other coordinators replace during the attempt."""
 
 
 class StoreInUseError(StoreError):
-    """Raised when another coordinator has the lock; its process is named where that is known."""
+    """Raised when another coordinator has the lock; the message has its process id if known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """What a look at a lock finds: while its coordinator gets on, two looks a second apart differ."""
+    """The last beat read from a lock. While its coordinator runs, two beats read a second apart differ."""
 
     file: int
     time_ns: int
 
 
 class Lock:
-    """A lock on the store's directory, so that no second coordinator serves from it. Gone with its process."""
+    """A lock on the store's directory, so that no second coordinator serves from it. The operating system releases it
+    when the process dies."""
 
     def __init__(self, directory: Path) -> None:
         """Take the lock; raises StoreInUseError when another process has it, StoreError if it cannot be written."""
         closed = _close_to_others(directory)
         if closed:
-            sentence = "the store could be read by other users of this machine; it is closed to them now"
+            sentence = "other users of this machine could read the store; their access has been removed"
             _LOG.warning(sentence, extra=fields(store=str(directory), closed=", ".join(closed)))
         for _ in range(_ATTEMPTS):
             file = _opened(directory, directory / LOCK_NAME)
@@ -71,15 +76,15 @@ class Lock:
                 break
             os.close(file)  # it was replaced between opening and locking it
         else:
-            raise StoreInUseError(f"other coordinators take over the store {directory} again and again; stop them")
+            raise StoreInUseError(f"other coordinators keep taking over the store {directory}; stop them")
         _sign(file, directory)
         self._file = file
 
     @classmethod
     def seize(cls, directory: Path, beat: Beat) -> Self | None:
-        """Put a lock of ours into the place of one whose coordinator hangs; None: it, or another one, gets on.
+        """Replace the lock of a coordinator that hangs by a lock of ours; None: that coordinator or another one runs.
 
-        `beat` is the last that was seen of it. Raises StoreError when the directory cannot be written.
+        `beat` is its last known beat. Raises StoreError when the directory cannot be written.
         """
         with _guarded(directory) as is_ours:
             if not is_ours or last_beat(directory) != beat:
@@ -92,19 +97,19 @@ class Lock:
         return lock
 
     def beat(self) -> None:
-        """Show that this coordinator gets on."""
-        with contextlib.suppress(OSError):  # whoever cannot write this cannot write the store, which says so
+        """Write a beat, which shows that this coordinator runs."""
+        with contextlib.suppress(OSError):  # if this fails, writing the store fails as well and reports it
             os.utime(self._file)
 
     def release(self) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         os.close(self._file)
 
 
 def last_beat(directory: Path) -> Beat | None:
-    """Return the last beat of the coordinator that has the lock; None: there is none, or it is of one that never beats.
+    """Return the last beat of the coordinator that has the lock; None: no coordinator has it, or one that never beats.
 
-    Whether it has changed since an earlier look says whether that coordinator gets on; no clocks are compared.
+    If the beat has changed since it was last read, that coordinator runs; no clocks are compared.
     """
     path = directory / LOCK_NAME
     try:
@@ -117,7 +122,7 @@ def last_beat(directory: Path) -> Beat | None:
 
 
 def _close_to_others(directory: Path) -> tuple[str, ...]:
-    """Close a store that an earlier version made to all other users; return the names of what was open.
+    """Remove the access of other users to a store made by an earlier version; return the names of the files changed.
 
     Raises StoreError when the directory cannot be written.
     """
@@ -133,16 +138,17 @@ def _close_to_others(directory: Path) -> tuple[str, ...]:
 
 
 def _replace_open(directory: Path) -> bool:
-    """Put another file in the place of a lock that others could open, unless a coordinator has it.
+    """Replace a lock file that other users could open by a new file, unless a coordinator has the lock.
 
-    Whoever opened it may hold its lock for ever. A coordinator is told from them by its process, which is one of ours,
-    or by its beats. One that opened the former file meanwhile finds that it was replaced, and opens the new one.
+    Another user who opened the file may hold its lock for ever. A coordinator is recognised by its process, which
+    belongs to our user, or by its beats. A coordinator that opened the former file in the meantime finds that the file
+    was replaced, and opens the new one.
     """
     path = directory / LOCK_NAME
     file = _opened(directory, path)
     try:
         if not is_open(os.fstat(file)) or not _is_at(file, path):
-            return False  # another one was faster
+            return False  # another coordinator was faster
         if not _locks(file) and (_holder(file) is not None or _beats(directory)):
             return False
         os.close(_replacement(directory))
@@ -153,14 +159,15 @@ def _replace_open(directory: Path) -> bool:
 
 
 def _beats(directory: Path) -> bool:
-    """Tell whether the coordinator that has the lock shows that it gets on; others cannot write to the lock."""
+    """Tell whether the coordinator that has the lock beats; other processes cannot write to the lock."""
     before = last_beat(directory)
     time.sleep(_SIGN_OF_LIFE_S)
     return last_beat(directory) != before
 
 
 def _holder(file: int) -> int | None:
-    """Return the process that has signed an open lock; None unless it is there, has the lock open, and is ours."""
+    """Return the process whose id is in an open lock; None unless it runs, has the lock open, and belongs to our
+    user."""
     try:
         process = int(os.pread(file, 32, 0).split()[0])
         if not Path("/proc/self/fd").exists():  # not Linux
@@ -183,7 +190,7 @@ def _has_open(process: int, file: os.stat_result) -> bool:
 
 @contextlib.contextmanager
 def _guarded(directory: Path, *, waits: bool = False) -> Iterator[bool]:
-    """Yield whether we alone may replace the lock of a directory during the block; perhaps once others have done so."""
+    """Yield whether only this process may replace the lock of a directory during the block; it may wait for others."""
     guard = _opened(directory, directory / _GUARD_NAME)
     try:
         yield _locks(guard, waits=waits)
@@ -196,15 +203,16 @@ def _draft(directory: Path) -> Path:
 
 
 def _replacement(directory: Path) -> int:
-    """Return a file, open and locked, that is to become the lock; only under the guard."""
-    _draft(directory).unlink(missing_ok=True)  # of a process of the same number that died here
+    """Return an open and locked file that will become the lock; call it only within the guard."""
+    _draft(directory).unlink(missing_ok=True)  # left by a dead process that had the same id
     file = _opened(directory, _draft(directory))
     _locks(file)
     return file
 
 
 def _opened(directory: Path, path: Path) -> int:
-    """Open a file of the directory, making it if need be, for its user alone: whoever opens a file may lock it."""
+    """Open a file of the directory, creating it if necessary. Only its user has access: a user who opens a file may
+    lock it."""
     try:
         _make_private(directory)
         return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -218,7 +226,8 @@ def _opened(directory: Path, path: Path) -> int:
 
 
 def _make_private(directory: Path) -> None:
-    """Make a directory, unless it is there, which its user alone may enter, in folders which others do not write."""
+    """Create a directory if it is missing. Only its user may enter it, and only its user may write in new parent
+    folders."""
     for parent in reversed(directory.parents):
         if not parent.exists():
             parent.mkdir(mode=0o755, exist_ok=True)
@@ -226,7 +235,7 @@ def _make_private(directory: Path) -> None:
 
 
 def _locks(file: int, *, waits: bool = False) -> bool:
-    """Take the lock on an open file, perhaps once it is free; return whether nobody else has it."""
+    """Take the lock on an open file, waiting for it if so asked; return whether this process has it now."""
     import fcntl
 
     try:
@@ -250,7 +259,7 @@ def _is_at(file: int, path: Path) -> bool:
 
 
 def _sign(file: int, directory: Path) -> None:
-    """Write into a locked file whose it is."""
+    """Write the id of this process into a locked file."""
     try:
         os.ftruncate(file, 0)
         os.pwrite(file, f"{os.getpid()} {_BEATS}\n".encode(), 0)

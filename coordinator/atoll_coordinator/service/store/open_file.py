@@ -1,6 +1,6 @@
 """The store's file while it is open: ownership, transactions, their durations, and free space.
 
-Any thread may call. What a transaction wrote is on the disk (``synchronous=FULL``) when it ends.
+Any thread may call. The changes of a transaction are on the disk (``synchronous=FULL``) when it ends.
 """
 
 import contextlib
@@ -94,11 +94,11 @@ class OpenFile:
             pass
 
     def beat(self) -> None:
-        """Show a standby coordinator that this one is alive; raise StoreError when it has taken over all the same."""
+        """Show a standby coordinator that this one is alive; raise StoreError when that one has taken over."""
         if self._lock_on_directory is None:
             return
         self._lock_on_directory.beat()
-        if self._lock.acquire(blocking=False):  # else a transaction is under way, which checks by itself
+        if self._lock.acquire(blocking=False):  # otherwise a transaction is in progress, which checks by itself
             try:
                 with translated(self._directory):
                     self._check_incarnation(self._connection)
@@ -111,7 +111,8 @@ class OpenFile:
         return self._now() - self._served_since
 
     def keep_served(self) -> None:
-        """Store `served_s`; what is not stored is lost with the coordinator, and ended jobs count as younger."""
+        """Store `served_s`. If the coordinator is killed, the time since the last call is lost, and ended jobs count as
+        younger."""
         with self._transaction() as sql:
             sql.execute("UPDATE realm SET served = ?", (self.served_s,))
 

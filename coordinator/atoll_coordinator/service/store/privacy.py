@@ -1,4 +1,4 @@
-"""A store's folder and files, closed to all other users: those that an earlier version made were open to them."""
+"""Removes other users' access to a store's folder and files, which earlier versions did not restrict."""
 
 import contextlib
 import os
@@ -13,18 +13,18 @@ OTHERS: Final = 0o077
 """What group and other users may do with a file."""
 
 _OWN_FILES: Final = (f"{FILE_NAME}*", "replaced-*", "lock", "guard", "takeover", ".lock.*", f".{FILE_NAME}.*")
-"""The store, what SQLite puts next to it, former stores, and locks."""
+"""The store, SQLite's files next to it, replaced stores, and locks."""
 
 
 def is_open(status: os.stat_result) -> bool:
-    """Tell whether others than its user may do anything with a file."""
+    """Tell whether users other than its owner have any access to a file."""
     return bool(status.st_mode & OTHERS)
 
 
 def close_to_others(directory: Path) -> tuple[str, ...]:
-    """Close the store in a directory to all other users, as far as it is ours; return the names of what was open.
+    """Remove other users' access to our files of the store in a directory; return the names of the files changed.
 
-    The directory itself is closed where it holds nothing else. A lock stays as it is (`Lock` replaces it).
+    The directory itself is restricted only if it holds nothing else. A lock stays as it is (`Lock` replaces it).
     """
     own = {path for pattern in _OWN_FILES for path in directory.glob(pattern)}
     files = sorted(path for path in own if path.name != "lock")
@@ -35,8 +35,9 @@ def close_to_others(directory: Path) -> tuple[str, ...]:
 
 
 def _close(path: Path) -> bool:
-    """Take all rights from others; return whether they had some. What is not ours, or a link, stays as it is."""
-    with contextlib.suppress(OSError):  # it is gone, as SQLite removes its files, or the file system has no modes
+    """Remove all rights of other users; return whether they had some. Links and files of other owners stay as they
+    are."""
+    with contextlib.suppress(OSError):  # SQLite has removed the file, or the file system has no modes
         status = path.lstat()
         if is_open(status) and status.st_uid == os.geteuid() and not stat.S_ISLNK(status.st_mode):
             path.chmod(stat.S_IMODE(status.st_mode) & ~OTHERS)

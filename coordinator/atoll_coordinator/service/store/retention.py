@@ -6,16 +6,16 @@ from typing import Final
 from atoll_coordinator.service.store.jobs import JobRecord
 
 LEAST_LIVE: Final = 1024**3
-"""Bytes of jobs that have not ended that are taken in however little is to be kept of those that have."""
+"""Jobs that have not ended may hold this many bytes, however few bytes of ended jobs are kept."""
 
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Which ended jobs are kept: those that ended in the last `age_s` seconds, while they take no more bytes.
+    """Ended jobs are kept for `age_s` seconds, and as long as they hold no more than the given bytes.
 
-    None is no limit. Seconds are those in which the store was served: the time of day may be set to any year, and no
-    job is deleted for that. Bytes are those that a deletion frees: tables that wait, or are searched, delete nobody's
-    results, and as many bytes of them are taken in; then new ones are refused.
+    None is no limit. Only seconds during which the store was served count, so a wrong clock deletes no job. Only bytes
+    that a deletion would free count, so tables of waiting or searched jobs never cause the deletion of results; these
+    tables have a limit of the same size, above which new ones are refused.
     """
 
     age_s: float | None = None
@@ -31,7 +31,7 @@ class Retention:
 
     @property
     def most_live(self) -> int | None:
-        """How many bytes of jobs that have not ended are taken in; None: any number."""
+        """Bytes that jobs that have not ended may hold; None: no limit."""
         return None if self.size_bytes is None else max(self.size_bytes, LEAST_LIVE)
 
 

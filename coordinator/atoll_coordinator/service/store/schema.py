@@ -1,4 +1,4 @@
-"""The store's file: its tables and versions, opening it, and refusing what is no store of ours. SQLite in WAL mode."""
+"""The store's file: its tables and versions, opening it, and refusing files that are not stores. SQLite in WAL mode."""
 
 import contextlib
 import sqlite3
@@ -10,7 +10,7 @@ from typing import Final
 from atoll_core.errors import StoreError, WrongStoreError
 
 FILE_NAME: Final = "atoll.sqlite3"
-_APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's head
+_APPLICATION: Final = 0x41544F4C  # "ATOL"; SQLite keeps it in the file's header
 BUSY_LIMIT_S: Final = 5.0
 """How long another process may keep the file to itself: Litestream does so while it moves pages out of the WAL, and
 asks for this limit."""
@@ -81,8 +81,8 @@ DELETE FROM uploads WHERE digest IN (SELECT table_digest FROM jobs);
 DELETE FROM uploads WHERE digest IN (SELECT dataset_digest FROM jobs);
 CREATE INDEX sizes_of_blobs ON blobs (size)
 """
-"""So that nothing takes longer with the number of jobs that have ended, whose results have up to megabytes: what a list
-shows of such a job is kept ready."""
+"""Keeps the view of each ended job, so that lists need not read its result (up to megabytes), and no operation slows
+down with the number of ended jobs."""
 
 _LAYOUT_7_USERS: Final = """
 ALTER TABLE jobs ADD COLUMN submitter TEXT;
@@ -151,8 +151,8 @@ CREATE INDEX logs ON events (number) WHERE kind = 'log';
 CREATE INDEX logs_by_owner ON events (owner) WHERE owner IS NOT NULL AND kind = 'log';
 CREATE INDEX shared_logs ON events (number) WHERE shared AND kind = 'log'
 """
-"""So that no question and no decision takes longer with all that is stored: lists have an index for each way in which
-they are asked for, and bytes are added up as they change."""
+"""Keeps requests and decisions fast in a large store: each kind of list has an index, and sums of bytes are updated
+with every change."""
 
 _LAYOUT_9_SHARED_BLOBS: Final = """
 CREATE INDEX uses_of_blob ON uses (digest, kind);
@@ -163,14 +163,13 @@ UPDATE holdings SET freeable = (
     )
 )
 """
-"""So that what jobs of other users need counts as freeable for nobody."""
+"""Blobs that jobs of other users need do not count as freeable."""
 
 _LAYOUTS: Final = (
     _LAYOUT_1, _LAYOUT_2, _LAYOUT_3_DEATHS, _LAYOUT_4_DELETED_JOBS, _LAYOUT_5_SERVED, _LAYOUT_6_ENDED_JOBS,
     _LAYOUT_7_USERS, _LAYOUT_8_HOLDINGS, _LAYOUT_9_SHARED_BLOBS,
 )  # fmt: skip
-"""What each version of the layout adds to the one before. A new store goes through all of them, an old one through
-the missing ones."""
+"""Changes of each version of the layout. A new store gets all of them in order, an old one the missing ones."""
 
 SCHEMA_VERSION: Final = len(_LAYOUTS)
 
@@ -242,9 +241,10 @@ def check_kind(connection: sqlite3.Connection, file: Path | None) -> int:
 
 
 def _prepare(connection: sqlite3.Connection, file: Path | None) -> None:
-    """Set up the connection, look for damage (in a large file only when it is met), and bring the layout up to date."""
+    """Set up the connection, check for damage (a large file is not checked in advance), and bring the layout up to
+    date."""
     version = check_kind(connection, file)
-    # Deleted data are not overwritten, whatever SQLite was compiled with: that took 0.9 s for 100 MB.
+    # Deleted data are not overwritten, regardless of SQLite's default: overwriting took 0.9 s for 100 MB.
     for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON", "secure_delete = FAST"):
         connection.execute(f"PRAGMA {pragma}")
     if file is not None and file.stat().st_size <= _CHECKED_BYTES:

@@ -14,7 +14,7 @@ from atoll_coordinator.service.store.schema import ENDED
 from atoll_core.wire.state_pieces import IslandState
 
 MAX_FAILED: Final = 4
-"""The last checkpoints of so many jobs that failed last are kept, to be examined."""
+"""Number of failed jobs, the latest ones, whose last checkpoints are kept for examination."""
 
 
 class Death(NamedTuple):
@@ -48,7 +48,7 @@ class SearchStore(JobStore):
     def commit_cuts(self, job: str, cuts: Mapping[str, bytes]) -> bool:
         """Store the ends of archipelagos, by variable.
 
-        Return False when one of them had ended before: its first end stays, the others are stored all the same.
+        Return False when one of them had ended before: its first end stays; the others are stored.
         """
         with self._transaction() as sql:
             are_first = []
@@ -121,7 +121,7 @@ class SearchStore(JobStore):
         return {variable: (epoch, progress) for variable, epoch, progress in rows}
 
     def whole_checkpoints(self, job: str, islands: int) -> dict[str, tuple[int, bytes]]:
-        """Return what `checkpoints` does, but of each variable the last checkpoint with undamaged states."""
+        """Like `checkpoints`, but for each variable the last checkpoint with undamaged states."""
         whole: dict[str, tuple[int, bytes]] = {}
         with self._transaction() as sql:
             query = "SELECT variable, epoch, progress FROM checkpoints WHERE job = ? ORDER BY epoch DESC"

@@ -1,7 +1,9 @@
-"""A coordinator on standby: waits for a store until the one that serves from it has died or hangs, then takes it over.
+"""A coordinator on standby: waits until the coordinator that serves a store has died or hangs, then takes over the
+store.
 
-On one machine only: that a process has died is told by its lock, which the system takes from it at once. On a network
-file system a lock may outlive its machine, and the shared memory of SQLite's WAL does not reach another one.
+Both coordinators must run on one machine. The serving process holds a lock; the operating system releases it when the
+process dies. On a network file system a lock may outlive its machine, and SQLite's WAL needs memory that all its
+processes share.
 """
 
 import threading
@@ -15,17 +17,18 @@ from atoll_coordinator.service.store.store import Store
 from atoll_core.errors import StoreError
 
 SILENCE_S: Final = 15.0
-"""How long a coordinator may be without a beat, thirty of its ticks, before it is taken for hung: as long as it bears
-the silence of a worker. To take over from one that is only slow costs unfinished preparing and refining, no answer."""
+"""A coordinator without a beat for this time, thirty of its ticks, is treated as hung; a silent worker is treated as
+lost after the same time. Taking over from a coordinator that is only slow loses unfinished preparing and refining, but
+no result."""
 
 LOOK_S: Final = 0.25
-"""How often it is looked: that much later at most a death is noticed."""
+"""Pause between two looks at the lock, and so the longest delay before a death is noticed."""
 
 
 class Silence:
-    """How long a lock has shown no beat. Pure; looks come in with their times, in seconds that only rise.
+    """Measures for how long a lock has had no beat. Pure; the times of looks are arguments, in monotonic seconds.
 
-    Between two looks no more than twice `LOOK_S` counts: whoever was stopped itself has seen nothing meanwhile.
+    At most twice `LOOK_S` counts between two looks: if this process was stopped itself, beats went unseen.
     """
 
     def __init__(self) -> None:
@@ -34,7 +37,7 @@ class Silence:
         self._silent_s = 0.0
 
     def look(self, beat: Beat | None, now: float) -> bool:
-        """Take in a look (None: a lock that never beats); return whether its coordinator is taken for hung."""
+        """Take in a look (None: a lock that never beats); return whether its coordinator is treated as hung."""
         step = min(now - self._looked_at, 2 * LOOK_S) if self._looked_at is not None else 0.0
         self._silent_s = self._silent_s + step if beat == self._beat else 0.0
         self._beat, self._looked_at = beat, now
@@ -42,7 +45,7 @@ class Silence:
 
 
 class Standby:
-    """Waits for the store in a directory. What is said, at most once in a row, goes to `say`."""
+    """Waits for the store in a directory. Messages go to `say`, without immediate repetition."""
 
     def __init__(
         self, directory: Path, stop: threading.Event, obstacle: Callable[[], str | None], say: Callable[[str], None]
@@ -51,9 +54,9 @@ class Standby:
 
         Args:
             directory: of the store.
-            stop: set when it is no longer to be waited.
-            obstacle: why this coordinator could not serve while one that hangs is still there; None: it could.
-            say: shows a sentence to people.
+            stop: set to end the wait.
+            obstacle: why this coordinator could not serve while the hung one still exists; None: it could.
+            say: shows a message to the user.
         """
         self._directory = directory
         self._stop = stop
@@ -63,10 +66,10 @@ class Standby:
         self._said = ""
 
     def store(self) -> Store | None:
-        """Return the store, open, once it is ours; None when `stop` was set before.
+        """Return the open store once this coordinator has taken it; None if `stop` was set first.
 
         Raises:
-            StoreError: It is nobody's, and cannot be opened.
+            StoreError: no coordinator has the store, but it cannot be opened.
         """
         while not self._stop.is_set():
             store = self._free() or self._hung()
@@ -81,13 +84,14 @@ class Standby:
             return Store.open(self._directory)
         except StoreInUseError as error:
             self._tell(
-                f"{str(error).partition(';')[0]}; this one is on standby, and takes over when that one has ended or "
+                f"{str(error).partition(';')[0]}; this one is on standby and takes over when the other has ended or "
                 f"has shown no sign of life for {SILENCE_S:.0f} s"
             )
         return None
 
     def _hung(self) -> Store | None:
-        """Return the store if the coordinator that has its lock hangs, and ours could serve beside it."""
+        """Return the store if the coordinator that has its lock hangs and this one can serve while that one still
+        exists."""
         beat = last_beat(self._directory)
         if not self._silence.look(beat, time.monotonic()) or beat is None:
             return None
@@ -102,7 +106,7 @@ class Standby:
             return None
         try:
             return Store.open(self._directory, lock=lock)
-        except StoreError as error:  # it may hang in the midst of a transaction, and then SQLite's lock holds
+        except StoreError as error:  # it may hang within a transaction, and then it holds SQLite's lock
             self._tell(
                 f"the coordinator that serves {self._directory} hangs, and the store cannot be taken from it yet "
                 f"({error}); end its process"

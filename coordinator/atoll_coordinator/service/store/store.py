@@ -1,8 +1,8 @@
 """The coordinator's durable memory, in SQLite. Every method is one transaction.
 
-Any thread may call. When a method returns, its changes are on the disk (``synchronous=FULL``), so that what is
-announced afterwards is never taken back. Contents are opaque here: JSON text and bytes. The parts are in `jobs`,
-`searches`, `blobs`, `events` and `holdings`; this module has what changes several of them in one transaction.
+Any thread may call. When a method returns, its changes are on the disk (``synchronous=FULL``), so that a later
+announcement never has to be withdrawn. Contents are opaque here: JSON text and bytes. The parts are in `jobs`,
+`searches`, `blobs`, `events` and `holdings`; this module has the changes to several of them in one transaction.
 """
 
 import hashlib
@@ -50,7 +50,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
     def keep_prepared(self, job: str, dataset: bytes, prepared: bytes) -> str | None:
         """Store the prepared data of a job: its dataset, and the rest until the job ends.
 
-        Without the rest, what the search has found could be neither shown nor finished after a restart. Return the
+        Without the rest, equations found by the search could be neither shown nor refined after a restart. Return the
         digest of the dataset that was stored before, if any; a different one stays when the search has begun from it.
         Without effect when the job has ended. Each chunk is one transaction: call it in a thread of its own, others
         wait for one chunk at most.
@@ -69,7 +69,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
                 if former not in (None, digests[0]) and searches.has_search(sql, job):
                     blobs.delete_unused(sql, made)
                     return former
-                # Another job with the same data may have been deleted in the meantime, and the data with it: once more.
+                # A job with the same data may have been deleted in the meantime, with the data: write them again.
                 if all(blobs.finish(sql, digest, len(data)) for digest, data in made.items()):
                     job_table.update(sql, job, {"dataset_digest": digests[0], "prepared_digest": digests[1]})
                     for digest in digests:
@@ -77,7 +77,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
                     _release_made(sql, record.submitter, (former, record.prepared_digest))
                     return former
 
-    def commit_result(  # noqa: PLR0913  # all that ends a job is written in one transaction
+    def commit_result(  # noqa: PLR0913  # the whole end of a job is written in one transaction
         self, job: str, state: str, result: str | None, reason: str | None = None, finished: str | None = None,
         *, keeps_checkpoints: bool = False, view: str | None = None,
     ) -> bool:  # fmt: skip
@@ -136,7 +136,7 @@ class Store(SearchStore, BlobStore, EventStore, HoldingStore):
                 holdings.use(sql, record.submitter, digest, kind, ended=-1)
             blobs.delete_unused(sql, [digest for digest, _ in _used_blobs(record)])
 
-    # what admins have set, and users have used
+    # settings of admins, and task time used by users
 
     def is_queue_paused(self) -> bool:
         """Return whether no further job is started."""

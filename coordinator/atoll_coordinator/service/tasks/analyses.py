@@ -1,7 +1,7 @@
 """Questions about the results of ended jobs, and their answers. Pure.
 
-An answer is a pure function of what is stored, so it is not stored itself: it is kept in memory while clients ask for
-it, and computed again for later ones.
+An answer is a pure function of the stored result, so it is not stored itself: it is kept in memory while clients ask
+for it, and computed again for later ones.
 """
 
 import hashlib
@@ -14,7 +14,8 @@ from atoll_core.errors import RefusedError
 from atoll_core.wire.messages.clients import AskAnalysis
 
 WANTED_S: Final = 30.0
-"""A question that no client has repeated for so long is dropped: clients ask every second, and try for 10 s."""
+"""A question that no client has repeated for this number of seconds is dropped: clients ask every second, and try for
+10 s."""
 
 MAX_OPEN: Final = 16
 """Open questions of one user: each holds a result in memory."""

@@ -31,10 +31,10 @@ def iso_now() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Dependencies:
-    """What a service needs besides bus and store; tests replace it.
+    """Further dependencies of a service, next to bus and store; tests replace them.
 
-    `clock` returns the time of day as ISO text, `background` executes what it is given, one after the other, and
-    `retention` says which ended jobs are kept.
+    `clock` returns the time of day as ISO text, `background` executes functions in order, and `retention` says which
+    ended jobs are kept.
     """
 
     clock: Callable[[], str] = iso_now
@@ -67,8 +67,8 @@ class PreparationBegun:
 class JobPrepared:
     """A job is prepared. `encoded` are the prepared data as bytes with the SHA-256 `digest`, `data` is its dataset.
 
-    When it is posted, both are stored, and `data` is left out; `former` is the digest of the dataset that was stored of
-    the job before (None: there was none).
+    When it is posted, both are stored, and `data` is left out; `former` is the digest of the dataset that was stored
+    for the job before (None: there was none).
     """
 
     job: str
@@ -124,7 +124,7 @@ class CheckpointWritten:
 Outcome = (
     TableChecked | PreparationBegun | JobPrepared | PreparationFailed | JobRefined | RefiningFailed | CheckpointWritten
 )
-"""What is posted to the loop and handled by `JobController.take_outcome`."""
+"""Items posted to the loop and handled by `JobController.take_outcome`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +144,7 @@ class TaskResult:
 class ResultRead:
     """The result of a task was read.
 
-    `outcome` is what is posted for its job, or the bytes of an answer. Without one, the result was damaged on its way,
+    `outcome` is the item posted for its job, or the bytes of an answer. Without one, the result was damaged on its way,
     is `unreadable` for this reason, or reading it raised `error`.
     """
 
@@ -240,7 +240,7 @@ def _outcome(result: TaskResult, data: bytes) -> JobPrepared | JobRefined | Prep
             text = data.decode()
             content = json.loads(text)
         except ValueError as error:
-            raise RemoteProtocolError(f"it is no JSON ({error})") from error
+            raise RemoteProtocolError(f"it is not JSON ({error})") from error
         if not isinstance(content, dict) or content.get("job") != result.job:
             raise RemoteProtocolError("it belongs to another job")
         return JobRefined(result.job, text)
@@ -249,5 +249,7 @@ def _outcome(result: TaskResult, data: bytes) -> JobPrepared | JobRefined | Prep
         return PreparationFailed(result.job, "data", made.sentence)
     prepared = made.prepared
     if hashlib.sha256(made.data).hexdigest() != prepared.blob or len(made.data) != prepared.size:
-        raise RemoteProtocolError("its dataset is not the one that it names")  # workers would ask for that for ever
+        raise RemoteProtocolError(
+            "its dataset is not the one that it names"
+        )  # workers would request the named one for ever
     return JobPrepared(result.job, prepared, made.encoded, hashlib.sha256(made.encoded).hexdigest(), made.data)

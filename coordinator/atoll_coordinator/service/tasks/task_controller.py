@@ -1,6 +1,6 @@
 """Task controller: leases tasks to workers, handles their reports, and posts outcomes to the service's loop.
 
-Leases are not stored: a coordinator that starts again creates the tasks again, and takes over those that workers still
+Leases are not stored: a coordinator that starts again creates the tasks again, and takes over tasks that workers still
 have under the same ids.
 """
 
@@ -37,10 +37,10 @@ from atoll_core.wire.messages.workers import WorkerStatus
 from atoll_core.wire.values import decode_value
 
 INLINE: Final = 64 * 1024
-"""Inputs of at most so many bytes are sent with the lease."""
+"""Inputs up to this number of bytes are sent with the lease."""
 
 HELP_AFTER_S: Final = 1.0
-"""A task that has run for so long gets helpers: a helper's process takes about as long to start."""
+"""A task that has run for this number of seconds gets helpers: a helper's process takes about as long to start."""
 
 SETTLED_S: Final = 2.5
 """A heartbeat so long after a lease must show the task, or the lease was lost: heartbeats come once a second."""
@@ -57,7 +57,7 @@ class _Blob:
 class TaskController:
     """The tasks of all jobs."""
 
-    def __init__(  # noqa: PLR0913  # what decides about turns
+    def __init__(  # noqa: PLR0913  # the rules for turns
         self, channel: WorkerChannel, membership: Membership, post: Callable[[object], None],
         read: Callable[[TaskResult], object],
         order: Callable[[Collection[str], Collection[str]], Sequence[str]] = lambda waiting, _: tuple(waiting),
@@ -171,7 +171,7 @@ class TaskController:
         return any(task.worker is None for task in self.table.of_job(job))
 
     def waiting_reason(self, job: str) -> str | None:
-        """Return in words what the tasks of a job wait for; None: they do not wait."""
+        """Return in words why the tasks of a job wait; None: they do not wait."""
         if not self.waits(job):
             return None
         if self._keeping or any(task.worker is not None for task in self.table):
@@ -296,7 +296,7 @@ class TaskController:
         for held in status.tasks:
             self._compare(worker, held, status, now)
         shown = {held.task for held in status.tasks}
-        for task in self.table:  # what the worker has missed
+        for task in self.table:  # messages that the worker has missed
             if task.worker == worker and task.id not in shown and not task.is_read and now - task.sent_at > SETTLED_S:
                 self._send_again(task, worker, now)
             if task.id not in shown and now - task.helpers.get(worker, now) > SETTLED_S:
@@ -323,14 +323,14 @@ class TaskController:
             self._send_again(task, worker, now)  # its report was lost, or the lease for another try
 
     def _keep_or_release(self, worker: str, held: messages.TaskStatus) -> None:
-        """Leave to a worker a task that may be needed soon, such as after a restart; release any other one."""
+        """Let a worker keep a task that may be needed soon, such as after a restart; release any other one."""
         if held.state == "helping" or not self._may_follow(held.job):
             self._channel.send(worker, messages.Release(task=held.task))
         elif held.state in ("waiting", "running"):
             self._keeping.add(worker)  # another task leased to it would wait for this one
 
     def _can_adopt(self, task: Task, worker: str, status: WorkerStatus) -> bool:
-        """Return whether a worker may go on with a task; one that failed needs a new lease, perhaps alone on a host."""
+        """Return whether a worker may continue a task; one that failed needs a new lease, perhaps alone on a host."""
         is_free = task.worker is None and not task.failures
         return is_free and status.state != "leaving" and self.table.on(worker) is None
 
@@ -369,7 +369,7 @@ class TaskController:
             self._channel.send(worker, messages.Release(task=body.task))
             return
         match body:
-            case messages.TaskFailed() if body.term == task.term:  # else it has been counted
+            case messages.TaskFailed() if body.term == task.term:  # otherwise it has been counted
                 self._fail(task, body.failure, body.sentence, now)
             case messages.TaskChunk() if body.size > (most := _most_bytes(task)):
                 size, most_mb = body.size / 1024**2, most / 1024**2
@@ -452,7 +452,7 @@ class TaskController:
             self._forget_inputs(job)
 
     def _release(self, task: Task) -> None:
-        """Tell the worker and the helpers of a task to drop it."""
+        """Make the worker and the helpers of a task drop it."""
         holders: Sequence[str] = [*([task.worker] if task.worker is not None else []), *task.helpers]
         for worker in holders:
             self._channel.send(worker, messages.Release(task=task.id))
@@ -460,5 +460,6 @@ class TaskController:
 
 
 def _most_bytes(task: Task) -> int:
-    """Return the largest size of a result: what is kept for answers, and what one message holds for a job's result."""
+    """Return the largest size of a result: the memory kept for answers, or, for a job's result, the size of one
+    message."""
     return MAX_KEPT if task.is_analysis else messages.MAX_RESULT if task.function == "prepare" else MAX_MESSAGE

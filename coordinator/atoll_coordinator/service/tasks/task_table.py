@@ -1,4 +1,4 @@
-"""The tasks of all jobs: their states, which worker gets which, and which are tried again. Pure; time comes in.
+"""The tasks of all jobs: their states, their assignment to workers, and retries. Pure; time comes in.
 
 A worker has one task at a time: its own, or another worker's that it helps with. Waiting tasks come first, in the order
 in which they are given; idle workers help with running ones. A task that ran out of memory gets a host for itself:
@@ -16,17 +16,17 @@ from atoll_core.task_frames import Failure
 from atoll_core.wire.messages.tasks import AnalysisFunction, Lease, TaskFunction, TaskInput
 
 MAX_LOSSES: Final = 5
-"""Workers that may be lost with a task; as many deaths fail an archipelago (`workers.crash_loops`)."""
+"""Workers that may be lost with a task; the same number of deaths fails an archipelago (`workers.crash_loops`)."""
 
 ANALYSES: Final[frozenset[TaskFunction]] = frozenset(get_args(AnalysisFunction))
 """Functions that answer questions about ended jobs."""
 
 LIMIT_S: Final = 3_600.0
-"""Far more than preparing or refining takes: a task that takes longer hangs and is ended, unless its job has more
-time."""
+"""Seconds, far more than preparing or refining takes: a task that takes longer is treated as hung and ended, unless its
+job has more time."""
 
 MOST_THREADS: Final = 2
-"""Of a task: Python runs one thread at a time between kernels, so that helpers use the further cores of a host."""
+"""Threads of a task. Python runs one thread at a time between kernels, so helpers use the other cores of a host."""
 
 HELPED: frozenset[TaskFunction] = frozenset({"refine", "profile"})
 """Functions whose work comes in batches, with which other workers can help."""
@@ -46,8 +46,8 @@ TASK_TRANSITIONS: Final[Mapping[State, Mapping[Step, State]]] = {
 def task_id(job: str, function: TaskFunction, inputs: Sequence[TaskInput]) -> str:
     """Return the id of a task: the SHA-256 of its job, function and digests of inputs.
 
-    The time limit is no part of it: it is different after a restart of the coordinator, which takes over the tasks that
-    workers have all the same.
+    The time limit is not part of it: the limit differs after a restart of the coordinator, which takes over tasks of
+    workers all the same.
     """
     words = [job, function, *(given.digest for given in inputs)]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
@@ -61,8 +61,8 @@ class Task:
     `threads` may be used. `is_alone`: it ran out of memory and is tried once more where nothing else runs.
     `waiting_since`, `leased_at`, `sent_at` (when its worker was last written to) and `began_at` are in seconds of the
     bus. `compared` is the number of candidates that its worker has compared. `charged` seconds since `began_at` have
-    been charged to its user. `parts` of its result have come, `received` bytes; when all have come, the result is being
-    read in the background (`is_read`).
+    been charged to its user. `parts` of its result have come, `received` bytes; when all have arrived, the result is
+    being read in the background (`is_read`).
     """
 
     id: str
@@ -279,7 +279,7 @@ def plan(
             busy[slot.host] += 1
         if task.is_alone and left:
             free = slot or min(left, key=lambda one: (busy[one.host], one.host))
-            host = free.host  # it gets nothing else, so that it will be free
+            host = free.host  # it gets no other task, so that it becomes free
             made.recalled += [one.worker for one in left if one.host == host and one.helps is not None]
             left = [one for one in left if one.host != host]
     helped = [task for task in running if task.function in HELPED and not task.is_alone]

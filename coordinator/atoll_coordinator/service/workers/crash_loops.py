@@ -1,4 +1,4 @@
-"""Archipelagos whose workers are lost again and again: crash loops, quarantine, and longer leases.
+"""Archipelagos whose workers are lost repeatedly: crash loops, quarantine, and longer leases.
 
 A death counts for each archipelago of which the dead worker had islands, at most once a term: a host without power
 takes many workers with it, which says nothing about their islands. After three terms in a row that ended by a death,
@@ -6,8 +6,8 @@ without a commit in between, an archipelago is quarantined: one worker is reserv
 After two more its job fails. Harmless archipelagos that shared a worker with it are quarantined as well, until their
 next commit.
 
-A worker that is given up although it is only slow would be given up again and again, without any progress. So each time
-that happens without a commit in between, the leases of the archipelago's workers are doubled.
+A slow worker whose lease is too short would be given up repeatedly, without any progress. So each time that happens
+without a commit in between, the leases of the archipelago's workers are doubled.
 """
 
 from collections import Counter
@@ -68,7 +68,7 @@ class CrashLoop:
         return is_first
 
     def withdraw(self, process: Process) -> bool:
-        """Withdraw the death of a process that is alive; return whether a term no longer counts by that."""
+        """Withdraw the death of a process that is alive; return whether a term no longer counts because of that."""
         terms = [term for term, processes in self._processes.items() if processes == {process}]
         for processes in self._processes.values():
             processes.discard(process)
@@ -108,12 +108,12 @@ class CrashLoops:
         """Count a death for an archipelago; return the reason for which its job fails, if it does."""
         loop = self._loops.setdefault(key, CrashLoop())
         is_first = loop.add_death(term, process)
-        if loop.state != "failed":  # else its job ends now, which is stored
+        if loop.state != "failed":  # otherwise its job ends now, and the end is stored
             self._unsaved.append(Death(*key, term, *process))
         if not is_first:
             return None
         if loop.deaths == QUARANTINE_AFTER:
-            text = "three times in a row a worker died that computed its islands; they get one worker for themselves"
+            text = "workers of its islands died three times in a row; one worker now computes only these islands"
             self._events.record("isolated", text, key[0], variable=key[1])
         if loop.state != "failed":
             return None
@@ -129,7 +129,7 @@ class CrashLoops:
         was_quarantined = loop.state == "quarantined"
         loop.add_commit(epoch)
         if was_quarantined and loop.state == "healthy":
-            self._events.record("pardoned", "it gets on, and is isolated no more", key[0], variable=key[1])
+            self._events.record("pardoned", "it makes progress, and is no longer isolated", key[0], variable=key[1])
 
     def withdraw(self, process: Process) -> None:
         """Withdraw the death of a process that is alive."""
@@ -234,7 +234,7 @@ def reserve_workers(
 
     Args:
         quarantined: open ones, in the order in which they are served.
-        has_others: whether other archipelagos are open; at least one worker is left for them.
+        has_others: whether other archipelagos are open; at least one worker is kept for them.
         workers: all workers that are not lost.
         reserved: previous reservations; an archipelago keeps its worker while that is among `workers`.
         load: number of archipelagos of each worker; the worker with the lowest is chosen.

@@ -102,7 +102,7 @@ class Membership:
         return self._checked_at or 0.0
 
     def member(self, worker: str) -> Member | None:
-        """Return what is known of a worker."""
+        """Return the known facts about a worker."""
         return self._members.get(worker)
 
     def register(self, hello: Hello, now: float) -> str | None:
@@ -198,7 +198,7 @@ class Membership:
         )
 
     def waiting_reason(self) -> str:
-        """Return in words what an archipelago without workers waits for."""
+        """Return in words why an archipelago without workers waits."""
         arriving = self.arriving()
         if arriving:
             return f"waits for {arriving} worker{'s' if arriving > 1 else ''} to load or compile the kernels"
@@ -212,7 +212,7 @@ class Membership:
         return member is not None and member.status is not None and job in member.status.jobs
 
     def has_room(self, worker: str, needed: int) -> bool:
-        """Return whether a worker's machine has so many bytes of memory left, as far as is known."""
+        """Return whether a worker's machine has this number of bytes of memory available, as far as is known."""
         member = self._members.get(worker)
         available = member.status.available_bytes if member is not None and member.status is not None else None
         return available is None or available >= needed
@@ -312,7 +312,7 @@ def _view(name: str, member: Member, now: float) -> WorkerView:
 
 
 def _doing(status: WorkerStatus) -> str:
-    """Return in words what a worker computes, the job first: an island, else a task."""
+    """Return in words what a worker computes, the job first: an island, or a task."""
     words = [f"{one.job}/{one.variable} island {one.island} epoch {one.epoch}" for one in [status.doing] if one]
     words += [f"{held.job}/a task" for held in status.tasks if held.state == "running"]
     words += [f"{held.job}/a task of another worker" for held in status.tasks if held.state == "helping"]

@@ -1,4 +1,5 @@
-"""Placements: which archipelagos begin a term now, on which workers, and messages that correct what workers have. Pure.
+"""Placements: which archipelagos begin a term now, on which workers, and messages that correct the holdings of workers.
+Pure.
 
 Placements decide when and where islands are computed, and never their results.
 """
@@ -25,7 +26,8 @@ from atoll_core.wire.messages.workers import (
 )
 
 REPLACE_WITHIN_S: Final = 5.0
-"""A worker that joins so soon after a placement gets islands of it; the little that was computed is computed again."""
+"""A worker that joins within this time after a placement gets islands of it; the few results since then are computed
+again."""
 
 EXPECT_S: Final = 10.0
 """How long the first ready worker waits for the other expected ones."""
@@ -141,7 +143,7 @@ class Scheduler:
             plan.released.append(released)
 
     def _hold(self, archipelago: Archipelago, load: Counter[str], now: float) -> None:
-        """Stop a held archipelago: at a barrier, or at once when hardly anything would be lost."""
+        """Stop a held archipelago: at a barrier, or at once if little work would be lost."""
         is_new = archipelago.has_no_commit and self._is_young(archipelago, now)
         if archipelago.is_at_barrier or is_new or self.is_broken(archipelago):
             _unplace(archipelago, load)
@@ -152,7 +154,7 @@ class Scheduler:
         """Prepare a change of placement that loses nothing, because workers leave or are idle.
 
         All islands wait at a barrier; when it is durable they are placed again, or wait for a worker if there is none.
-        Soon after a placement it is quicker to compute the little that there is again.
+        Soon after a placement it is quicker to compute the few results again.
         """
         if archipelago.is_at_barrier:
             _unplace(archipelago, load)
@@ -227,8 +229,8 @@ def spread(
 ) -> tuple[str, ...]:  # fmt: skip
     """Return the worker of each island: workers in turn, the least loaded first.
 
-    So loads that differ by one island at most stay so, and each archipelago is on as many workers as there are: it goes
-    on when some are lost, and has its share wherever jobs share workers by priority.
+    So loads that differ by one island at most stay so, and each archipelago is on as many workers as there are: it
+    continues when some are lost, and has its share on every worker that jobs share by priority.
 
     Args:
         islands: their number.
@@ -257,7 +259,7 @@ def corrections(
     jobs: Mapping[str, Job], begun: Mapping[str, Job], worker: str, status: WorkerStatus,
     guarded: JobGuard = unguarded, ending: Container[str] = (),
 ) -> list[Correction]:  # fmt: skip
-    """Return the messages to a worker after its heartbeat: what it may drop, what it lacks, pulls of lost reports.
+    """Return the messages to a worker after its heartbeat: releases, missing placements, pulls of lost reports.
 
     Only live `jobs` that have `begun` can have placements. Jobs that are `ending` are left out: they go on if the
     coordinator dies before their ends are stored. Each job is handled under `guarded`, so that an error affects no

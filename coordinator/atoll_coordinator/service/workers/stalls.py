@@ -36,7 +36,7 @@ class Stall:
 
 
 def stall_of(archipelago: Archipelago, membership: Membership, still_s: float) -> Stall | None:
-    """Return why no further epoch of an archipelago is complete; None: it is no stall.
+    """Return why no further epoch of an archipelago is complete; None: it is not a stall.
 
     Args:
         archipelago: only one that is placed and not cut can stall.
@@ -79,7 +79,7 @@ def _cause(
     """Return the cause, words about it, and its seconds."""
     if member is None or member.state == "absent":
         gone = now - (member.gone_at or now) if member is not None else still_s
-        return "absence", f"whose connection has been gone for {gone:.0f} s", gone
+        return "absence", f"whose connection has been lost for {gone:.0f} s", gone
     silent = now - member.heard_at
     if silent >= _SILENT_S or member.status is None:
         return "silence", f"silent for {silent:.0f} s", silent

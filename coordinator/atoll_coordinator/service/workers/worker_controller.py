@@ -1,7 +1,7 @@
 """Worker controller: handles greetings, heartbeats and silence of workers, and begins terms of archipelagos.
 
-What is sent has been stored before. What is done for several jobs is guarded by job, so that an error in one of them
-does not affect the others. Jobs that cannot go on because of their workers are failed by `LiveJobs.fail_job`.
+Changes are stored before messages about them are sent. Steps for several jobs are guarded by job, so that an error in
+one job does not affect the others. `LiveJobs.fail_job` fails jobs that cannot continue because of their workers.
 """
 
 from collections.abc import Mapping, Sequence
@@ -94,7 +94,7 @@ class WorkerController:
             if before is not None:
                 self._lose(before, "a new process has its name", now)
             for archipelago in self._open_archipelagos():
-                with self._guarded(archipelago.job, "taking islands from a worker that was started anew", now):
+                with self._guarded(archipelago.job, "taking islands from a worker that was started again", now):
                     if hello.name in archipelago.workers:
                         archipelago.unplace()
             self.place(now)
@@ -103,7 +103,7 @@ class WorkerController:
         return refusal
 
     def add_heartbeat(self, worker: str, status: messages.WorkerStatus, now: float) -> bool:
-        """Handle a heartbeat, and correct by messages what the worker has too much or too little.
+        """Handle a heartbeat, and correct differences in the worker's holdings by messages.
 
         Returns False when this process is not known; it is asked to greet.
 
@@ -142,10 +142,10 @@ class WorkerController:
         return True
 
     def _correct(self, worker: str, status: messages.WorkerStatus, now: float) -> None:
-        """Send a worker what it lacks, and what it may drop."""
+        """Send a worker missing placements and releases."""
 
         def guarded(job: str) -> AbstractContextManager[None]:
-            return self._guarded(job, "correcting what a worker holds", now)
+            return self._guarded(job, "correcting the holdings of a worker", now)
 
         for correction in corrections(self._jobs, self._begun, worker, status, guarded, self._ending):
             if isinstance(correction, PullReports):
@@ -166,12 +166,12 @@ class WorkerController:
                     wrong.append(f"worker {worker} holds {placed}, which is placed elsewhere")
                 elif islands is not None and isinstance(claim, messages.IslandFailure) and claim.island not in islands:
                     island = f"island {claim.island} of {claim.variable} of job {claim.job}"
-                    wrong.append(f"worker {worker} says that {island} failed, which is placed elsewhere")
+                    wrong.append(f"worker {worker} reports that {island} failed, which is placed elsewhere")
         if wrong:
             raise RemoteProtocolError(wrong[0])
 
     def _update_assignment_status(self, worker: str, assignment_status: messages.AssignmentStatus) -> None:
-        """Record a worker's progress with its islands; publish a commit that is due by that."""
+        """Record a worker's progress with its islands; publish a commit that becomes due."""
         archipelago = self._placed(assignment_status.job, assignment_status.variable, assignment_status.term)
         if archipelago is not None:
             archipelago.update_assignment_status(worker, assignment_status)
@@ -292,7 +292,7 @@ class WorkerController:
         """Record which archipelagos make no progress, and which make progress again."""
         for (job, variable), stall in self._stalls.check(self._open_archipelagos(), now):
             if stall is None:
-                self._events.record("moving", "it gets on again", job, variable=variable)
+                self._events.record("moving", "it makes progress again", job, variable=variable)
                 continue
             self.counters.add(job, stalls=1)
             self._events.record(
@@ -305,7 +305,7 @@ class WorkerController:
         return self._stalls.sentences(job_id)
 
     def waiting_reason(self, job: Job) -> str | None:
-        """Return in words what archipelagos of a job without workers wait for; None: all have workers."""
+        """Return in words why archipelagos of a job without workers wait; None: all have workers."""
         quarantined = self._quarantine.waiting(job.open_archipelagos)
         if quarantined:
             return f"islands of {', '.join(quarantined)} are isolated and wait for a worker of their own"

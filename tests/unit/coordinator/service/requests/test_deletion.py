@@ -81,7 +81,7 @@ def test_the_id_of_a_deleted_job_is_not_given_again(store: Store) -> None:
     deletes, controller = deletion(store)
     deletes.delete("a", "a client asked for it")
     again = Submit(job="a", name="a", config=JobConfig(), table=put_blob(store, b"table"))
-    with pytest.raises(RefusedError, match="job a was deleted, and its id is not given again; submit under another"):
+    with pytest.raises(RefusedError, match="job a was deleted, and its id is not used again; submit under another"):
         controller.submit(again, 1.0)
     controller.submit(again.model_copy(update={"job": "b"}), 2.0)
     assert list(controller.jobs) == ["b"]

@@ -547,7 +547,7 @@ def test_results_push_out_the_oldest_jobs_of_the_same_user_and_of_nobody_else(la
     assert (lab.store.job("old"), lab.store.job("his") is not None) == (None, True)
     assert lab.controller._fitting(live, "y" * 57) == "y" * 57
     assert lab.controller._fitting(live, "y" * 58) is None
-    assert (live.state, "58 bytes does not fit into the 60" in (live.reason or "")) == ("failed", True)
+    assert (live.state, "58 bytes exceeds the 60" in (live.reason or "")) == ("failed", True)
 
 
 def test_time_is_given_and_bounded_and_a_job_known_already_keeps_what_it_has(lab: Lab) -> None:

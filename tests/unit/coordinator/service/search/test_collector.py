@@ -89,7 +89,7 @@ def test_divergence_is_noticed_also_after_the_epoch_was_complete(collector: Coll
 
 @pytest.mark.parametrize(("epoch", "island"), [(50, 0), (0, 2)])
 def test_islands_and_epochs_that_do_not_exist_are_refused(collector: Collector, epoch: int, island: int) -> None:
-    with pytest.raises(RemoteProtocolError, match="there is none such"):
+    with pytest.raises(RemoteProtocolError, match="there is no such island or epoch"):
         collector.add_reports("w", epoch, [report(0), report(island)], 1.0)
     assert collector.first_missing([0], 1) == 0
 

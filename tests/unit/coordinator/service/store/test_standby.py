@@ -65,7 +65,7 @@ def test_a_death_is_noticed_at_the_next_look(monkeypatch: pytest.MonkeyPatch, se
     store.close()
     (said,) = waiting.said
     assert f"process {os.getpid()}" in said
-    assert "on standby, and takes over" in said
+    assert "on standby and takes over" in said
 
 
 def test_a_coordinator_that_gets_on_keeps_its_store(

@@ -262,7 +262,7 @@ def test_a_store_of_an_earlier_version_is_closed_to_others_and_that_is_said_once
             put_blob(store, b"measured")
             assert modes_in(former) == {0o600}
             assert former.stat().st_mode & 0o777 == 0o700
-    (said,) = (record for record in caplog.records if "closed" in record.message)
+    (said,) = (record for record in caplog.records if "access has been removed" in record.message)
     assert "its folder, " in str(said.__dict__)
     assert "lock" in str(said.__dict__)
 
