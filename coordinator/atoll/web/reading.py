@@ -70,7 +70,7 @@ class Limits(BaseModel):
                 f"{name} takes more than {self.processor_s} s of a processor, or {self.total_s:.0f} s in all; "
                 "send fewer rows, or use coordinator submit"
             )
-        return 422, f"{name} crashed the program that reads it; save the file again, or as CSV"
+        return 422, f"reading {name} crashed; save the file again, or as CSV"
 
 
 class Reading(BaseModel):

@@ -159,7 +159,7 @@ def _refusal(error: BaseException, name: str, limits: Limits) -> tuple[int, str]
     if isinstance(error, AtollError):
         return status_of(error), str(error)
     print(f"reading {name!r} broke: {type(error).__name__}: {str(error)[:500]!r}", file=sys.stderr)  # noqa: T201
-    return 422, f"{name} crashed the program that reads it; save the file again, or as CSV"
+    return 422, f"reading {name} crashed; save the file again, or as CSV"
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@
 - `row_selection`: estimates -> `SelectedRows`, and why others are excluded
 - `increments`: `Measurements` of a stochastic process -> `Preparation`, without smoothing
 - `assembly`: all of these -> `Preparation`, which `recording` defines: the dataset of the search and the recording
-- `outline`: for a person, before a job: how the table was read, and what a job would search
+- `outline`: text for users before a job: how the table was read, and the equations of a search
 
 Data go down this list. Which stage may import which is a contract in pyproject.toml.
 """

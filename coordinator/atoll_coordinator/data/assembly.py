@@ -41,7 +41,7 @@ def assemble_given(
     equations: Collection[str],
     symbols: Mapping[str, str],
 ) -> Preparation:
-    """Return the problems of a table that holds the left-hand sides: labels or derivatives, taken as exact.
+    """Return the problems of a table that contains the left-hand sides: labels or derivatives, treated as exact.
 
     Problems are made of the `equations`, over the rows `selected`; fits use every row that is not held out. `weights`
     (R,) are 1 on average, None: all are 1; `symbols` has by column name the name in expressions.
@@ -116,7 +116,8 @@ def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Ta
     """Return the target over all rows, with the uncertainty and the standard deviation of the selected rows.
 
     A derivative without noise that differs from row to row by no more than its uncertainty may be constant, and is
-    judged by its size: relative to so small a deviation any equation would seem uncertain, and no search would end.
+    judged by its size: relative to such a small standard deviation any equation would seem uncertain, and the search
+    would not end.
     """
     values = np.ascontiguousarray(estimate.derivative[rows])
     scale = derivative_standard_deviation(name, values)
@@ -126,7 +127,7 @@ def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Ta
     mean, deviation = moments(values)
     if not estimate.target_noise and uncertainty >= 1.0 and uncertainty * scale < CLEAN_UNCERTAINTY * abs(mean):
         uncertainty, scale = uncertainty * scale / abs(mean), abs(mean)
-    if deviation < scale:  # constant but for rounding, of which a comparison of two orders sees only a part
+    if deviation < scale:  # constant except for rounding, which a comparison of two orders shows only in part
         uncertainty = max(uncertainty, deviation / scale)
     return Target(name, lhs, estimate.derivative, uncertainty, scale, estimate.target_noise)
 

@@ -7,8 +7,8 @@
 4. `assemble_process`: all of these -> `Preparation`: one target for each drift and for each component of the diffusion.
 
 High differences of a path remove smooth motion almost completely and keep the noise: a divided difference over k steps
-is a weighted sum of their increments. What the search sees is made with + - * / and square roots alone, sums exactly
-rounded, so that it has the same bits on every machine. Letters: S states, N steps, V variables, W windows of
+is a weighted sum of their increments. The data of the search are computed with + - * / and square roots alone, with
+exactly rounded sums: equal bits on every machine. Letters: S states, N steps, V variables, W windows of
 neighbouring steps, M bins.
 """
 
@@ -82,7 +82,7 @@ class StepWindows:
     lag: int = 1
 
     def differences(self, state: int) -> FloatArray:
-        """Return the divided difference of one state in each window (W,), over that of Brownian motion of rate one."""
+        """Return divided differences of one state (W,), scaled to variance 1 for Brownian motion of rate one."""
         differences, variance = np.zeros(len(self.first)), np.zeros(len(self.first))
         lengths = self._moves(self.steps.lengths)
         moves = self._moves(self.steps.increments[state])
@@ -134,7 +134,7 @@ _SMOOTH: Final = 2.0**10
 
 
 def noise_shares(steps: Steps) -> FloatArray:
-    """Return about how large noise is relative to the median step, for each state (S,)."""
+    """Return the approximate size of the noise relative to the median step, for each state (S,)."""
     shares = np.zeros(len(steps.increments))
     for state, increments in enumerate(steps.increments):
         step, rate = float(np.median(np.abs(increments))), noise_rate(steps, state)
@@ -143,7 +143,7 @@ def noise_shares(steps: Steps) -> FloatArray:
 
 
 def is_driven(steps: Steps, state: int) -> bool:
-    """Tell whether a state moves by noise, but not by noise of its own.
+    """Tell whether a state has no noise of its own but follows a state with noise.
 
     A state that only follows noisy states is an integral of their noise: its increments over a step h vary as h^3 (h^5
     if it follows such a state, and so on), so that its rate grows fourfold with the lag doubled; the rate of a state
@@ -154,7 +154,7 @@ def is_driven(steps: Steps, state: int) -> bool:
 
 
 def noise_rate(steps: Steps, state: int, lag: int = 1) -> float:
-    """Return about the variance per time that noise adds to a state, from rows `lag` apart; infinite without such.
+    """Return the approximate variance that noise adds to a state per time, from rows `lag` apart; infinite if none.
 
     For a path with noise of its own it is about 0.45 of that: the median of the square of a normal number.
     """
@@ -169,7 +169,7 @@ _WINDOW_STEPS: Final = 3
 _TESTS: Final = 2
 """Tests of each pair: of a correlation over all steps, and of correlations of either sign in turns."""
 _DOUBLED: Final = 1.28
-"""By what the square of a normal limit grows where its probability, 0.0027 or less, is halved (1.25 to 1.28)."""
+"""Growth of the square of a normal limit when its probability, 0.0027 or less, is halved (1.25 to 1.28)."""
 
 
 def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
@@ -182,7 +182,7 @@ def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
     correlated. Whatever its sizes, the sum of p over the root of the sum of its squares then has mean zero and variance
     one (Efron 1969), and is normal for many windows.
 
-    All tests together find a correlation where there is none as often as one test by `ProcessSettings.significant` does
+    All tests together have the false positive rate of one test by `ProcessSettings.significant` does
     (Bonferroni).
     """
     rough = [state for state in range(len(steps.increments)) if not is_driven(steps, state)]
@@ -249,7 +249,7 @@ class BinnedMoments:
     `points` (V, M) are the means of where steps begin, `drift` (S, M) the means of increments over their time,
     `products` has for each pair of states the mean products of the residuals of increments, over the time (M,);
     `errors` (one for each of `drift`, then for each of `products`) are their mean standard errors. `noise` (S,) is the
-    variance of measurement errors, 0 where none is found.
+    variance of measurement errors, 0 if none is found.
     """
 
     points: FloatArray
@@ -400,7 +400,7 @@ def assemble_process(measurements: Measurements, equations: Collection[str], sym
     for number, (state, share) in enumerate(zip(process.states, noise_shares(steps).tolist(), strict=True)):
         if share < LIMITS.least_noise and not is_driven(steps, number):
             raise DataError(
-                f"state '{state}' moves without noise, its own or that of a state it follows; leave out --stochastic, "
+                f"neither state '{state}' nor a state it follows has noise; leave out --stochastic, "
                 "or make it an input with --inputs if only other states have noise"
             )
     moments = bin_moments(steps)

@@ -1,4 +1,4 @@
-"""For a person, before a job: how a table was read (`describe`), and what a job would search in it (`outline`). Pure.
+"""Text for users before a job: how a table was read (`describe`), and the equations of a search (`outline`). Pure.
 
 Both are cheap: nothing is smoothed or compiled.
 """
@@ -65,7 +65,7 @@ class Outline:
         return "\n".join([*lines, effort, f"the search ends {', '.join(ends)}", "dry run: nothing was started"])
 
     def as_dict(self) -> dict[str, object]:
-        """Return the same for other programs; `config` are the settings that are not defaults, as in a job file."""
+        """Return the outline for other programs; `config` are the settings that are not defaults, as in a job file."""
         return {
             "files": list(self.files),
             "read_as": self.read_as,
@@ -82,7 +82,7 @@ class Outline:
 
 
 def outline(table: Table, config: JobConfig) -> Outline:
-    """Return what a job would search.
+    """Return the equations that a job would search, and its settings.
 
     Raises UsageError where options or prior knowledge cannot be used, DataError where the columns cannot.
     """

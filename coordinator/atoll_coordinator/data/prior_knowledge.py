@@ -2,7 +2,7 @@
 
 Left-hand sides are accepted as people write them: the equation of ``x`` is called ``x``, ``dx``, ``dx/dt`` or ``x'``,
 for order 2 ``d2x``, ``d2x/dt2`` or ``x''``; columns by their name or by their symbol. A column that is called ``dx``
-itself comes before the derivative of ``x``. Whatever cannot be used is refused in one sentence, before a search begins.
+itself comes before the derivative of ``x``. Unusable prior knowledge is refused in one sentence before a search.
 """
 
 import re
@@ -29,7 +29,7 @@ from atoll_core.quoting import did_you_mean
 Value = TypeVar("Value")
 
 _INDIVIDUALS_PER_GUESS: Final = 4
-"""At most one of so many individuals begins as a guess; more guesses are refused."""
+"""At most one in this number of individuals begins as a guess; more guesses are refused."""
 _FORMS: Final = {1: r"d{0}(/d\w+)?|{0}'", 2: r"d2{0}(/d\w+?(\^|\*\*)?2)?|{0}''"}
 """Forms of left-hand sides by the order of the derivative, {0} being the escaped name."""
 _ORDINALS: Final = {1: "first", 2: "second"}
@@ -111,7 +111,7 @@ class LeftSides:
 def resolve_equations(config: JobConfig, roles: Roles, symbols: Mapping[str, str]) -> tuple[JobConfig, tuple[str, ...]]:
     """Return the resolved configuration (see `resolve_prior`) and the equations of the job, in order.
 
-    Those are the equations sought, all unless ``--only`` names some, and the known equations; of a stochastic process
+    These are the searched equations (all unless ``--only`` names some) and known equations; for a stochastic process
     also every component of its diffusion, some of which the data may not show. Raises UsageError.
     """
     names = roles.equations
@@ -178,7 +178,7 @@ def resolve_prior(config: JobConfig, variables: Sequence[str], symbols: Mapping[
 def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
     """Return the programs of the known equations by variable, in the order of the dataset, which has them as targets.
 
-    `config` is resolved. Raises UsageError where an equation is no expression over the dataset's symbols.
+    `config` is resolved. Raises UsageError if an equation is not an expression over the dataset's symbols.
     """
     known = config.prior.known
     return {name: _known_program(name, known[name], dataset.names) for name in dataset.variables if name in known}
@@ -187,7 +187,7 @@ def known_programs(dataset: Dataset, config: JobConfig) -> dict[str, Program]:
 def guessed_programs(dataset: Dataset, config: JobConfig) -> dict[str, tuple[Program, ...]]:
     """Return the programs of the guesses by variable, with their constants.
 
-    `config` is resolved. Raises UsageError where a guess is no expression over the dataset's symbols.
+    `config` is resolved. Raises UsageError if a guess is not an expression over the dataset's symbols.
     """
     guesses = config.prior.guesses
     return {

@@ -205,7 +205,7 @@ class Source:
 class Preparation:
     """The result of preparing a table.
 
-    `dataset` is what the search sees; `recording` is None where the left-hand sides were given, and for a stochastic
+    `dataset` is for the search; `recording` is None where the left-hand sides were given, and for a stochastic
     process, whose trajectories are in `process` (else None); `held_out` has the same targets over rows of held-out
     trajectories, with uncertainty, standard deviation and noise of `dataset`, None where there are none. Where the
     left-hand sides were given, `counted` has the rows that fits use, also rows with too little weight for the search,

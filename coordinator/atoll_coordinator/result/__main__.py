@@ -1,6 +1,6 @@
-"""``python -m atoll_coordinator.result`` writes ``result.schema.json`` anew, and the reference of all keys for people.
+"""``python -m atoll_coordinator.result`` writes ``result.schema.json`` and the reference docs/result-keys.md.
 
-Both follow from the parts: run it in a checkout after a change of them.
+Both follow from the parts: run it in a checkout after a change of the parts.
 """
 
 from collections.abc import Iterator
@@ -13,13 +13,13 @@ REFERENCE: Final = "docs/result-keys.md"
 _HEAD: Final = """# Keys of result.json
 
 Made by `python -m atoll_coordinator.result`; [result.md](result.md) explains the ideas. Unknown and non-finite values
-are null. Values that are marked `[]` are lists, those marked `{}` have an entry for each name.
+are null. Values marked `[]` are lists; values marked `{}` have an entry for each name.
 """
 _KINDS: Final = {"string": "text", "number": "number", "integer": "whole number", "boolean": "true or false"}
 
 
 def reference() -> str:
-    """Return a page with a table for each part of a result: the whole first, then as keys refer to them."""
+    """Return a page with a table for each part of a result: the whole result, then parts in the order of keys."""
     whole: dict[str, Any] = json_schema()
     parts = whole.pop("$defs")
     text, waiting, done = _HEAD, [("Result", whole)], {"Result", "JsonValue"}
@@ -36,7 +36,7 @@ def reference() -> str:
 
 
 def _kind(field: dict[str, Any]) -> tuple[str, list[str]]:
-    """Return what values a field has, and the parts among them."""
+    """Return the type of a field, and the parts to which it refers."""
     names = [str(reference).rsplit("/", 1)[-1] for reference in _references(field) if reference != "#/$defs/JsonValue"]
     marks = f"{'[]' * str(field).count('array')}{'{}' * ('additionalProperties' in str(field))}"
     if names:

@@ -1,4 +1,4 @@
-"""One equation of a result: constants, verdict, groups, candidates, front, course of its search."""
+"""One equation of a result: constants, verdict, groups, candidates, front, convergence of its search."""
 
 from pydantic import Field
 
@@ -6,7 +6,7 @@ from atoll_coordinator.result.base import Count, Curve, Flag, Number, Numbers, P
 
 
 class SimpleNumber(Part):
-    """The most probable simple number near a constant, and how many standard errors that is off."""
+    """The most probable simple number near a constant, and its distance in standard errors."""
 
     value: Number = Field(default=None, description="the number")
     odds: Number = Field(default=None, description="odds of this number against all others")
@@ -14,49 +14,53 @@ class SimpleNumber(Part):
 
 
 class Estimate(Part):
-    """A number that was fitted: `value` is shown, `fitted` the estimate in full, to which errors belong."""
+    """A fitted number: `value` is displayed; `fitted` is the unrounded estimate, to which the errors refer."""
 
-    value: Number = Field(default=None, description="as it is shown")
+    value: Number = Field(default=None, description="the displayed number")
     std_error: Number = Field(default=None, description="standard error of `fitted`")
-    fitted: Number = Field(default=None, description="the estimate in full")
+    fitted: Number = Field(default=None, description="the unrounded estimate")
     interval: Pair | None = Field(default=None, description="95 % interval of `fitted`")
-    identifiable: Flag = Field(default=True, description="whether the data determine it: the interval does not hold 0")
+    identifiable: Flag = Field(
+        default=True, description="whether the data determine it: the interval does not contain 0"
+    )
     simple: SimpleNumber | None = Field(default=None, description="the most probable simple number near it")
-    bounds: Pair | None = Field(default=None, description="what `--bound` allows, null on an open side")
+    bounds: Pair | None = Field(default=None, description="range allowed by `--bound`, null on an open side")
     at_bound: Flag | None = Field(
-        default=False, description="whether it lies on a bound; its interval is one-sided then"
+        default=False, description="whether it lies on a bound; its interval is then one-sided"
     )
 
     @property
     def estimate(self) -> float:
-        """The estimate in full, what is shown where there was no fit."""
+        """The unrounded estimate; the displayed number if there was no fit."""
         return next((number for number in (self.fitted, self.value) if number is not None), 0.0)
 
     @property
     def is_within(self) -> bool:
-        """Whether the number that is shown lies in the interval, if there is one."""
+        """Whether the displayed number lies in the interval, if there is one."""
         low, high = self.interval or (None, None)
         value = self.value or 0.0
         return (low is None or low <= value) and (high is None or value <= high)
 
 
 class Constant(Estimate):
-    """A constant of an equation; `shared`: all groups of trajectories have it in common, None without groups."""
+    """A constant of an equation."""
 
     shared: Flag | None = Field(
-        default=None, description="whether all groups of trajectories have it in common, null without groups"
+        default=None, description="whether it has the same value in all groups of trajectories, null without groups"
     )
-    unit: Text | None = Field(default=None, description="its unit, `1` of a pure number, null where units do not tell")
+    unit: Text | None = Field(
+        default=None, description="its unit, `1` for a pure number, null if the units do not determine it"
+    )
 
 
 class Factor(Part):
-    """A factor that is not written, and the term `of` which it is one."""
+    """A factor that is not written; `of` is the term that it multiplies."""
 
     of: Text | None = Field(default=None, description="the term")
 
 
-class ImpliedConstant(Estimate, Factor):  # fields of the last class stand first in the file
-    """A factor of 1 that is not written, as it was fitted."""
+class ImpliedConstant(Estimate, Factor):  # fields of the last class come first in the file
+    """A factor of 1 that is not written, with its fitted value."""
 
 
 class ImpliedUnit(Factor):
@@ -66,27 +70,29 @@ class ImpliedUnit(Factor):
 
 
 class Units(Part):
-    """What units say of an equation beside those of its constants; `faults` are what no factor makes right."""
+    """Units of an equation, in addition to the units of its constants."""
 
     implied: tuple[ImpliedUnit, ...] = Field(default=(), description="factors of 1 that have a unit")
     faults: tuple[Text, ...] = Field(default=(), description="contradictions that no factor resolves")
 
 
 class SimpleTogether(Part):
-    """Simple numbers of the `constants` at these places, judged together."""
+    """Simple numbers for several constants, judged together."""
 
-    constants: tuple[Count, ...] = Field(default=(), description="places among `constants`, from 0")
+    constants: tuple[Count, ...] = Field(
+        default=(), description="positions in the list `constants` of the equation, from 0"
+    )
     values: Curve = Field(default=(), description="the simple numbers")
-    odds: Number = Field(default=None, description="odds of all of them against everything else")
-    chi_square: Number = Field(default=None, description="increase of chi square from the estimates to these numbers")
+    odds: Number = Field(default=None, description="odds of all these numbers against all other values")
+    chi_square: Number = Field(default=None, description="increase of chi-square from the estimates to these numbers")
 
 
 class Bound(Part):
-    """A bound that the user has set, and the numbers of the equation that it is about."""
+    """A bound set by the user, and the numbers of the equation to which it applies."""
 
-    bound: Text | None = Field(default=None, description="the bound as it was given")
-    values: Curve = Field(default=(), description="the numbers that it is about")
-    active: Flag | None = Field(default=None, description="whether one of them lies on its end")
+    bound: Text | None = Field(default=None, description="the bound as the user wrote it")
+    values: Curve = Field(default=(), description="the numbers to which it applies")
+    active: Flag | None = Field(default=None, description="whether one of these numbers lies on the bound")
 
 
 class GroupEquation(Part):
@@ -102,81 +108,83 @@ class Prediction(Part):
     """How well states can be predicted from other initial states within the measured range."""
 
     starts: Count | None = Field(default=None, description="number of other initial states")
-    followed: Count | None = Field(default=None, description="from how many the simulation reached its end")
-    unfinished: Count | None = Field(default=None, description="from how many it needed too many integration steps")
-    probability: Number = Field(
-        default=None, description="share of the odds of candidates and constants that predict the same"
+    followed: Count | None = Field(default=None, description="number of them from which the simulation reached its end")
+    unfinished: Count | None = Field(
+        default=None, description="number of them from which it needed too many integration steps"
     )
-    novelty: Number = Field(default=None, description="median distance from measured rows, over the range")
+    probability: Number = Field(
+        default=None, description="probability of the candidates and constants whose predictions agree"
+    )
+    novelty: Number = Field(default=None, description="median distance from measured rows, as a share of the range")
     reached: Number = Field(default=None, description="value farthest outside of the measured range, null if within")
     is_disputed: Flag | None = Field(default=None, description="whether candidates predict something different")
-    measure_from: Numbers | None = Field(default=None, description="initial state from which a measurement tells most")
+    measure_from: Numbers | None = Field(
+        default=None, description="initial state from which a measurement is most informative"
+    )
 
 
 class Check(Part):
-    """A check of an equation: "passed", "failed", "not made" or "not applicable", and the reason as a clause.
-
-    `power` is the smallest departure that it would have seen, as a share of the variance of the state or target.
-    """
+    """A check of an equation: its outcome, and the reason as a clause."""
 
     name: Text = Field(description="see Verdicts in result.md")
     outcome: Text = Field(description="`passed`, `failed`, `not made` or `not applicable`")
-    reason: Text = Field(description="a clause")
-    value: Number = Field(default=None, description="what was measured")
-    limit: Number = Field(default=None, description="what it is compared with")
+    reason: Text = Field(description="reason for the outcome, a clause")
+    value: Number = Field(default=None, description="the value that was checked")
+    limit: Number = Field(default=None, description="the limit for this value")
     power: Number = Field(
-        default=None, description="smallest departure that it would have seen, as a share of the variance"
+        default=None, description="smallest deviation that the check would have detected, as a share of the variance"
     )
 
 
 class Convergence(Part):
-    """The generations in which the error of an island fell, and these errors over the target's deviation."""
+    """The generations in which the error of an island decreased, and the errors."""
 
     island: Count = Field(default=0, description="number of the island")
-    generations: tuple[Count, ...] = Field(default=(), min_length=1, description="when its error fell, at most 40")
+    generations: tuple[Count, ...] = Field(
+        default=(), min_length=1, description="generations in which the error decreased, at most 40"
+    )
     errors: Curve = Field(default=(), min_length=1, description="the errors over the target's standard deviation")
 
 
 class Candidate(Part):
-    """An equation that was compared with the one shown."""
+    """An equation that was compared with the displayed equation."""
 
     expression: Text = Field(description="the equation")
     complexity: Count | None = Field(default=None, description="size of its program")
-    nats: Number = Field(default=None, description="Δ description length; below about 3 the data hardly decide")
-    r2: Number = Field(default=None, description="R2 of the simulation")
-    held_out_r2: Number = Field(default=None, description="R2 of trajectories that took no part")
-    cross_validated: Flag | None = Field(
-        default=False, description="whether these are trajectories left out one at a time"
+    nats: Number = Field(
+        default=None, description="Δ description length; below about 3 the data hardly distinguish the two equations"
     )
-    origin: Text | None = Field(default=None, description="as of the equation")
-    selected: Flag = Field(default=False, description="whether it is the one shown")
+    r2: Number = Field(default=None, description="R2 of the simulation")
+    held_out_r2: Number = Field(default=None, description="R2 of held-out trajectories")
+    cross_validated: Flag | None = Field(
+        default=False, description="whether `held_out_r2` comes from leaving out one trajectory at a time"
+    )
+    origin: Text | None = Field(default=None, description="source of the candidate, as for the equation")
+    selected: Flag = Field(default=False, description="whether it is the displayed equation")
 
 
 class Member(Part):
-    """A member of the front, in its shortest writing."""
+    """A member of the front, in its shortest written form."""
 
-    expression: Text = Field(description="the equation in its shortest writing")
+    expression: Text = Field(description="the equation in its shortest written form")
     complexity: Count | None = Field(default=None, description="size of its program")
     error: Number = Field(default=None, description="mean absolute error on all rows")
     normalized_error: Number = Field(default=None, description="`error` over the target's standard deviation")
     r2: Number = Field(default=None, description="R2 on the target")
     constants: tuple[Constant, ...] = Field(default=(), description="its constants")
     holdout_error: Number = Field(default=None, description="error on held-out rows")
-    selected: Flag = Field(default=False, description="whether the equation was made of it")
+    selected: Flag = Field(default=False, description="whether the displayed equation was derived from it")
 
 
 class Equation(Part):
-    """One equation as it is shown, and how it was found; `expression` is None where nothing was.
-
-    `is_of_all_groups`: its constants are of all groups of trajectories together, since it was chosen by hand.
-    """
+    """One displayed equation, and how it was found; `expression` is null if no equation was found."""
 
     variable: Text = Field(description="name of the variable")
     lhs: Text = Field(description="left-hand side, such as dx/dt")
     expression: Text | None = Field(
-        description="right-hand side; constants have 17 digits, sympy reads it with `symbols`"
+        description="right-hand side; constants have 17 digits, sympy can parse it with the names in `symbols`"
     )
-    program: Text | None = Field(default=None, description="its operation list, hexadecimal: exactly what was computed")
+    program: Text | None = Field(default=None, description="the exact operation list that was computed, hexadecimal")
     origin: Text | None = Field(
         default=None, description="`front`, `runner-up`, `guess`, `library`, `descent` or `known`"
     )
@@ -185,36 +193,39 @@ class Equation(Part):
     normalized_error: Number = Field(default=None, description="`error` over the target's standard deviation")
     r2: Number = Field(default=None, description="R2 on the target")
     converged: Flag | None = Field(default=None, description="whether the error is at most `target_error`")
-    constants: tuple[Constant, ...] = Field(default=(), description="its constants, in the order of `program`")
+    constants: tuple[Constant, ...] = Field(default=(), description="constants in the order of `program`")
     simple_together: SimpleTogether | None = Field(
-        default=None, description="simple numbers of several constants, null where none are likely"
+        default=None, description="simple numbers for several constants, null if none are likely"
     )
-    units: Units | None = Field(default=None, description="null where no column has a unit")
+    units: Units | None = Field(default=None, description="units, null if no column has a unit")
     groups: tuple[GroupEquation, ...] = Field(default=(), description="the equation of each group of trajectories")
     implied: tuple[ImpliedConstant, ...] = Field(default=(), description="factors of 1 that are not written")
     verdict: Text | None = Field(default=None, description="`exact`, `good`, `doubtful` or `no model`")
-    reason: Text | None = Field(default=None, description="why, in a sentence")
-    checks: tuple[Check, ...] = Field(default=(), description="what the verdict follows from")
-    epoch: Count | None = Field(default=None, description="complete epochs of the search")
+    reason: Text | None = Field(default=None, description="reason for the verdict, one sentence")
+    checks: tuple[Check, ...] = Field(default=(), description="the checks that determine the verdict")
+    epoch: Count | None = Field(default=None, description="number of complete epochs of the search")
     generation: Count | None = Field(default=None, description="generation in which it was found")
     point_evaluations: Count | None = Field(
-        default=None, description="work: one value at one row is 1, with its gradient 3"
+        default=None, description="work of the search: one value at one row counts 1, with its gradient 3"
     )
     point_evaluations_by_part: dict[Text, Count] = Field(
-        default_factory=dict, description="the same by part of the search"
+        default_factory=dict, description="`point_evaluations` by part of the search"
     )
     seconds: Number = Field(default=None, description="duration of the search")
     why: Text | None = Field(
-        default=None, description="`target`, `law`, `stagnation`, `max-epochs`, `max-time`, `cancelled` or `known`"
+        default=None,
+        description="end of search: `target`, `law`, `stagnation`, `max-epochs`, `max-time`, `cancelled` or `known`",
     )
-    bounds: tuple[Bound, ...] = Field(default=(), description="what `--bound` says of it")
+    bounds: tuple[Bound, ...] = Field(default=(), description="bounds from `--bound`")
     derivative_floor: Number = Field(
         default=None, description="uncertainty of the derivative, on the scale of `normalized_error`"
     )
     target_error: Number = Field(default=None, description="`--target-error`, or twice the floor (1e-9 at least)")
     prediction: Prediction | None = Field(default=None, description="predictions from other initial states")
-    convergence: tuple[Convergence, ...] = Field(default=(), description="how the error of each island fell")
-    candidates: tuple[Candidate, ...] = Field(default=(), description="equations that were compared with it")
+    convergence: tuple[Convergence, ...] = Field(default=(), description="decrease of the error of each island")
+    candidates: tuple[Candidate, ...] = Field(default=(), description="equations that were compared with this one")
     front: tuple[Member, ...] = Field(default=(), description="the best expression of each complexity")
-    nats: Number = Field(default=None, description="Δ description length of one chosen by hand")
-    is_of_all_groups: Flag = Field(default=False, description="whether it was chosen by hand for all groups")
+    nats: Number = Field(default=None, description="Δ description length, if the equation was chosen by hand")
+    is_of_all_groups: Flag = Field(
+        default=False, description="whether it was chosen by hand; its constants are then the same in all groups"
+    )

@@ -1,4 +1,4 @@
-"""What a result says of the model as a whole: columns, data, noise, errors of constants, processes, regressions."""
+"""The parts of a result on the whole model: columns, data, noise, errors of constants, processes, regressions."""
 
 from typing import Literal, Self
 
@@ -21,21 +21,21 @@ from atoll_coordinator.result.listed_trajectories import Recorded
 from atoll_coordinator.stochastic import Discretisation
 
 InputKind = Literal["smooth", "shape-preserving", "held"]
-"""How an input goes from row to row, see `docs/data.md`."""
+"""Curve of an input between rows, see `docs/data.md`."""
 Kind = Literal["dynamics", "process", "regression"]
 
 
 class Place(Part):
-    """A constant by the variable of its equation and its place there; None for a factor of one that is not written."""
+    """Identifies a constant by the variable of its equation and its position there."""
 
     variable: Text = Field(description="variable of the equation")
     constant: Count | None = Field(
-        default=None, description="place among its `constants`, null for a factor of 1 (in the order of `implied`)"
+        default=None, description="position in its `constants`, null for a factor of 1 (in the order of `implied`)"
     )
 
 
 class Correlation(Part):
-    """Two constants that the data hardly tell apart."""
+    """Two constants that the data hardly distinguish."""
 
     first: Place = Field(description="a constant")
     second: Place = Field(description="another one")
@@ -43,21 +43,23 @@ class Correlation(Part):
 
 
 class Covariance(Part):
-    """The joint covariance of the `constants`; Student's t has so many degrees of `freedom`."""
+    """The joint covariance of several constants."""
 
-    constants: tuple[Place, ...] = Field(description="which constants")
+    constants: tuple[Place, ...] = Field(description="constants, in the order of rows and columns")
     matrix: tuple[Curve, ...] = Field(description="their covariance")
-    freedom: Number = Field(default=None, description="degrees of freedom of Student's t")
+    freedom: Number = Field(default=None, description="degrees of freedom of Student's t for intervals")
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if any(len(row) != len(self.constants) for row in (self.matrix, *self.matrix)):
-            raise misfit("this result has a covariance of other constants than it names; give it as it was written")
+            raise misfit(
+                "the covariance in this result does not match its constants; give the result.json as Atoll wrote it"
+            )
         return self
 
 
 class Group(Part):
-    """A group of trajectories that may differ in constants from the others."""
+    """A group of trajectories, whose constants may differ from other groups."""
 
     group: Text = Field(description="name of the group")
     trajectories: tuple[Text, ...] = Field(default=(), description="its trajectories")
@@ -65,26 +67,27 @@ class Group(Part):
 
 
 class SharedTerm(Part):
-    """A term that equations have in common; `multiples`: how often a flux that they share stands in each."""
+    """A term that occurs in several equations."""
 
     term: Text = Field(description="the term without its factor")
-    has_function: Flag | None = Field(default=False, description="whether it has a function or number inside")
+    has_function: Flag | None = Field(default=False, description="whether it contains a function or a number")
     factors: Numbers = Field(default_factory=dict, description="its factor by variable")
     multiples: Numbers | None = Field(
-        default=None, description="how often a flux stands in each equation, null where it was not fitted together"
+        default=None,
+        description="factor of the common rate in each equation, null if the equations were not fitted together",
     )
 
 
 class Quantisation(Part):
-    """The rounding that is seen in the digits of a state."""
+    """The rounding of a state, as seen in its digits."""
 
     kind: Text | None = Field(default=None, description="kind of rounding")
-    step: Number = Field(default=None, description="its step")
-    error: Number = Field(default=None, description="standard deviation of its errors")
+    step: Number = Field(default=None, description="step of the rounding")
+    error: Number = Field(default=None, description="standard deviation of the rounding errors")
 
 
 class LargestResidual(Part):
-    """The largest distance from the smoothed curve, and where that is."""
+    """The largest distance of a measurement from the smoothed curve."""
 
     value: Number = Field(default=None, description="measured minus smoothed")
     trajectory: Text | None = Field(default=None, description="where")
@@ -92,7 +95,7 @@ class LargestResidual(Part):
 
 
 class ExcludedRows(Part):
-    """Times along a trajectory at which a state is not used, for one reason."""
+    """Times along a trajectory at which a state is not used, with the reason."""
 
     trajectory: Text = Field(description="where")
     reason: Text | None = Field(default=None, description="`end`, `gap`, `jump`, `outlier` or `missing`")
@@ -100,54 +103,60 @@ class ExcludedRows(Part):
 
 
 class Errors(Part):
-    """What the residuals of the shown model say of the errors of a state."""
+    """Errors of a state, estimated from the residuals of the displayed model."""
 
     sd: Number = Field(default=None, description="standard deviation in a row of average weight")
     proportional: Number = Field(default=None, description="share of the variance that grows with the squared value")
     correlated: Number = Field(default=None, description="share of the variance that is correlated between rows")
-    correlation_rows: Number = Field(default=None, description="over how many rows")
+    correlation_rows: Number = Field(default=None, description="number of rows over which errors are correlated")
     independent_rows: Number = Field(default=None, description="number of independent rows")
     add_up: Flag | None = Field(
-        default=False, description="whether errors accumulate along trajectories, like those of a solver"
+        default=False, description="whether errors accumulate along trajectories, like the errors of a solver"
     )
-    piece: Count | None = Field(default=None, description="rows of the pieces to which constants were fitted then")
+    piece: Count | None = Field(
+        default=None, description="if errors accumulate: rows in each piece to which constants were fitted"
+    )
 
 
 class Noise(Part):
-    """The errors of measurement of a state, and how it was smoothed."""
+    """The measurement errors of a state, and how it was smoothed."""
 
-    sd: Number = Field(default=None, description="standard deviation of the errors of measurement")
+    sd: Number = Field(default=None, description="standard deviation of the measurement errors")
     relative: Number = Field(default=None, description="`sd` over the state's standard deviation")
     method: Text | None = Field(default=None, description="method of smoothing")
-    span: Count | None = Field(default=None, description="its span in rows")
-    degree: Count | None = Field(default=None, description="degree of its polynomials")
-    quantisation: Quantisation | None = Field(default=None, description="rounding seen in the digits")
+    span: Count | None = Field(default=None, description="span of smoothing in rows")
+    degree: Count | None = Field(default=None, description="degree of the smoothing polynomials")
+    quantisation: Quantisation | None = Field(default=None, description="rounding, as seen in the digits")
     residual_rms: Number = Field(default=None, description="root mean square of measured minus smoothed values")
-    largest_residual: LargestResidual | None = Field(default=None, description="the largest of them")
+    largest_residual: LargestResidual | None = Field(
+        default=None, description="the largest difference between measured and smoothed values"
+    )
     doubtful_rows: Count | None = Field(default=None, description="rows whose derivative is not reliable")
     outliers: Count | None = Field(default=None, description="number of outliers")
     doubtful: tuple[ExcludedRows, ...] = Field(default=(), description="rows that are not used")
-    errors: Errors | None = Field(default=None, description="what the residuals of the model say")
+    errors: Errors | None = Field(default=None, description="errors estimated from the residuals of the model")
 
     @property
     def error(self) -> float | None:
-        """The standard deviation of errors: what residuals of the model say, else the first estimate."""
+        """The standard deviation of errors, estimated from residuals of the model, else from smoothing."""
         return self.sd if self.errors is None else self.errors.sd
 
 
 class Chaos(Part):
-    """What is known of a model whose trajectories cannot be predicted for long."""
+    """Properties of a chaotic model, whose trajectories cannot be predicted for long."""
 
     lyapunov_time: Number = Field(default=None, description="time in which errors grow by a factor of e")
     is_kept: Flag | None = Field(
-        default=None, description="whether a long simulation keeps the measured means and variances"
+        default=None, description="whether a long simulation has the measured means and variances"
     )
-    is_unfinished: Flag | None = Field(default=None, description="whether it needed too many integration steps")
-    probability: Number = Field(default=None, description="probability of differences as large by chance")
+    is_unfinished: Flag | None = Field(
+        default=None, description="whether this simulation needed too many integration steps"
+    )
+    probability: Number = Field(default=None, description="probability that chance gives differences as large")
 
 
 class MeasurementNoise(Part):
-    """The errors of measurement of a state of a stochastic process."""
+    """The measurement errors of a state of a stochastic process."""
 
     sd: Number = Field(default=None, description="standard deviation")
     std_error: Number = Field(default=None, description="its standard error")
@@ -155,83 +164,85 @@ class MeasurementNoise(Part):
 
 
 class PathEnsemble(Part):
-    """Simulated paths of a process: their mean, median and the bounds that 5 % lie beyond, by state."""
+    """Simulated paths of a process: mean, median and the 5 % and 95 % quantiles of each state."""
 
-    trajectory: Text | None = Field(default=None, description="whose initial state and inputs it has")
+    trajectory: Text | None = Field(
+        default=None, description="trajectory whose initial state and inputs the paths have"
+    )
     paths: Count | None = Field(default=None, description="number of paths")
     finite_paths: Count | None = Field(default=None, description="paths that stay finite")
     times: Curve = Field(default=(), description="times")
     mean: Curves = Field(default_factory=dict, description="mean by state")
-    lower: Curves = Field(default_factory=dict, description="5 % of the paths are below")
+    lower: Curves = Field(default_factory=dict, description="5 % quantile by state")
     median: Curves = Field(default_factory=dict, description="median by state")
-    upper: Curves = Field(default_factory=dict, description="5 % of the paths are above")
+    upper: Curves = Field(default_factory=dict, description="95 % quantile by state")
 
 
 class Density(Part):
-    """The density of a state that simulations settle into, between edges, beside the measured one."""
+    """The simulated stationary density of a state, and the measured density."""
 
     mean: Number = Field(default=None, description="mean")
     sd: Number = Field(default=None, description="standard deviation")
-    overlap: Number = Field(default=None, description="integral of the lesser of both densities")
+    overlap: Number = Field(default=None, description="integral of the smaller of the two densities")
     edges: Curve = Field(default=(), description="edges of the bins")
     density: Curve = Field(default=(), description="simulated density in each bin")
     measured: Curve = Field(default=(), description="measured density in each bin")
 
 
 class Process(Part):
-    """A stochastic process as a whole."""
+    """A stochastic process: all properties of the whole model."""
 
-    steps: Count | None = Field(default=None, description="number of steps")
+    steps: Count | None = Field(default=None, description="number of steps from row to row")
     step: Positive = Field(description="median length of a step")
     discretisation: Discretisation = Field(
         default="local linearisation",
-        description="`local linearisation`, or `Euler-Maruyama` where rows are steps of that method",
+        description="`local linearisation`, or `Euler-Maruyama` if rows are steps of this method",
     )
-    discretisation_nats: Number = Field(default=None, description="Δ description length of the other one")
+    discretisation_nats: Number = Field(default=None, description="Δ description length of the other discretisation")
     log_likelihood: Number = Field(default=None, description="mean log-likelihood of a step in nats")
-    held_out_log_likelihood: Number = Field(default=None, description="the same of held-out trajectories")
+    held_out_log_likelihood: Number = Field(default=None, description="the same for held-out trajectories")
     measurement_noise: dict[Text, MeasurementNoise] = Field(default_factory=dict, description="by state")
     ensemble: PathEnsemble | None = Field(default=None, description="simulated paths")
     stationary: dict[Text, Density] | None = Field(
         default=None,
-        description="density that simulations settle into, by state; null where they do not, or with inputs",
+        description="stationary density by state; null if simulations do not reach one, or with inputs",
     )
 
 
 class Regression(Part):
-    """Measured and fitted values of the target of y = f(X) beside its variables: of all `rows` those `listed`."""
+    """Measured and fitted values of the target of y = f(X), and its variables."""
 
     rows: Count | None = Field(default=None, description="number of rows")
-    listed: Count | None = Field(default=None, description="number of rows that are here, at most 1,000")
+    listed: Count | None = Field(default=None, description="number of rows listed here, at most 1,000")
     variables: Curves = Field(default_factory=dict, description="by name")
     measured: Curve = Field(default=(), description="values of the target")
     fitted: Curve = Field(default=(), description="values of the equation")
 
 
 class System(Part):
-    """What the columns are, their units, and the range of each variable in the rows that were searched."""
+    """Roles and units of the columns, and the range of each variable in the rows of the search."""
 
     kind: Kind | None = Field(default=None, description="`dynamics`, `process` or `regression`")
     order: Count = Field(default=1, description="order of the equations")
     time: Text | None = Field(default=None, description="time column")
     states: tuple[Text, ...] = Field(default=(), description="state columns")
-    velocities: tuple[Text, ...] = Field(default=(), description="names of the velocities for order 2")
+    velocities: tuple[Text, ...] = Field(default=(), description="names of the velocities with order 2")
     inputs: tuple[Text, ...] = Field(default=(), description="input columns")
     input_kinds: dict[Text, InputKind] = Field(default_factory=dict, description="curve of each input between rows")
     target: Text | None = Field(default=None, description="target column")
     units: dict[Text, Text] = Field(default_factory=dict, description="by column")
     ranges: dict[Text, Pair] = Field(
-        default_factory=dict, description="least and largest value in the rows that were searched"
+        default_factory=dict, description="smallest and largest value in the rows of the search"
     )
 
 
 class Data(Part):
-    """Where the data come from, and what was measured; `trajectories`: None where states have no time."""
+    """The source of the data, and the measurements."""
 
     digest: Text | None = Field(default=None, description="sha256 of the table")
     files: tuple[Text, ...] = Field(default=(), description="names of the files")
     rows: Count | None = Field(default=None, description="number of rows")
-    read_as: Text | None = Field(default=None, description="how they were read")
+    read_as: Text | None = Field(default=None, description="how the files were read")
     trajectories: tuple[Recorded, ...] | None = Field(
-        default=None, description="what was measured, null where states have no time"
+        default=None, description="measured trajectories, null if states have no time"
     )

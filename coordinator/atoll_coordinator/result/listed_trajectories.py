@@ -1,4 +1,4 @@
-"""Trajectories as a result lists them: as they were measured, smoothed and simulated."""
+"""Trajectories in a result: measured, smoothed and simulated."""
 
 from typing import Self
 
@@ -8,33 +8,35 @@ from atoll_coordinator.result.base import Count, Curve, Curves, Flag, Numbers, P
 
 
 class _Listed(Part):
-    """A part all curves of which, by name or not, have one number for each of its times."""
+    """A part whose curves have one number for each of its times."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         fields = vars(self).values()
         by_name = [values for field in fields if isinstance(field, dict) for values in field.values()]
         if len({len(curve) for curve in (*fields, *by_name) if isinstance(curve, tuple)}) > 1:
-            raise misfit("this result has a curve that is not as long as its 'times'; give it as it was written")
+            raise misfit(
+                "this result has a curve that is not as long as its 'times'; give the result.json as Atoll wrote it"
+            )
         return self
 
 
 class Recorded(_Listed):
-    """A trajectory as it was measured; weights are None where all are 1, `rows` are all that there were."""
+    """A measured trajectory; long ones are thinned."""
 
     name: Text = Field(description="name of the trajectory")
     held_out: Flag = Field(default=False, description="whether it was held out")
-    rows: Count | None = Field(default=None, description="number of its rows")
-    times: Curve = Field(default=(), description="at most about 2,000 in all, spread evenly")
+    rows: Count | None = Field(default=None, description="number of measured rows")
+    times: Curve = Field(default=(), description="listed times, evenly spread, at most about 2,000 in all trajectories")
     measured: Curves = Field(default_factory=dict, description="by state")
     inputs: Curves = Field(default_factory=dict, description="by input")
-    input_slopes: Curves | None = Field(default_factory=dict, description="by input, null where an input is held")
-    weights: Curve | None = Field(default=None, description="null where all are 1")
-    robustness_weights: Curves | None = Field(default=None, description="null where all are 1")
+    input_slopes: Curves | None = Field(default_factory=dict, description="by input, null if the input is held")
+    weights: Curve | None = Field(default=None, description="null if all are 1")
+    robustness_weights: Curves | None = Field(default=None, description="null if all are 1")
 
 
 class Smoothed(_Listed):
-    """A trajectory of states that were smoothed, beside what was measured."""
+    """A trajectory of smoothed states, with measured values."""
 
     name: Text = Field(description="name of the trajectory")
     held_out: Flag = Field(default=False, description="whether it was held out")
@@ -45,25 +47,25 @@ class Smoothed(_Listed):
 
 
 class Simulated(_Listed):
-    """A trajectory by the model, from a fitted initial state, with its band; curves are None where it ends early."""
+    """A simulated trajectory from a fitted initial state, with its 95 % band; curves are null after an early end."""
 
     name: Text = Field(description="name of the trajectory")
     held_out: Flag = Field(default=False, description="whether it was held out")
     r2: Numbers = Field(default_factory=dict, description="by state")
-    offsets: Numbers = Field(default_factory=dict, description="measured minus state, of states with an offset")
-    start: Numbers | None = Field(default=None, description="fitted initial state, velocities behind the states")
-    times: Curve = Field(default=(), description="at most 200")
-    measured: Curves = Field(default_factory=dict, description="null where a value is not used")
+    offsets: Numbers = Field(default_factory=dict, description="measured value minus state, for states with an offset")
+    start: Numbers | None = Field(default=None, description="fitted initial state; velocities follow the states")
+    times: Curve = Field(default=(), description="at most 200 times")
+    measured: Curves = Field(default_factory=dict, description="by state, null if a value is not used")
     values: Curves | None = Field(default=None, description="by state")
     lower: Curves | None = Field(default=None, description="lower end of the 95 % band")
     upper: Curves | None = Field(default=None, description="upper end of the 95 % band")
 
 
 class Smoothing(Part):
-    """All smoothed trajectories: of so many `rows` these are `listed`."""
+    """All smoothed trajectories."""
 
     rows: Count | None = Field(default=None, description="number of rows")
-    listed: Count | None = Field(default=None, description="number of rows that are here")
+    listed: Count | None = Field(default=None, description="number of rows listed here")
     trajectories: tuple[Smoothed, ...] = Field(default=(), description="the trajectories")
 
 

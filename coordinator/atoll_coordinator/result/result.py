@@ -1,4 +1,4 @@
-"""The whole of a result: what ``result.json`` holds, read, asked and written."""
+"""The whole result: reads and writes ``result.json``, and answers queries about it."""
 
 import json
 import math
@@ -30,65 +30,63 @@ from atoll_core.errors import UsageError
 
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 _RARE: Final = ("group", "command")
-"""Keys that only some results have: of one group's model, of those that a command has written."""
+"""Keys that only some results have: models of one group, and results written by a command."""
 _RARE_OF_EQUATIONS: Final = ("nats", "is_of_all_groups")
 
 
 UNTIMED: Final = -1.0
-"""Stands for the seconds of a job whose result is made before it has ended."""
+"""Placeholder for the seconds of a job whose result is built before the job ends."""
 
 
 class Result(Part):
-    """What a job has found, and what is known of it; see docs/result.md.
-
-    `notes` are the sentences among the `warnings` that report what was done by rule, and ask nothing of the reader.
-    `group` is set in the result of the model of one group of trajectories, `command` where a command wrote it.
-    """
+    """The result of a job; see docs/result.md."""
 
     version: Literal[1] = Field(default=SCHEMA, alias="schema", description="version of this format")
     job: Text | None = Field(default=None, description="id of the job")
     seed: Count | None = Field(default=None, description="seed of the search")
     preset: Text | None = Field(default=None, description="preset of the settings")
     state: Text | None = Field(default=None, description="state of the job")
-    reason: Text | None = Field(default=None, description="why it failed")
+    reason: Text | None = Field(default=None, description="why the job failed")
     equations: tuple[Equation, ...] = Field(description="one for each variable")
-    shared_terms: tuple[SharedTerm, ...] = Field(default=(), description="terms that several equations have")
+    shared_terms: tuple[SharedTerm, ...] = Field(default=(), description="terms that occur in several equations")
     noise: dict[Text, Noise] = Field(default_factory=dict, description="by state")
     smoothing: Smoothing | None = Field(default=None, description="smoothed states")
     correlations: tuple[Correlation, ...] = Field(default=(), description="constants that the data hardly distinguish")
     covariance: Covariance | None = Field(default=None, description="joint covariance of all constants")
-    groups: tuple[Group, ...] = Field(default=(), description="groups of trajectories that may differ in constants")
-    simulation: Simulation | None = Field(default=None, description="the model along the measured trajectories")
-    chaos: Chaos | None = Field(default=None, description="null for models that are not chaotic")
-    process: Process | None = Field(default=None, description="with `--stochastic`")
-    regression: Regression | None = Field(default=None, description="with `--target`")
+    groups: tuple[Group, ...] = Field(default=(), description="groups of trajectories whose constants may differ")
+    simulation: Simulation | None = Field(
+        default=None, description="simulation of the model along the measured trajectories"
+    )
+    chaos: Chaos | None = Field(default=None, description="properties of a chaotic model, null for other models")
+    process: Process | None = Field(default=None, description="stochastic process, with `--stochastic`")
+    regression: Regression | None = Field(default=None, description="measured and fitted values, with `--target`")
     symbols: dict[Text, Text] = Field(description="symbol of each column")
-    system: System | None = Field(default=None, description="columns")
+    system: System | None = Field(default=None, description="roles and units of the columns")
     data: Data | None = Field(default=None, description="source of the data")
     config: dict[Text, JsonValue] = Field(
-        default_factory=dict, description="settings that are not defaults, as in a job file"
+        default_factory=dict, description="settings that differ from the defaults, as in a job file"
     )
     refining: Text | None = Field(default=None, description="`finished`, `max-time` or `not refined`")
-    warnings: tuple[Text, ...] = Field(default=(), description="sentences on data and model")
-    notes: tuple[Text, ...] = Field(default=(), description="the warnings that only report what was done by rule")
+    warnings: tuple[Text, ...] = Field(default=(), description="sentences about data and model")
+    notes: tuple[Text, ...] = Field(default=(), description="those warnings that only inform and need no action")
     point_evaluations: Count | None = Field(default=None, description="work of all searches")
     search_seconds: Number = Field(default=None, description="duration of the searches")
     seconds: Number = Field(default=None, description="duration of the job")
-    digest: Text | None = Field(default=None, description="hash of what the search found")
-    versions: dict[Text, JsonValue] = Field(default_factory=dict, description="programs and packages")
+    digest: Text | None = Field(default=None, description="hash of the results of the search")
+    versions: dict[Text, JsonValue] = Field(default_factory=dict, description="versions of programs and packages")
     command: Text | None = Field(default=None, description="command that wrote the file")
-    group: Text | None = Field(default=None, description="whose model this is, where it is one group's")
+    group: Text | None = Field(default=None, description="name of the group, in the model of one group")
 
     @classmethod
     def of(cls, content: "Mapping[str, object] | Result") -> "Result":
-        """Return the content of a ``result.json`` as a result; raises UsageError when it is none."""
+        """Return the content of a ``result.json`` as a result; raises UsageError if it is not a result."""
         return content if isinstance(content, Result) else as_parts(cls, content)
 
     @classmethod
     def load(cls, source: "str | Path | Mapping[str, object] | Result") -> "Result":
-        """Return a result by its file, the folder of its ``result.json``, or its content, of this version or earlier.
+        """Return a result of this version or earlier from its file, the folder of its ``result.json``, or its content.
 
-        Raises UsageError where the file cannot be read, or holds no result.
+        Raises UsageError if the file cannot be read or contains no result.
         """
         if isinstance(source, Mapping | Result):
             return cls.of(source)
@@ -115,22 +113,22 @@ class Result(Part):
 
     @property
     def proper_warnings(self) -> tuple[str, ...]:
-        """The warnings that are no notes."""
+        """The warnings that are not notes."""
         return tuple(sentence for sentence in self.warnings if sentence not in self.notes)
 
     @property
     def columns(self) -> System:
-        """What the columns are, as far as that is known."""
+        """Roles and units of the columns, as far as they are known."""
         return self.system or System()
 
     @property
     def kind(self) -> Kind | None:
-        """What was sought, None where nothing tells."""
+        """The kind of model, None if it is unknown."""
         return self.columns.kind
 
     @property
     def time(self) -> str:
-        """The name of the time column, t where it has none."""
+        """The name of the time column, t if there is none."""
         return self.columns.time or "t"
 
     @property
@@ -150,7 +148,7 @@ class Result(Part):
 
     @cached_property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """The lowest and highest value of each variable that was measured, by symbol, of those that have both."""
+        """The smallest and largest measured value of each variable by symbol, if both are known and finite."""
         ends = {self.symbols.get(name, name): pair for name, pair in self.columns.ranges.items()}
         return {
             name: (low, high)
@@ -161,13 +159,13 @@ class Result(Part):
     def sizes(self, states: tuple[str, ...]) -> tuple[float, ...]:
         """Return the scales of states (symbols): their largest absolute values measured.
 
-        0 where none but 0 was measured, or none: what "small" means for each of them, whatever its unit.
+        0 if only zeros or no values were measured. The scales define "small" for each state, regardless of its unit.
         """
         return tuple(max(map(abs, self.ranges.get(name, (0.0, 0.0)))) for name in states)
 
     @property
     def recorded(self) -> tuple[Recorded, ...]:
-        """The measured trajectories, none where they are not there."""
+        """The measured trajectories, empty if the result has none."""
         return () if self.data is None else self.data.trajectories or ()
 
     @property
@@ -182,11 +180,11 @@ class Result(Part):
 
     @property
     def data_settings(self) -> dict[str, JsonValue]:
-        """The settings of the job that say how data are read, as far as they are not defaults."""
+        """The settings of the job for reading data that differ from the defaults."""
         return self.settings("data")
 
     def settings(self, part: str) -> dict[str, JsonValue]:
-        """Return a part of the settings of the job, as far as they are not defaults."""
+        """Return the settings in one section of the job that differ from the defaults."""
         settings = self.config.get(part)
         return settings if isinstance(settings, dict) else {}
 
@@ -204,10 +202,10 @@ def json_schema() -> dict[str, JsonValue]:
 
 
 def schema_text() -> str:
-    """Return the JSON schema as the file that the package holds."""
+    """Return the JSON schema as the text of the file in the package."""
     return json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n"
 
 
 def timed(text: str, seconds: float) -> str:
-    """Return the JSON of a result that was made with `UNTIMED`, now with the seconds that the job took."""
+    """Return the JSON of a result that was built with `UNTIMED`, with the seconds of the job in its place."""
     return text.replace(f'"seconds": {UNTIMED}', f'"seconds": {json.dumps(seconds)}', 1)

@@ -35,7 +35,7 @@ _ROOT_70: Final = math.sqrt(70.0)
 
 
 def check_second_order(columns: ExaminedColumns) -> Iterator[Finding]:
-    """Yield a finding where velocities are no function of the states, but accelerations are one of both."""
+    """Yield a finding if velocities are not a function of the states, but accelerations are a function of both."""
     roles = columns.roles
     is_first = columns.is_in_time and roles.order == 1 and not columns.config.data.stochastic
     if not is_first or len(roles.states) > LIMITS.most_positions:
@@ -188,7 +188,7 @@ class LocalSlopes:
 def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str]) -> LocalSlopes | None:
     """Return slopes over the shortest windows in which noise does not hide curvatures; None where there are none.
 
-    Slopes are least-squares slopes in the number of the row; steps of the times are taken as even within a window.
+    Slopes are least-squares slopes in the number of the row; time steps are treated as even within a window.
     """
     width = LIMITS.least_window
     noises = {name: _noise(values[name]) for name in states}

@@ -30,7 +30,7 @@ Values = Mapping[str, FloatArray]
 
 @dataclass(frozen=True)
 class Relation:
-    """``name = constant + sum of coefficient * column``, exact but for rounding, or up to noise.
+    """``name = constant + sum of coefficient * column``, exact except for rounding, or up to noise.
 
     `residual` is its standard deviation, as a share of the standard deviation of the column.
     """

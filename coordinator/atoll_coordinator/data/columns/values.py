@@ -83,8 +83,8 @@ def check_clipping(columns: ExaminedColumns) -> Iterator[Finding]:
             continue
         bounds = " and ".join(f"{value:.6g}" for value in clipped)
         yield Finding(
-            f"{rows} values of '{name}' are exactly {bounds}, as of a sensor at the end of its range",
-            "they are taken as missing, since they only bound what was measured",
+            f"{rows} values of '{name}' are exactly {bounds}, like values of a sensor at the end of its range",
+            "they are treated as missing values, since the true values may lie beyond the range",
             missing=tuple((name, value) for value in clipped),
         )
 
@@ -151,10 +151,10 @@ def check_held_inputs(columns: ExaminedColumns) -> Iterator[Finding]:
         and (is_held(columns.values[name]) or _is_white(columns.values[name]))
     ]
     if held:
-        jump = "jumps, as an input that is" if len(held) == 1 else "jump, as inputs that are"
+        jump = "jumps, like an input that is" if len(held) == 1 else "jump, like inputs that are"
         yield Finding(
             f"{quoted(held)} {jump} constant from each row to the next",
-            f"if so, add --hold {listed((*data.hold, *held))}, since inputs are smooth curves between rows otherwise",
+            f"if so, add --hold {listed((*data.hold, *held))}, otherwise inputs are smooth curves between rows",
         )
 
 
@@ -176,7 +176,7 @@ def check_few_levels(columns: ExaminedColumns) -> Iterator[Finding]:
             )
         elif is_held(columns.values[name]):
             yield Finding(
-                f"'{name}' keeps its value for several rows and then jumps, so that it has no derivative",
+                f"'{name}' keeps its value for several rows and then jumps, so it has no derivative",
                 f"if it acts on the others from outside, {as_input}",
             )
 
@@ -234,7 +234,7 @@ def is_held(parts: Parts) -> bool:
 
 
 def _is_white(parts: Parts) -> bool:
-    """Tell whether a column is as if drawn anew in each row: neighbouring rows predict nothing of a row.
+    """Tell whether a column looks like white noise: neighbouring rows do not predict a row.
 
     The rows of a wave are predicted, however few there are in a period: their correlation with the sum of both
     neighbours is 1 or -1.

@@ -55,7 +55,7 @@ class StateEstimate:
     square and the squared estimated bias (where the state was interpolated, the same as `uncertainty`). Where the state
     is missing and its own rows do not show it, both are infinite, the derivatives 0, and the value is a substitute.
     `noise` is the estimated standard deviation of the measurement errors, at least the error of the `quantisation`
-    (None: there is none), and `standard_deviation` that of the measurements; `smoother` is None where the state was
+    (None: no rounding), and `standard_deviation` refers to the measurements; `smoother` is None where the state was
     interpolated. `outliers`, the number of rows without weight, and `robustness_weights` are None unless loess was
     robust; `has_heavy_tails` advises that it should be. `narrower_noise` is the noise by loess with the narrower span,
     `narrower_span` (rows), by which the bias is estimated. `points` (R,) are the values that the derivatives belong to
@@ -296,11 +296,11 @@ def representable_standard_deviation(name: str, values: FloatArray) -> float:
 
 
 def derivative_standard_deviation(state: str, values: FloatArray) -> float:
-    """Return the standard deviation of a state's derivative; raises DataError when there is none to compute with."""
+    """Return the standard deviation of a state's derivative; raises DataError if it is zero or out of range."""
     if not values.any():
         raise DataError(
-            f"state '{state}' stands still wherever it can be differentiated, as one that is switched between values "
-            f"does, so that no equation can be sought; make it an input with --inputs {state}"
+            f"state '{state}' is constant at all rows where it can be differentiated, like a state that is switched "
+            f"between values, so its equation cannot be searched; make it an input with --inputs {state}"
         )
     return representable_standard_deviation(f"derivative of {state}", values)
 

@@ -173,7 +173,7 @@ def _filled(measurements: Measurements, name: str) -> FloatArray:
 def _noise(slopes: FloatArray, gains: FloatArray, variables: Sequence[FloatArray]) -> float | None:
     """Return the standard deviation of the errors of a state, by residuals of polynomials fitted to its `slopes` (N,).
 
-    `gains` (N,) are the standard errors of slopes for errors of deviation one. None where there are too few steps.
+    `gains` (N,) are the standard errors of slopes for errors of standard deviation one. None: too few steps.
     """
     columns = [(values - mean) / (deviation or 1.0) for values in variables for mean, deviation in [moments(values)]]
     least: float | None = None

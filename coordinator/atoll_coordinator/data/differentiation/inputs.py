@@ -20,7 +20,7 @@ from atoll_coordinator.data.recording import InputKind
 from atoll_core.data.dataset import FloatArray
 
 _LEAST_SMOOTH: Final = 4
-"""Rows from which a cubic with continuous second derivatives is determined; fewer are taken as shape-preserving."""
+"""Rows from which a cubic with continuous second derivatives is determined; fewer rows get a shape-preserving curve."""
 _BETWEEN_SMOOTH: Final = 1.0 / 16.0
 """Error of a cubic spline between rows over its error at rows that are left out, one in two."""
 _Sample = tuple[FloatArray, FloatArray]
@@ -113,7 +113,7 @@ def estimate_input_slopes(
 ) -> list[FloatArray]:
     """Return slopes of one input along each trajectory, NaN for a held input.
 
-    A linear input has its own slope, but for rounding. Arguments are as of `choose_input_kind`.
+    A linear input has its own slope, except for rounding. Arguments are as in `choose_input_kind`.
     """
     if kind == "held":
         return [np.full(len(part), np.nan) for part in times]

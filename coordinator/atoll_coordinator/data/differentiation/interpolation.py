@@ -108,7 +108,7 @@ def interpolate_derivative(
 def are_moving(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
     """Return False for rows (R,) that belong to three or more of one value in sequence, NaN passed over.
 
-    Such rows, as of a sensor at the end of its range, are predicted without an error, and say nothing of the noise.
+    Such rows, like values of a sensor at the end of its range, are predicted without error and do not show the noise.
     """
     moving = []
     for values in parts:
@@ -133,7 +133,7 @@ def estimate_value_noise(errors: FloatArray, gains: FloatArray, *, is_quiet: boo
 
     Args:
         errors: of rows predicted from their neighbours, (R, H); NaN where a stencil does not fit.
-        gains: their standard deviations for errors of deviation one, (R, H).
+        gains: their standard deviations for errors of standard deviation one, (R, H).
         is_quiet: by the tenth of the rows with the smallest errors instead of half: where a state changes too fast for
             the sampling in places, the others show its noise. The standard error is 2.6 times as large.
     """

@@ -1,6 +1,6 @@
 """Steps in which a state was recorded, from its digits: of a decimal place, of digits, of an encoder. Pure.
 
-Rounding to steps of s leaves errors of s / sqrt(12) at least (Widrow & Kollár 2008, chapter 5), whatever else there is.
+Rounding to steps of s leaves errors of s / sqrt(12) at least (Widrow & Kollár 2008, chapter 5), plus other errors.
 """
 
 import math
@@ -22,7 +22,7 @@ LIMITS = SETTINGS.quantisation
 
 
 def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
-    """Return the coarsest rounding that all values of a state show; None where that is the rounding of doubles.
+    """Return the coarsest rounding that all values of a state show; None if that is only the rounding of doubles.
 
     `parts` are the values along each trajectory, NaN where they are missing.
     """
@@ -34,7 +34,7 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     if len(unique) < LIMITS.fewest_values and repeats_in_step(parts):
         return None
     if len(unique) < LIMITS.fewest_values and has_few_levels(parts):
-        # that no value in between was met in so many rows means that there is no finer step
+        # with this number of rows, a finer step would have given values in between
         least = float(np.diff(unique).min())
         multiples = (unique - unique[0]) / least
         is_even = float(np.abs(multiples - np.round(multiples)).max()) <= SETTINGS.common.negligible

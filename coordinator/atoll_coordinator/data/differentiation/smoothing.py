@@ -4,8 +4,8 @@ Schmidt & Lipson 2008 take the slope of such a fit as the derivative. Here span 
 generalised cross-validation pooled over its trajectories. Long signals are thinned first, where the span is so wide
 that means of neighbouring rows tell as much as the rows do: every row counts, and the work does not grow with the span.
 
-Robust loess reduces the weight of rows far from the curve, to 0 for outliers (Cleveland 1979, section 2). Unlike there,
-span and degree are chosen anew with every set of weights, since outliers favour wide spans. Medians are taken by
+Robust loess reduces the weight of rows far from the curve, to 0 for outliers (Cleveland 1979, section 2). Unlike
+there, span and degree are chosen again with every set of weights, since outliers favour wide spans. Medians use
 sorting.
 """
 
@@ -63,7 +63,7 @@ class Signal:
 
     @cached_property
     def measured(self) -> "Signal":
-        """The rows that were measured; the same object where none is missing."""
+        """The rows that were measured; the same object if none is missing."""
         if self.is_measured is None:
             return self
         rows, factors = self.measured_rows, (self.robustness_weights, self.inverse_variances)

@@ -143,7 +143,7 @@ def _cells(file: str, name: str, values: AnyArray) -> tuple[list[str], str]:
 def read_npz(path: Path, config: DataConfig) -> RawTable:
     """Read an NPZ file; raises DataError."""
     try:
-        zipfile.ZipFile(path).close()  # fails where the file is no archive, which np.load would leave open
+        zipfile.ZipFile(path).close()  # fails if the file is not an archive; np.load would leave it open
         with np.load(path, allow_pickle=False) as archive:
             arrays: dict[str, AnyArray] = {}
             for key in archive.files:
@@ -151,7 +151,7 @@ def read_npz(path: Path, config: DataConfig) -> RawTable:
                     arrays[(field if field not in arrays else f"{key}.{field}") or key] = part
     except OSError:
         raise
-    except Exception as error:  # of many kinds, for whatever is broken in there
+    except Exception as error:  # of many kinds, depending on the damage
         raise DataError(f"{path.name} is not an NPZ file of plain arrays; write one with numpy.savez") from error
     return table_of_arrays(path.name, arrays, config, ("NPZ",))
 
@@ -162,8 +162,8 @@ def read_npy(path: Path, config: DataConfig) -> RawTable:
         array = np.load(path, allow_pickle=False)
     except OSError:
         raise
-    except Exception as error:  # of many kinds, for whatever is broken in there
-        raise DataError(f"{path.name} is not a NumPy array of numbers that can be read; write it anew") from error
+    except Exception as error:  # of many kinds, depending on the damage
+        raise DataError(f"{path.name} cannot be read as a NumPy array of numbers; save the file again") from error
     if not isinstance(array, np.ndarray):  # an archive with another ending
         raise DataError(f"{path.name} holds several arrays; give it the ending .npz")
     if array.dtype.names is None:
@@ -219,8 +219,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             yield file, h5py
     except DataError:
         raise
-    except Exception as error:  # of many kinds, for whatever is broken in there
-        raise DataError(f"{path.name} is not an HDF5 file that can be read; write it anew, or as CSV") from error
+    except Exception as error:  # of many kinds, depending on the damage
+        raise DataError(f"{path.name} cannot be read as an HDF5 file; save the file again, or as CSV") from error
 
 
 def _refuse_elsewhere(name: str, path: str, item: Any) -> None:
@@ -230,7 +230,7 @@ def _refuse_elsewhere(name: str, path: str, item: Any) -> None:
 
 
 def _is_hidden(item: Any) -> bool:
-    """Tell whether a dataset holds no numbers, or only what the format needs."""
+    """Tell whether a dataset has no numbers, or only numbers that the format needs."""
     if _text_of(item.attrs.get("NAME")).startswith("This is a netCDF dimension but not"):
         return True
     return item.dtype.kind not in "biufcSV" or item.ndim > 2 or item.size == 0
@@ -247,7 +247,7 @@ def _text_of(value: object) -> str:
 def read_matlab(path: Path, config: DataConfig) -> RawTable:
     """Read a MATLAB file; raises DataError.
 
-    Columns of matrices are counted from 1; fields of structures are taken as arrays; elements of a structure array or
+    Columns of matrices are counted from 1; fields of structures are treated as arrays; elements of a structure array or
     of cells are trajectories, below each other.
     """
     with path.open("rb") as file:
@@ -288,7 +288,7 @@ def read_matlab(path: Path, config: DataConfig) -> RawTable:
 
 def _read_by_child(path: Path, beginning: bytes) -> Sequence[dict[str, AnyArray]]:
     """Return the arrays of a file, then the arrays of each run in it, read by a process of its own."""
-    refusal = DataError(f"{path.name} is not a MATLAB file that can be read; save it anew, or as CSV")
+    refusal = DataError(f"{path.name} cannot be read as a MATLAB file; save the file again, or as CSV")
     if not beginning.startswith(b"MATLAB"):
         raise refusal
     command = [sys.executable, "-P", "-m", "atoll_coordinator.data.reading.matlab_child", str(path)]
@@ -315,7 +315,7 @@ class _MatlabReader:
         self._count = 0
 
     def value(self, item: Any, depth: int) -> object:
-        """Return what a group or a dataset stands for, `depth` levels below the file; raises DataError."""
+        """Return the value of a group or a dataset, `depth` levels below the file; raises DataError."""
         self._count += 1
         if depth > _DEEPEST or self._count > _MOST:
             found = f"{_DEEPEST} levels of structures and cells" if depth > _DEEPEST else f"{_MOST:,} values"

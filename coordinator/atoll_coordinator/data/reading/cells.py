@@ -21,7 +21,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError
 
 _MISSING: Final = frozenset({"", "na", "n/a", "#n/a", "nan", "-nan", "+nan", "null", "none"})
-"""Cells, in lower case, that stand for a missing number."""
+"""Cells, in lower case, that mean a missing number."""
 _SPACES: Final = " \u00a0\u2009\u202f'’"
 """Characters, besides commas and points, that separate thousands."""
 _WITHOUT_SPACES: Final = str.maketrans("", "", _SPACES)
@@ -53,7 +53,7 @@ class NumberCell(str):
 
 
 def is_missing(cell: str) -> bool:
-    """Tell whether `cell` stands for a missing number."""
+    """Tell whether `cell` means a missing number."""
     return cell.strip().lower() in _MISSING
 
 
@@ -178,7 +178,7 @@ def _plain_numbers(cells: Sequence[str]) -> FloatArray | None:
 
 
 def _possible_marks(file: str, name: str, cells: Sequence[str], lines: Sequence[int]) -> set[DecimalMark]:
-    """Return the decimal marks with which all cells of a column can be read; raises DataError where there is none."""
+    """Return the decimal marks with which all cells of a column can be read; raises DataError if there are none."""
     marks: set[DecimalMark] = {"point", "comma"}
     for row, cell in enumerate(cells):
         if isinstance(cell, NumberCell):

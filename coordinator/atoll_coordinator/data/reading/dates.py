@@ -185,7 +185,7 @@ def _unnamed_time(
     texts: Mapping[str, object],
     config: DataConfig,
 ) -> str | None:
-    """Return the column of dates that is the time although no option names it; None where that is not clear."""
+    """Return the column of dates that is the time although no option names it; None if that is not clear."""
     is_given = config.time is not None or config.target is not None or config.derivatives is not None
     if is_given or any(name in names and name not in texts for name in TIME_NAMES):
         return None
@@ -197,7 +197,7 @@ def _unnamed_time(
 
 
 def compact_dates(columns: Mapping[str, Sequence[str]], config: DataConfig) -> dict[str, list[str]]:
-    """Return dates such as ``20210331`` as year-month-day: in columns called so, or that are the time."""
+    """Return dates such as ``20210331`` as year-month-day: in columns called `date`, or in the time column."""
     return {
         name: [_COMPACT.sub(r"\1-\2-\3", cell.strip()) for cell in cells]
         for name, cells in columns.items()
@@ -263,7 +263,9 @@ def read_dates(column: str, cells: Sequence[str], starts: Sequence[int], lines: 
         try:
             values.append(match and (_clock(match) if is_clock else _date(match, form)))
         except ValueError:
-            raise DataError(f"{column} holds '{texts[row]}' in {place(lines, row)}, which is no date or time") from None
+            raise DataError(
+                f"{column} holds '{texts[row]}' in {place(lines, row)}, which is not a date or time"
+            ) from None
     if is_clock:
         return Dates(_past_midnight(values, starts), "clock times", has_date=False)
     has_clock = any(match["hour"] is not None for match in present)

@@ -65,8 +65,8 @@ _REFUSED: Final = {
 class FileColumns:
     """The columns of one file by name, each with its unit; `skipped` hold text, `remarks` say how it was read.
 
-    `labels` are the texts that the numbers of a column of trajectories or groups stand for, from 1; `left_out` says
-    what else of the file is not part of these columns.
+    `labels` are the texts that are numbered from 1 in a column of trajectories or groups; `left_out` names the
+    other parts of the file that were not read.
     """
 
     file: str
@@ -225,7 +225,7 @@ def _nothing_left(file: str, texts: Mapping[str, Sequence[str]], lines: Sequence
 def table_of_parts(
     parts: Sequence[FileColumns], config: DataConfig, time_units: Mapping[str, str] | None = None
 ) -> Table:
-    """Return the columns of files, or of what a program holds, as one table; raises DataError.
+    """Return the columns of files, or of objects in Python, as one table; raises DataError.
 
     `time_units` are as of `read_table`.
     """
@@ -294,12 +294,12 @@ def _check_alike(first: FileColumns, other: FileColumns) -> None:
 def _with_common_labels(
     files: Sequence[FileColumns], group: str | None
 ) -> tuple[Sequence[FileColumns], dict[str, tuple[str, ...]]]:
-    """Return files in which the numbers of a column of names stand for the same texts, and these texts."""
+    """Return files in which equal numbers in a column of names mean equal texts, and these texts."""
     labels: dict[str, tuple[str, ...]] = {}
     for name in sorted({name for file in files for name in file.labels}):
         missing = next((file.file for file in files if name not in file.labels), None)
         if missing is not None and name != group:
-            continue  # trajectories end with their files, whatever they are called
+            continue  # trajectories end with their files, regardless of their names
         if missing is not None:
             raise DataError(f"column '{name}' holds numbers in {missing} and text in another file; write both alike")
         texts = tuple(dict.fromkeys(label for file in files for label in file.labels[name]))
@@ -313,7 +313,7 @@ def _with_common_labels(
 
 
 def _without_empty(table: Table, config: DataConfig) -> Table:
-    """Return the table without columns that hold nothing in any row, as of instruments that were not connected.
+    """Return the table without columns that are empty in all rows, such as columns of disconnected instruments.
 
     Columns that options name, or that are called as the time or the trajectories are, stay; so do all columns where
     nothing else would be left to have an equation: they are refused later.

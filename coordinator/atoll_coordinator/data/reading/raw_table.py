@@ -191,7 +191,7 @@ def plain_unit(cell: str) -> str:
 
 
 def footer_length(count: int, row: Callable[[int], Sequence[str]]) -> int:
-    """Return how many of the last of `count` rows, without blank ones, are no data; `row` returns one by its place.
+    """Return how many of the last of `count` nonblank rows are not data; `row` returns a row by its index.
 
     That is 0 where the last row holds data, and where it may be a damaged row.
     """

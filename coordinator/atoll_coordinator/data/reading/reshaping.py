@@ -175,7 +175,7 @@ def _of_months(raw: RawTable, years: int, months: Sequence[int]) -> RawTable:
     known = [number for number, (row, month) in enumerate(rows) if not is_missing(raw.columns[months[month]][row])]
     rows = rows[known[0] : known[-1] + 1] if known else rows
     others = [place for place in range(len(raw.headers)) if place not in (years, *months)]
-    kept = [place for place in others if _are_names(raw.columns[place])]  # means of years are no states of months
+    kept = [place for place in others if _are_names(raw.columns[place])]  # means of years are not states of months
     left_out = [raw.headers[place] or f"column {place + 1}" for place in others if place not in kept]
     columns: list[list[str]] = [
         [NumberCell(float(raw.columns[years][row]) + month / 12.0) for row, month in rows],
@@ -267,7 +267,7 @@ def _with_time(
 
 
 def _quarters(cells: Sequence[str]) -> list[str] | None:
-    """Return ``2020Q1`` and the like in years; None where a cell is not a quarter."""
+    """Return quarters such as ``2020Q1`` in years; None if a cell is not a quarter."""
     times: list[str] = []
     for cell in cells:
         match = _QUARTER.fullmatch(cell.strip().upper())
@@ -278,7 +278,7 @@ def _quarters(cells: Sequence[str]) -> list[str] | None:
 
 
 def _times_of_parts(columns: Mapping[str, Sequence[str]]) -> list[str] | None:
-    """Return the times of rows, in years or as dates; None where a cell is not what the name of its column says."""
+    """Return the times of rows, in years or as dates; None if a cell does not fit the name of its column."""
     times: list[str] = []
     for cells in zip(*columns.values(), strict=True):
         parts = {part: _part(part, cell.strip()) for part, cell in zip(columns, cells, strict=True)}
@@ -349,7 +349,7 @@ def may_be_long(names: Iterable[str]) -> bool:
 
 
 def _is_called(name: str, known: str) -> bool:
-    """Tell whether the name of a column is a known word, but for capitals, marks and "id" at the end."""
+    """Tell whether the name of a column is a known word, ignoring capitals, marks and "id" at the end."""
     return "".join(filter(str.isalnum, name.lower())).removesuffix("id") in known.split()
 
 
@@ -402,7 +402,7 @@ def _widened(file: str, raw: RawTable, config: DataConfig) -> RawTable:
 
 
 def _long_table(file: str, raw: RawTable, config: DataConfig) -> _LongTable | None:
-    """Return the columns of a long table; None where it is none, or options use its columns for something else."""
+    """Return the columns of a long table; None if it is not a long table, or if options use its columns otherwise."""
     headers = _names(raw.headers)
     cells = {name: [cell.strip() for cell in column] for name, column in zip(headers, raw.columns, strict=True) if name}
     if len(cells) < sum(map(bool, headers)):

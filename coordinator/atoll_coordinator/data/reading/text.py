@@ -1,11 +1,11 @@
 """Text files -> `RawTable`: their encoding, the character between cells, comments, and where the table begins.
 
 1. Bytes are UTF-8, UTF-16 with a byte order mark, else Windows-1252, of which Latin-1 is a part.
-2. The header is the first line that is no comment. Where that line holds numbers, the header is the last comment before
+2. The header is the first line that is not a comment. If that line has numbers, the header is the last comment before
    it with as many cells, as `numpy.savetxt` writes it.
 3. Titles, settings and names of the recorder may stand above the table (a preamble). The first rows of numbers tell
    where it begins: the header is the row of text above them. Of several rows of text, the header is the one that names
-   a time; where none does, or several do, nothing is decided, and a damaged table is refused rather than guessed.
+   a time. If none or several of them do, the header is not clear and the table is refused.
 
 Lines keep their numbers, because messages name them.
 """
@@ -50,7 +50,7 @@ _FIRST_BYTES: Final = (
 
 
 def decode(name: str, data: bytes) -> tuple[str, str]:
-    """Return the text, and the name of its encoding ("" for UTF-8); raises DataError where the bytes are no text."""
+    """Return the text, and the name of its encoding ("" for UTF-8); raises DataError if the bytes are not text."""
     for start, kind, ending in _FIRST_BYTES:
         if data.startswith(start):
             raise DataError(f"{name} is {kind}, not text; give it the ending {ending}")
@@ -74,12 +74,12 @@ def decode(name: str, data: bytes) -> tuple[str, str]:
 # ----------------------------------------------------------------------------------------------------------- preamble
 
 SAMPLED: Final = 200
-"""Rows among which a table begins, if it has a preamble: they bound the time that a long file takes.
+"""A table with a preamble begins within this number of rows; it limits the time for long files.
 
 Preambles have a few dozen lines. 498 files that `benchmarks.operations.files` draws are read alike with 20 to 2,000.
 """
 _ALIKE: Final = 20
-"""Where a table begins, this many rows hold numbers in the same columns, if there are so many.
+"""The first rows of a table, up to this number, have numbers in the same columns.
 
 Of those 498 files, five that are not damaged are refused with 2 rows; with 3 and 10 the same are read as with 20, and
 some damaged ones are refused with another sentence; from 12 on nothing changes. The tables have 6 to 15 rows.
@@ -111,7 +111,7 @@ class Preamble:
 
 
 def find_preamble(rows: Sequence[Record]) -> Preamble | None:
-    """Return what stands before the table in rows that are not blank; None where nothing does, or it is not clear."""
+    """Return the preamble of a table from its nonblank rows; None if there is none, or if it is not clear."""
     rows = rows[:SAMPLED]
     first = next((place for place in range(len(rows)) if _begins(rows[place:])), None)
     if not first or any(_is_data(cells, rows[first][1]) for _, cells in rows[:first]):
@@ -145,7 +145,7 @@ def _begins(rows: Sequence[Record]) -> bool:
     width = len(alike[0])
     if width < 2 or not any(map(is_datum, alike[0])):
         return False
-    if len(rows) <= 2 * _ALIKE:  # else a footer is no part of these
+    if len(rows) <= 2 * _ALIKE:  # a longer sample does not contain the footer
         alike = alike[: len(rows) - footer_length(len(rows), lambda place: rows[place][1])]
     if any(len(cells) != width for cells in alike):
         return False
@@ -177,7 +177,7 @@ def _block(rows: Sequence[Record], first: int) -> list[int]:
 
 
 def _header_of(rows: Sequence[Record], block: Sequence[int]) -> int | None:
-    """Return the place of the header among rows of text; None where that is not clear.
+    """Return the index of the header among rows of text; None if it is not clear.
 
     It is the only row that is wide enough, or that names a time; below something else, the first row.
     """
@@ -201,7 +201,7 @@ SPACES: Final = " "
 _NAMES: Final = {",": "commas", ";": "semicolons", "\t": "tabs", SPACES: "spaces"}
 _LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _COMMENT: Final = re.compile(r"\s*(?:#(?!N/A|DIV/0!|VALUE!|REF!|NUM!|NAME\?|NULL!)|%)", re.IGNORECASE)
-"""How a comment begins; what spreadsheets write for an error is no comment."""
+"""The beginning of a comment; error values of spreadsheets are not comments."""
 _SEPARATOR: Final = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)
 _JSON: Final = re.compile(r"""\s*(?:\{\s*["}]|\[\s*[\[{]|[{\[]\s*$)""")
 """How the first line of JSON begins."""
@@ -209,7 +209,7 @@ _Line = tuple[int, str]
 
 
 class _Beginning(NamedTuple):
-    """What stands before the first row: a separator that the file names, comments, the `first` line, a preamble.
+    """The lines before the first row: a separator that the file names, comments, the `first` line, a preamble.
 
     With a preamble the `first` line is the header.
     """
@@ -221,7 +221,7 @@ class _Beginning(NamedTuple):
 
 
 def read_text(name: str, data: bytes) -> RawTable:
-    """Split a text file into cells; raises DataError where it is no text, empty, has no header or cannot be split."""
+    """Split a text file into cells; raises DataError if it is not text, is empty, has no header or cannot be split."""
     text, encoding = decode(name, data)
     if not text.strip():
         raise DataError(f"{name} is empty; a header line and rows of numbers are expected")

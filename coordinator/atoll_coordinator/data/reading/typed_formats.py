@@ -33,8 +33,10 @@ _EXPECTED: Final = 'a list of records such as [{"t": 0, "x": 1}] is expected'
 def check_sheet(files: Sequence[Path], sheet: str | None) -> None:
     """Raise UsageError where a sheet is named, but no file is a workbook."""
     if sheet is not None and not any(file.suffix.lower() in WORKBOOKS for file in files):
-        what = files[0].name if files else "what was given"
-        raise UsageError("%s names a sheet of an Excel workbook, but %s is none; leave it out", Field("sheet"), what)
+        what = files[0].name if files else "the input"
+        raise UsageError(
+            "%s names a sheet of an Excel workbook, but %s is not a workbook; leave it out", Field("sheet"), what
+        )
 
 
 def read_workbook(path: Path, sheet: str | None = None) -> RawTable:
@@ -76,8 +78,8 @@ def _sheets(path: Path) -> dict[str, list[Record]]:
                 book.close()
     except OSError:
         raise
-    except Exception as error:  # of many kinds, for whatever is broken in there
-        raise DataError(f"{path.name} is not an Excel workbook that can be read; save it anew, or as CSV") from error
+    except Exception as error:  # of many kinds, depending on the damage
+        raise DataError(f"{path.name} cannot be read as an Excel workbook; save the file again, or as CSV") from error
 
 
 def _records(sheet: Any) -> Iterator[Record]:
@@ -171,7 +173,7 @@ def _columns(name: str, document: Any) -> tuple[list[str], list[Sequence[Any]]]:
         ]
         lengths = {len(column) if isinstance(column, list) else 0 for column in columns}
         if len(lengths) != 1 or lengths == {0}:
-            raise DataError(f"{name} holds an object whose values are no columns of one length; {_EXPECTED}")
+            raise DataError(f"{name} holds an object whose values are not columns of equal length; {_EXPECTED}")
         return [str(key) for key in document], columns
     if not isinstance(document, list) or not document or not all(isinstance(record, Mapping) for record in document):
         raise DataError(f"{name} holds no records; {_EXPECTED}")
@@ -191,7 +193,7 @@ def read_parquet(path: Path) -> RawTable:
     try:
         frame = polars.read_parquet(path)
     except (polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
-        raise DataError(f"{path.name} is not a Parquet file that can be read; write it anew, or as CSV") from error
+        raise DataError(f"{path.name} cannot be read as a Parquet file; save the file again, or as CSV") from error
     columns, units = [], []
     for series in frame.get_columns():
         if series.dtype.is_nested():

@@ -24,7 +24,7 @@ _EXCLUSIONS: Final = (
     ("--step", "--target", "rows of an explicit regression have no time"),
     ("--step", "--derivatives", "given derivatives need no time"),
     ("--order 2", "--target", "explicit regression has no time derivative"),
-    ("--holdout", "--target", "rows of an explicit regression are no trajectories"),
+    ("--holdout", "--target", "rows of an explicit regression are not trajectories"),
     ("--order 2", "--derivatives", "the velocity has to be derived from the data"),
     ("--offsets", "--target --derivatives", "offsets belong to states measured in time"),
     ("--hold", "--target", "rows of an explicit regression do not follow one another"),
@@ -67,7 +67,7 @@ _LONGEST: Final = 30
 
 
 def find_time_column(names: Sequence[str], config: DataConfig) -> str | None:
-    """Return the column that options name as the time, else one that is called so and has no role but an input's."""
+    """Return the column that options name as the time, else a column with such a name and no role except input."""
     other = (config.target, config.trajectory, config.weights, *(config.states or ()), *(config.derivatives or ()))
     return config.time or next((name for name in TIME_NAMES if name in names and name not in other), None)
 
@@ -115,7 +115,7 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
 
 
 def check_options(config: DataConfig) -> None:
-    """Raise UsageError when options contradict each other, whatever the data."""
+    """Raise UsageError when options contradict each other, regardless of the data."""
     is_set = {
         "--order 2": config.order == 2,
         **{f"--{name}": bool(getattr(config, name)) for name in ("stochastic", "robust", "offsets", "hold")},

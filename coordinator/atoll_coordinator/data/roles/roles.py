@@ -178,7 +178,7 @@ def _check_equations(roles: Roles, config: DataConfig, table: Table) -> None:
         reason = f"'{clash}_dot' is a state and with --order 2 also the name of the velocity of '{clash}'"
         raise DataError(f"{reason}; name the states without it, as --states {clash}, or leave --order 2 out")
     if roles.target is not None and not roles.inputs:
-        raise DataError(f"there is no column besides '{roles.target}' from which it could be computed; add one")
+        raise DataError(f"there is no column besides '{roles.target}' from which it could be computed; add a column")
     if roles.derivatives and len(roles.derivatives) != len(roles.states):
         states = ", ".join(roles.states)
         counts = f"{len(roles.derivatives)} derivatives were named for the states {states}"
@@ -218,7 +218,7 @@ def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> Da
     if len(states) > 1 and ascending is not None:
         advice.append(f"name it with --time (perhaps {ascending})")
     elif len(states) > 1 and restarting is not None:
-        restart = "it begins anew: add --trajectory COLUMN, or blank rows"
+        restart = "it restarts: add --trajectory COLUMN, or blank rows"
         advice.append(f"name it with --time (perhaps {restarting}; {restart})")
     advice.append("give the time between rows, as --step 0.1, if it is always the same")
     advice += ["use --target COLUMN, for one column as a function of the others"] if len(states) > 1 else []
@@ -227,9 +227,9 @@ def _missing_time(table: Table, states: Sequence[str], config: DataConfig) -> Da
 
 
 def _breaks(table: Table, name: str) -> int | None:
-    """Return how often the numbers of a column do not increase within a trajectory, as times that begin anew do.
+    """Return how often the numbers of a column do not increase within a trajectory, like times that restart.
 
-    None where they are no times: stretches between two such rows are too short for a trajectory.
+    None if they are not times: runs between two such rows are too short for a trajectory.
     """
     steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
     ends = np.flatnonzero(~(steps > 0.0))

@@ -256,7 +256,7 @@ def _averaged(
         )
     ends = np.cumsum([0, *(len(part.ranges) for part in blocks)]).tolist()
     sentence = Note(
-        f"States change little from row to row: means of {count} rows stand for the {measurements.row_count} rows, "
+        f"States change little from row to row: means of {count} rows replace the {measurements.row_count} rows, "
         f"{len(rows)} in all. Noise and residuals refer to the means."
     )
     times = tuple(times[part.centres] for times, part in zip(whole.times, blocks, strict=True))

@@ -1,4 +1,4 @@
-"""Which rows the search sees: certain derivatives, or enough weight, not too many; why others are excluded. Pure.
+"""Selects the rows of the search: certain derivatives or enough weight, not too many; reasons for excluded rows. Pure.
 
 Interpolated states: not the ends of trajectories, and not rows of very uncertain derivatives, which are jumps and
 passages by a singularity that the sampling does not resolve. Smoothed states: not rows whose total uncertainty,

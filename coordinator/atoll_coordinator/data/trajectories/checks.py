@@ -144,7 +144,7 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
             count = f"{len(margins)} time{'s' if len(margins) > 1 else ''}"
             raise DataError(
                 f"state '{name}' jumps by about {called} {count}, as a wrapped angle does; "
-                f"add --angle {name}{suffix} so that it is unwrapped, or give it in another unit if it is no angle"
+                f"add --angle {name}{suffix} so that it is unwrapped, or give it in another unit if it is not an angle"
             )
 
 
@@ -251,10 +251,12 @@ def _remarks(table: Table, roles: Roles, rows: list[int], config: DataConfig) ->
     if table.skipped:
         remarks.append(f"Columns of text or without a name are not used: {', '.join(table.skipped)}.")
     if table.left_out:
-        remarks.append(f"Not all of what the data hold was read: {'; '.join(table.left_out)}.")
+        remarks.append(f"Parts of the data were not read: {'; '.join(table.left_out)}.")
     if roles.target is not None and config.states is None and not config.inputs:
         left = [name for name in TIME_NAMES if name in table.names and name not in roles.used]
-        remarks += [f"Column '{name}' is taken for time and not used; add --inputs {name} to use it." for name in left]
+        remarks += [
+            f"Column '{name}' is treated as the time and not used; add --inputs {name} to use it." for name in left
+        ]
     degrees = [angle.column for angle in roles.angles if angle.degrees]
     if degrees:
         remarks.append(f"Degrees were converted to radians: {', '.join(degrees)}.")

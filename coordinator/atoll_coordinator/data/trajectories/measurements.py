@@ -1,11 +1,11 @@
-"""The rows of a table that are used, checked, as trajectories: everything that is known before smoothing. Pure.
+"""The selected rows of a table as trajectories, checked: all information before smoothing. Pure.
 
 A trajectory is one continuous measurement. Times are centred over the whole data set, and made exactly even where they
 are even within their own precision, so that an offset of 1900 or of 10**9 costs no precision. Angles are unwrapped.
-Where a gap in the times is longer than the rows that are smoothed together, a trajectory is split: nothing tells what
-happened in between, and neither a slope nor a simulation should reach across.
+Where a gap in the times is longer than the rows that are smoothed together, a trajectory is split: the
+motion within the gap is unknown, and neither a slope nor a simulation should cross it.
 
-All of this is cheap enough for a client to see every objection to its data before it uploads them.
+The checks are fast enough to run in a client, before it uploads the data.
 """
 
 import math
@@ -50,7 +50,7 @@ Range = tuple[int, int]
 class Trajectories:
     """States along trajectories.
 
-    `names[i]` is what the user knows trajectory i by; `times[i]` are its times less `offset`, the centre of all times,
+    `names[i]` is the user's name of trajectory i; `times[i]` are its times less `offset`, the centre of all times,
     ascending strictly; `states[name][i]` is a state along it, angles unwrapped and in radians, NaN where it is missing.
     """
 
@@ -339,7 +339,7 @@ def split_at_gaps(measurements: Measurements, span: int) -> Measurements:
     texts = [f"{name} into {', '.join(its)}" for name, its in names_of.items() if len(its) > 1]
     listed = "; ".join(texts[:MANY_SPLIT]) + ("; …" if len(texts) > MANY_SPLIT else "")
     listed = f": {listed}" if listed else ""
-    warning = f"{counted} longer than what is smoothed at a time; trajectories are split there{listed}."
+    warning = f"{counted} longer than the span of smoothing; trajectories are split there{listed}."
     warnings = [*measurements.warnings, warning]
     left_out = measurements.row_count - split.row_count
     if left_out:

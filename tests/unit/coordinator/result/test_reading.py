@@ -60,7 +60,7 @@ def test_what_is_of_another_kind_is_said_in_a_sentence(key: str) -> None:
 def test_a_covariance_is_square_and_curves_are_as_long_as_their_times() -> None:
     places = [{"variable": "x", "constant": 0}]
     for matrix in ([], [[1.0, 2.0]], [[1.0], [2.0]]):
-        with pytest.raises(UsageError, match=r"^this result has a covariance of other constants than it names"):
+        with pytest.raises(UsageError, match=r"^the covariance in this result does not match"):
             Result.load(result({"x": "-2*x"}, covariance={"constants": places, "matrix": matrix}))
     part = {"name": "1", "times": [0.0, 1.0], "values": {"x": [1.0]}}
     with pytest.raises(UsageError, match=r"^this result has a curve that is not as long as its 'times'"):

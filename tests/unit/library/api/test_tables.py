@@ -184,7 +184,7 @@ def test_what_was_left_out_is_a_warning_of_the_result() -> None:
     assert table.left_out == ("left out: k", "empty columns left out: empty")
     warnings = examine(table, JobConfig()).measurements.warnings
     assert "Columns of text or without a name are not used: remark." in warnings
-    assert "Not all of what the data hold was read: left out: k; empty columns left out: empty." in warnings
+    assert "Parts of the data were not read: left out: k; empty columns left out: empty." in warnings
     assert Table.from_bytes(table.to_bytes()).left_out == table.left_out
 
 

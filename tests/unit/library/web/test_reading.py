@@ -147,7 +147,7 @@ def sent(readers: Readers, name: str, body: bytes, what: str = "outline") -> Ans
         ("a.csv", lambda: CSV, Limits(total_s=0.0), 422, "or 0 s in all"),
         ("a.parquet", parquet, Limits(), 200, ""),
         ("a.mat", matlab, Limits(), 200, ""),
-        ("a.parquet", broken_parquet, Limits(), 422, "is not a Parquet file that can be read"),
+        ("a.parquet", broken_parquet, Limits(), 422, "cannot be read as a Parquet file"),
         ("a.json", lambda: b"[" * 10**6, Limits(), 422, "is not valid JSON"),
     ],
     ids=lambda value: getattr(value, "__name__", None),
@@ -190,8 +190,8 @@ def test_what_is_pickled_in_a_file_is_not_run(readers, tmp_path, monkeypatch) ->
         (-signal.SIGABRT, 413, "more than"),
         (-signal.SIGXCPU, 422, "of a processor"),
         (LATE, 422, "of a processor"),
-        (-signal.SIGSEGV, 422, "crashed the program that reads it"),
-        (1, 422, "crashed the program that reads it"),
+        (-signal.SIGSEGV, 422, "crashed; save the file again"),
+        (1, 422, "crashed; save the file again"),
     ],
 )
 def test_however_a_reader_ends_a_sentence_says_it(code, status, said) -> None:

@@ -19,7 +19,7 @@ def test_a_file_that_ends_its_reader_is_refused(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "reader").write_text("#!/bin/sh\nkill -SEGV $$\n")
     (tmp_path / "reader").chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "reader"))
-    with pytest.raises(DataError, match=r"a\.mat is not a MATLAB file that can be read; save it anew"):
+    with pytest.raises(DataError, match=r"a\.mat cannot be read as a MATLAB file; save the file again"):
         read_matlab(tmp_path / "a.mat", DataConfig())
 
 

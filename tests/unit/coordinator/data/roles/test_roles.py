@@ -120,7 +120,7 @@ def test_a_time_that_begins_anew_is_named_with_what_it_needs(rows, is_named):
     table = table_of({"week": [*range(rows), *range(rows)], "x": [1.0, 0.0] * rows})
     with pytest.raises(DataError) as raised:
         assign_roles(table, DataConfig())
-    assert ("(perhaps week; it begins anew: add --trajectory COLUMN, or blank rows)" in str(raised.value)) == is_named
+    assert ("(perhaps week; it restarts: add --trajectory COLUMN, or blank rows)" in str(raised.value)) == is_named
 
 
 def assert_parsed_back(symbols):

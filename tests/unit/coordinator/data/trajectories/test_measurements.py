@@ -175,7 +175,7 @@ def test_columns_of_text_and_unused_time_are_remarked():
     table = table_of(oscillator(), skipped=("who",))
     warnings = measurements_of(table, DataConfig(target="y")).warnings
     assert warnings[0] == "Columns of text or without a name are not used: who."
-    assert warnings[1] == "Column 't' is taken for time and not used; add --inputs t to use it."
+    assert warnings[1] == "Column 't' is treated as the time and not used; add --inputs t to use it."
 
 
 @pytest.mark.parametrize("size", [1e160, -1e300, 1e-160])
@@ -304,7 +304,7 @@ def test_a_trajectory_is_split_and_its_parts_are_named():
         np.concatenate(pieces.trajectories.states["x"]).tolist()
         == np.concatenate(measurements.trajectories.states["x"]).tolist()
     )
-    sentence = "2 gaps in the times are longer than what is smoothed at a time; trajectories are split there: 2 into "
+    sentence = "2 gaps in the times are longer than the span of smoothing; trajectories are split there: 2 into "
     assert pieces.warnings[-1] == sentence + "2, 2b, 2c."
 
 
