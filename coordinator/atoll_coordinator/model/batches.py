@@ -41,7 +41,7 @@ class Batches(Protocol):
 
     @property
     def workers(self) -> int:
-        """Number of workers that pull batches, besides this process, about; 0: values need not become bytes."""
+        """About the number of other workers that pull batches; 0: values need not become bytes."""
         ...
 
     @property
@@ -202,7 +202,7 @@ class Spread:
         return results
 
     def batch_size(self, count: int, most: int) -> int:
-        """Return the size of batches of so many items: two batches for each worker, of at most so many items.
+        """Return the size of batches for this many items: two batches for each worker, of at most so many items.
 
         The result of an item does not depend on the others of its batch, so that the number of workers changes no bit.
         """
@@ -219,6 +219,6 @@ class Spread:
 
 @contextmanager
 def spreading(batches: Batches | None, threads: int, deadline: Deadline) -> Iterator[Spread]:
-    """Yield what spreads work over `batches`, and over so many threads of this process while the block lasts."""
+    """Yield a `Spread` over `batches` and this many threads of this process while the block lasts."""
     with ThreadPoolExecutor(threads) as executor:
         yield Spread(batches, executor, deadline)

@@ -1,7 +1,7 @@
 """The three criteria by which equations are compared, side by side: description lengths in nats; the shortest wins.
 
-Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in what the
-data are, in how operators are priced and in how constants are; a number of one is never compared with one of another.
+Each is the length of the data given the model plus the length of the model (Rissanen 1978). They differ in the
+data and in the prices of operators and constants; scores of different criteria are never compared.
 
 - `front_length`: errors on the target; each node costs ln 8, each constant 1/2 ln n. It says which member of a front
   is shown while the search runs, and whether the search stagnates.
@@ -45,14 +45,14 @@ def front_length(
 
         n/2 ln(max(MSE, u^2)) + nodes ln 8 + k/2 ln n
 
-    with the uncertainty u in the target's unit; a constant costs as in Schwarz (1978). The number decides what a user
-    is shown and takes part in the digest, so it is computed with + - * / alone: the same bits on every machine.
+    with the uncertainty u in the target's unit; a constant costs as in Schwarz (1978). The number decides which
+    equation is shown and is part of the digest, so it is computed with + - * / alone: the same bits on every machine.
 
     Args:
         entry: complexity and mean squared error are read from it.
-        rows: n, number of rows on which the error was measured, or of those with errors of their own.
+        rows: n, number of rows on which the error was measured, or number of rows with independent errors.
         uncertainty: mean uncertainty of the target over its standard deviation.
-        standard_deviation: that of the target, in its unit.
+        standard_deviation: of the target, in its unit.
         constants: k.
     """
     limit = max(uncertainty, SMALLEST_UNCERTAINTY) * standard_deviation
@@ -154,7 +154,7 @@ class RegressionCriterion:
 # -------------------------------------------------------------------------------------- a system along trajectories
 
 _SMALLEST_COUNT: Final = 1e-6
-"""Guard: independent numbers where none is left."""
+"""Guard: independent numbers if no row is free."""
 
 
 def system_length(misfit: float, programs: Sequence[Program], constants: int, constant_nats: float) -> float:
@@ -175,7 +175,7 @@ def least_term_length(constant_nats: float) -> float:
 
 
 def constant_nats_of(rows: float) -> float:
-    """Return the nats of a fitted constant that so many rows decide, each counted over its correlation length."""
+    """Return the nats of a constant fitted to this many rows, each counted over its correlation length."""
     return 0.5 * log(max(rows, 2.0))
 
 
@@ -184,25 +184,25 @@ class TrajectoryMisfit:
     """Lengths of the errors of simulations of O states: minus their log-likelihood up to a constant (ADR 0032).
 
     Errors are the sum of independent ones of variance v in each of n rows, and of systematic ones, which vary no faster
-    than the state itself and hence make up m < n independent numbers: those of a solver, of a filter, of whatever a law
-    leaves out. With the variance of the latter fitted to a mean square s, and v known between a and b, this is
+    than the state itself and hence make up m < n independent numbers: those of a solver, of a filter, of terms that
+    a law lacks. With the variance of the latter fitted to a mean square s, and v known between a and b, this is
 
         n/2 ln s   for a <= s <= b
         n/2 ln b + m/2 ln(1 + (n/m) (s/b - 1))   above
         n/2 ln a - m/2 ln(1 + (n/m) (a/s - 1))   below
 
-    Its slope by ln s is that of n independent rows where s is near v, and of m where it is far away. With the variance
-    and p numbers of a system integrated out, n - p rows count and not n; so m is n - p at most (`with_fitted`), and a
-    system with as many numbers as rows gains nothing by describing all of them.
+    Its slope by ln s is the slope of n independent rows if s is near v, and of m rows if it is much larger. With the
+    variance and p numbers of a system integrated out, n - p rows count and not n; so m is n - p at most
+    (`with_fitted`), and a system with as many numbers as rows gains nothing by describing all of them.
 
     Args:
         low: a (O,).
         high: b (O,).
-        least: mean squares (O,) below which errors are those of the integration.
-        counts: n, the numbers that count of each state (O,): those measured, or m where there is no noise.
+        least: mean squares (O,) below which errors are integration errors.
+        counts: n, the numbers that count for each state (O,): all measured numbers, or m without noise.
         pieces: m, the independent numbers of each state (O,).
         below: m below a.
-        measured: how many numbers were measured of each state (O,): what is fitted takes away from these.
+        measured: how many numbers were measured for each state (O,); fitted numbers are subtracted from these.
     """
 
     low: FloatArray
@@ -214,7 +214,8 @@ class TrajectoryMisfit:
     measured: FloatArray
 
     def with_fitted(self, numbers: float) -> "TrajectoryMisfit":
-        """Return the misfit of systems with so many fitted numbers for each state; itself where rows are many more."""
+        """Return the misfit of systems with this many fitted numbers for each state; itself where rows are many
+        more."""
         free = np.maximum(self.measured - numbers, _SMALLEST_COUNT)
         if (free >= np.maximum(self.pieces, self.below)).all():
             return self
@@ -272,7 +273,7 @@ def structure_length(program: Program) -> float:
 
 @lru_cache(maxsize=20_000)
 def _structure_length(key: bytes, size: int) -> float:
-    """Return the nats of a structure of so many nodes: a local search meets the same one many times."""
+    """Return the nats of a structure of this many nodes: a local search meets the same structure many times."""
     codes = np.frombuffer(key, np.int8, size).tolist()
     lefts, rights = np.frombuffer(key, np.int16, 2 * size, size).reshape(2, size).tolist()
     total = 0.0

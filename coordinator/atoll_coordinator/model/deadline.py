@@ -1,7 +1,7 @@
-"""The end of refining that ``--max-time`` sets: the one clock that may decide a result, where it was asked for.
+"""The end of refining set by ``--max-time``: the only clock that may change a result, and only if the user sets it.
 
-Choosing the equations ends first; what remains is for their constants, errors and verdicts. Stages that find the time
-over try nothing new and hand on the best so far.
+Choosing the equations ends first; the remaining time is for their constants, errors and verdicts. A stage that begins
+after the end tries nothing new and returns the best so far.
 """
 
 import time
@@ -9,11 +9,11 @@ from collections.abc import Callable
 from typing import Final
 
 CHOICE_SHARE: Final = 0.6
-"""Share of the seconds in which equations are chosen. What follows takes about a tenth of that time, but more where
-there are many rows, which choosing thins."""
+"""Share of the seconds in which equations are chosen. The later stages take about a tenth of that time, but more with
+many rows, which the choice thins."""
 
 _LAST_SHARE: Final = 0.9
-"""Share of the seconds after which also the last stage only finishes what it has: the rest is for the report."""
+"""Share of the seconds after which also the last stage starts nothing new: the rest is for the report."""
 
 
 class Deadline:
@@ -26,7 +26,7 @@ class Deadline:
         self._began: Final = clock()
         self._share = CHOICE_SHARE
         self.has_cut_short = False
-        """Whether anything has been left out for want of time."""
+        """Whether the time limit has stopped any work."""
 
     @property
     def is_over(self) -> bool:

@@ -20,20 +20,20 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 FIRST_DAMPING: Final = 1e-3
-"""Of the first step."""
+"""The damping of the first step."""
 LEAST_DAMPING: Final = 1e-12
 """Below, a step is Newton's."""
 MOST_DAMPING: Final = 1e9
 """Guard: a fit ends whose equations have no solution up to here. Steps promise too little long before."""
 _FACTOR: Final = 10.0
-"""A step that fails takes so many times the damping, one that does not as small a share."""
+"""A step that fails multiplies the damping by this factor, a successful step divides it."""
 
 Point = TypeVar("Point")
 Step = TypeVar("Step")
 Result = TypeVar("Result", covariant=True)
 Solver = Callable[[float], tuple[Step, float] | None]
-"""Solves for the step of a damping. It comes with its promise: by about how much it lowers the cost if the equations
-hold. None where there is no solution, or bounds leave none that goes down."""
+"""Solves for the step of a damping. The step comes with its predicted decrease of the cost. None if there is no
+solution, or if bounds allow no step that lowers the cost."""
 
 
 class Fitter(Protocol[Point, Step, Result]):
@@ -52,12 +52,13 @@ class Fitter(Protocol[Point, Step, Result]):
         ...
 
     def settled(self, point: Point) -> float:
-        """Return the fall of the cost that does not count: a step that promises no more is not tried, and one that
-        lowers the cost by no more is the last. Of costs in nats, what counts in a description."""
+        """Return the fall of the cost that does not count: a step that predicts no more is not tried, and a step
+        that lowers the cost by no more is the last. For costs in nats: the difference that counts in a description."""
         return SETTINGS.selection.least_gain
 
     def done(self, point: Point, promise: float, taken: int) -> bool:
-        """Tell whether the fit ends at a point, given what its first step promises and how many steps were tried."""
+        """Tell whether the fit ends at a point, given the predicted decrease of its first step and how many steps were
+        tried."""
         return False
 
     def result(self, point: Point | None) -> Result:
@@ -88,7 +89,7 @@ class Descent(Generic[Point, Step]):
 
 
 def minimize(fitter: Fitter[Point, Step, Result], steps: int = SETTINGS.effort.steps) -> Result:
-    """Return the result at the point of least cost that at most so many damped steps lead to, successful or not."""
+    """Return the result at the point of least cost within at most this many damped steps, successful or not."""
     point, solve, damping = fitter.init(), None, FIRST_DAMPING
     for taken in range(steps if point is not None else 0):
         assert point is not None
@@ -112,13 +113,13 @@ def minimize(fitter: Fitter[Point, Step, Result], steps: int = SETTINGS.effort.s
 def solver(
     normal: FloatArray, gradient: FloatArray, reach: tuple[FloatArray, FloatArray] | None = None
 ) -> Solver[FloatArray]:
-    """Return what solves for steps (K,) by the matrix (K, K) of the normal equations and the `gradient` (K,).
+    """Return the solver for steps (K,) by the matrix (K, K) of the normal equations and the `gradient` (K,).
 
     Args:
         normal: the matrix.
         gradient: of the cost.
-        reach: least and largest step (K,) of each number. Those that cannot go where the gradient wants them stay, and
-            the others move as they would without them (Bertsekas 1982).
+        reach: least and largest step (K,) of each number. Numbers whose bounds block the gradient stay, and the
+            others move as they would without them (Bertsekas 1982).
     """
     if reach is not None:
         held = ((reach[0] >= 0.0) & (gradient >= 0.0)) | ((reach[1] <= 0.0) & (gradient <= 0.0))
@@ -146,7 +147,7 @@ def without(normal: FloatArray, gradient: FloatArray, held: npt.NDArray[np.bool_
 
 
 def coefficients_of(columns: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the coefficients (K,) by which `columns` (K, R) leave the least sum of squares of the `target` (R,)."""
+    """Return the coefficients (K,) of `columns` (K, R) with the least squared residuals of the `target` (R,)."""
     sizes = np.sqrt((columns**2).sum(axis=1))
     sizes[sizes == 0.0] = 1.0
     return np.asarray(np.linalg.lstsq((columns / sizes[:, None]).T, target, rcond=_DEPENDENT)[0] / sizes)

@@ -1,6 +1,6 @@
 """From the fronts of a search to the model that is shown and its verdict: the whole way on one page.
 
-1. The programs of the search are decoded, and stand beside guesses and known equations (selection/candidates.py).
+1. The programs of the search are decoded and joined with guesses and known equations (selection/candidates.py).
 2. A stochastic process goes its own way from there (stochastic/).
 3. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
 4. With trajectories, equations of noise-free targets that converged are fitted first, and stand.
@@ -53,16 +53,16 @@ def refine_all(
     laws: LawsByGroup | None = None,
     batches: Batches | None = None,
 ) -> Refinement:
-    """Return the refined equation of each variable; those are missing of which the front has nothing better.
+    """Return the refined equation of each variable; equations are missing if the front has nothing better.
 
     Args:
         preparation: the dataset of the search, and the recording unless left-hand sides were given.
         config: the resolved configuration of the job.
-        pools: what the search handed on, by variable.
-        deadline: when it must end with the best so far; None: never.
-        laws: those among many variables that preparing found (`sparse.laws`); None: they are sought.
-        batches: has batches of the work computed elsewhere; None: all is computed by threads of this process. The same
-            comes of it, to the bit.
+        pools: the programs passed from the search to refining, by variable.
+        deadline: when refining must end with the best so far; None: never.
+        laws: laws among many variables that preparing found (`sparse.laws`); None: they are sought.
+        batches: lets other workers compute batches; None: threads of this process compute everything. The results
+            are equal to the bit.
     """
     deadline = deadline or Deadline()
     refined = _refined(preparation, config, pools, deadline, laws, batches)
@@ -87,7 +87,7 @@ def _judged_by_target(made: Refinement, preparation: Preparation, deadline: Dead
 
 
 def _with_units(made: Refinement, preparation: Preparation, config: JobConfig) -> Refinement:
-    """Return the same with what units say of each equation, where columns have any."""
+    """Return the refinement with the findings on units of each equation, if columns have units."""
     if not config.data.units:
         return made
     dataset = preparation.dataset
@@ -158,7 +158,7 @@ def _has_converged(preparation: Preparation, config: JobConfig, name: str, candi
 def _by_laws(task: ModellingTask, names: Sequence[str]) -> dict[str, Refined]:
     """Return the equations of variables that have a law by regression at the noise level, of these `names`.
 
-    What is shown of a front that no trajectories have judged describes the derivatives best, with whatever terms.
+    Without a comparison along trajectories, the member shown describes the derivatives best, with any terms.
     """
     equations = {}
     for name in names:
@@ -176,7 +176,7 @@ def _by_regression(
 ) -> dict[str, Refined]:
     """Return the equations that are fitted to their targets, of the variables that were searched.
 
-    Errors of left-hand sides that were given are independent, those of smoothed ones are not: only the former give
+    Errors of given left-hand sides are independent, errors of smoothed derivatives are not: only the former give
     intervals.
     """
     is_given = preparation.recording is None

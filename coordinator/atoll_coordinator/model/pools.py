@@ -1,4 +1,4 @@
-"""What refining is given: the pools of the search, and the laws that a sparse regression found. Pure."""
+"""The input of refining: the pools of the search, and the laws that a sparse regression found. Pure."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,8 @@
-"""What refining gives, before programs become text. Pure.
+"""The result of refining, before programs become text. Pure.
 
 Numbers that stand in ``result.json`` are held as the parts of a result from the start (`atoll_coordinator.result`):
-constants, checks, covariances, simulations. What is defined here has a program, of which the file has the text: only
-`atoll_coordinator.model.result` knows the names and units that this takes.
+constants, checks, covariances, simulations. The classes here have a program, the file has its text: only
+`atoll_coordinator.model.result` knows the names and units for it.
 """
 
 from collections.abc import Mapping
@@ -19,8 +19,8 @@ from atoll_core.expression.writing.expansion import Shape
 
 Grade = Literal["exact", "good", "doubtful", "no model"]
 JobKind = Literal["trajectories", "groups", "target", "process"]
-"""Kinds of job by what an equation is tested against: simulated trajectories, with constants of their own for groups of
-them or not; a target on rows; the steps of a stochastic process."""
+"""Kinds of job by what an equation is tested against: simulated trajectories; the same with constants for each
+group of trajectories; a target on rows; the steps of a stochastic process."""
 CheckOutcome = Literal["passed", "failed", "not made", "not applicable"]
 RefiningEnd = Literal["finished", "max-time", "not refined"]
 """How refining ended: by itself, by ``--max-time`` with the best so far, or without a result of its own."""
@@ -88,8 +88,8 @@ class Refinement:
 
     `fluxes` are terms that were fitted in several equations together, such as one that leaves one state and enters
     another: the term without numbers, and by variable how many times it stands in its equation, None where the factor
-    is its own. `covariance` is that of all constants, `by_group` has the one of each group of trajectories where these
-    have constants of their own.
+    was fitted by itself. `covariance` is the covariance of all constants, `by_group` the covariance of each group of
+    trajectories if groups have their own constants.
     """
 
     equations: Mapping[str, Refined] = field(default_factory=dict)

@@ -1,8 +1,8 @@
 """Some of many places, spread evenly and in step with nothing that recurs. Pure; whole numbers alone.
 
-Every n-th place would always be the same one of what recurs every n places, such as the first row of each trajectory.
-By a lattice (Korobov 1959) with a step near the golden section, every part of a range is met as often as any other, and
-neighbouring ranges are met in distant parts.
+Every n-th place could always be the same place in a pattern of period n, such as the first row of each trajectory. A
+lattice (Korobov 1959) with a step near the golden section samples every part of a range equally often, and neighbouring
+ranges in distant parts.
 """
 
 import math
@@ -41,7 +41,7 @@ def spread_places(places: int, most: int) -> list[int]:
 
 
 def curve(values: FloatArray, digits: int = 7) -> tuple[float | None, ...]:
-    """Return `values` (R,) as a result lists them: in so many significant digits, None where a value is not finite.
+    """Return `values` (R,) as a result lists them: in this many significant digits, null where a value is not finite.
 
     Curves have many numbers and are looked at, so that seven digits are enough.
     """

@@ -1,4 +1,4 @@
-"""What is reported of the selected model; a `SelectedModel` goes in, a `Refinement` comes out.
+"""Inference on the selected model: a `SelectedModel` goes in, a `Refinement` comes out.
 
 - `conclusion`: the way through this list, on one page: `conclude`
 - `final_model`: the equations as they are shown, fitted to all rows, rounded, simulated in whole
@@ -7,10 +7,10 @@
 - `trajectory_simulation`: the model along measured trajectories, with bands
 - `long_run`: whether whole trajectories are described, and whether a chaotic model keeps the measured averages
 - `prediction`: whether the model and its alternatives predict the same from other initial states
-- `evidence`, `target_evidence`: what is known of an equation by its simulation, by the rows of its target
+- `evidence`, `target_evidence`: the facts about an equation from its simulation, or from the rows of its target
 - `residuals`: whether residuals are as large as the noise, and without a pattern; `quadratic_forms`: how large they may
-  be by chance; `residual_covariance`: their covariance in few rows, and how much larger standard errors are where
-  these do not show whether errors are correlated; `null_models`: whether no equation describes as much
+  be by chance; `residual_covariance`: their covariance in few rows, and how much larger standard errors are if these
+  rows do not show whether errors are correlated; `null_models`: comparison with having no equation
 - `verdict`: the table of checks, and the grade that follows from it
-- `remarks`: warnings of what residuals follow: noise of the process, runs, a forcing, a hidden state
+- `remarks`: warnings about the pattern of residuals: noise of the process, runs, a forcing, a hidden state
 """

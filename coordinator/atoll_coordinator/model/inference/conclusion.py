@@ -1,4 +1,4 @@
-"""From the chosen system to what is reported: constants with errors, alternatives, verdicts, simulations.
+"""From the chosen system to the reported model: constants with errors, alternatives, verdicts, simulations.
 
 `final_model` decides how the equations are shown; here they are simulated, compared with their alternatives, and judged
 (`evidence`, `checks`). Constants of groups of trajectories are another set of numbers of the same model.
@@ -119,7 +119,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
 def _constants(
     final: FinalModel, errors: ConstantErrors
 ) -> tuple[Sequence[Known], Sequence[Sequence[tuple[Constant, ...]]]]:
-    """Return what is known of the constants of each equation, and those of each group where groups have their own."""
+    """Return the estimates of the constants of each equation, and of each group if groups have their own."""
     groups = final.equations.groups
     if groups is None:
         described = describe_constants(final.comparison, final.explicit, final.shown, errors)
@@ -168,7 +168,7 @@ def _equation(
 
 
 def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
-    """Return the equation that is shown and what came closest to it, all other equations as they are."""
+    """Return the equation that is shown and its closest alternatives, all other equations as they are."""
     ranking = final.ranking
     comparison, best = ranking.selection.comparison, ranking.selection.model
     r2 = r2_of(final.seen.estimator.measurements, final.seen_fit, slice(None))[index]
@@ -190,7 +190,8 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
 
 
 def _held_out(final: FinalModel, unseen: ModelComparison, errors: ConstantErrors) -> HeldOut:
-    """Simulate the held-out trajectories from initial states that are fitted to them; with bands, but for groups."""
+    """Simulate the held-out trajectories from initial states that are fitted to them; with bands unless there are
+    groups."""
     measurements, names = unseen.estimator.measurements, final.task.variables
     fit = final.simulated_by(unseen)
     spread = None if fit is None or final.by_group else _carried_bands(final, unseen, fit, errors)
@@ -205,7 +206,7 @@ def _carried_bands(
 ) -> FloatArray | None:
     """Return the standard errors (O, N) of trajectories that constants were not fitted to; None when they fail.
 
-    One trajectory after another: of dozens of states the sensitivities of all would take more memory than there is.
+    One trajectory after another: with dozens of states, all sensitivities together would not fit into memory.
     """
     free = final.free.fit
     spread, trajectory_bands = scaled_covariance(free, errors), []
@@ -242,12 +243,12 @@ def _predictions(final: FinalModel, errors: ConstantErrors, *, is_near: bool) ->
 
 
 def _odds(nats: float) -> float:
-    """Return the odds of a description that is longer by so many nats, at most one."""
+    """Return the odds of a description that is longer by this many nats, at most one."""
     return math.exp(-max(nats, 0.0))
 
 
 def _odds_of_data(other: FittedModel, own: FittedModel, equation: int, points: FloatArray) -> float:
-    """Return the odds of another model without what makes structures plausible: by misfit and constants (Schwarz 1978).
+    """Return the odds of another model by misfit and constants (Schwarz 1978), without the prices of structures.
 
     An elaboration, whose equation as a sum is the model's own with some values of its constants, has no other odds than
     with it: there are many of them, each of which describes about as much.
@@ -262,7 +263,7 @@ def _odds_of_data(other: FittedModel, own: FittedModel, equation: int, points: F
 
 
 def _state_errors(final: FinalModel) -> dict[str, Errors]:
-    """Return what the residuals say of the errors of each state, by name; nothing where there is no noise."""
+    """Return the errors of each state as estimated from residuals, by name; empty without noise."""
     comparison, fit = final.comparison, final.free.fit
     if comparison.score.is_exact(final.free):
         return {}

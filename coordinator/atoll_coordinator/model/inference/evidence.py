@@ -1,4 +1,4 @@
-"""What is known of each equation of a final model: what its checks are given. Pure."""
+"""The evidence on each equation of a final model, which its checks take. Pure."""
 
 import math
 from collections.abc import Collection, Sequence
@@ -26,17 +26,17 @@ from atoll_core.expression.program import Program, constant_places, variables_of
 
 
 class ModelEvidence:
-    """Evidence on the equations of one model; what all equations have in common is computed once."""
+    """Evidence on the equations of one model; facts about the whole model are computed once."""
 
     def __init__(self, final: FinalModel, long_run: LongRun) -> None:
-        """Take a model, and what is known of it along whole trajectories."""
+        """Take a model, and its description of whole trajectories."""
         self.final = final
         self._long_run = long_run
         self._task = final.task
         self._measurements = final.seen.estimator.measurements
 
     def of(self, index: int, equation: Refined, held_out_r2: float | None) -> Evidence:
-        """Return what is known of an equation, with its place in the model.
+        """Return the evidence on an equation, with its place in the model.
 
         `held_out_r2` is its R2 along trajectories that took no part, or were left out one at a time; None: there are
         none.
@@ -135,7 +135,7 @@ class ModelEvidence:
         """Tell whether the equation of a state describes whole trajectories; None where that was not tested.
 
         Where only pieces are described up to the noise (over the standard deviation), whole trajectories have an R2
-        above 0.9 less the noise.
+        above 0.9 minus the noise.
         """
         long_run = self._long_run
         if long_run.fits is not None or long_run.r2 is None:
@@ -157,8 +157,8 @@ class ModelEvidence:
     def _fitted(self) -> list[float]:
         """How many numbers were fitted to the measurements of each state.
 
-        Of few rows that is what the projection on all that can be fitted takes from its residuals, by their covariance:
-        what another state does not need follows this one. Of many rows, and where there is no noise, the numbers are
+        In few rows the share follows from the covariance of residuals, by the projection on all fitted numbers: a state
+        gets the share of a number that other states do not need. In many rows, and without noise, the numbers are
         shared evenly.
         """
         shared = self.final.free.fit.system.count + self.final.seen_fit.starts.size
@@ -245,8 +245,8 @@ class ModelEvidence:
     def _baseless(self, followed: Sequence[int]) -> str:
         """Return a state that the predictions of another one follow from, and whose equation is no better than none.
 
-        An equation that stands in for none makes up its simulation, and what follows from it, along what was measured
-        alone. "" where there is no such state; equations that were given need no evidence.
+        If the equation of a state describes its rows no better than no equation, its simulation holds only along the
+        measured trajectories. "" if there is no such state; given equations need no evidence.
         """
         least, given = SETTINGS.inference.chance_nats, self.final.comparison.fixed
         baseless = (one for one in followed if self._null_nats[one] < least and one not in given)
@@ -255,8 +255,8 @@ class ModelEvidence:
     def _unknown_inputs(self, equations: Sequence[int]) -> dict[str, float]:
         """Return the share of the variance of a rate that each input makes between its rows, where it is not known.
 
-        The largest of some equations, and of the groups of trajectories with constants of their own. NaN where too few
-        rows tell.
+        The largest of some equations, and of the groups of trajectories with their own constants. NaN if there are too
+        few rows.
         """
         names, shares = self._task.dataset.names, dict[str, float]()
         for name, symbol, variance in self._unknown_variances:
@@ -299,7 +299,7 @@ class ModelEvidence:
 
 
 def _pieces_of(residuals: FloatArray, measurements: Measurements, index: int) -> list[FloatArray]:
-    """Return what is left of a state along each piece, where it was measured and counts, as in a row of weight 1."""
+    """Return the residuals of a state along each piece, on measured rows that count, as in a row of weight 1."""
     pieces = [slice(first, end) for first, end in measurements.bounds.tolist()]
     residuals = (
         residuals[index]
@@ -340,7 +340,7 @@ def _distinct_rows(measurements: Measurements, index: int, used: Collection[str]
 def _reference_smoother(smoothing: Smoothing, noise: float) -> ReferenceSmoother | None:
     """Return the smoother with a narrower span than the selected one; None where the state was interpolated.
 
-    `noise` is that of a row of weight 1 by the selected one.
+    `noise` is the noise of a row of weight 1 by the selected model.
     """
     if smoothing.degree is None or not smoothing.narrower_span:
         return None
@@ -349,7 +349,7 @@ def _reference_smoother(smoothing: Smoothing, noise: float) -> ReferenceSmoother
 
 
 def _is_interpolated(smoothing: Smoothing) -> bool:
-    """Tell whether a state was taken to have no noise."""
+    """Tell whether a state was treated as noise-free."""
     return smoothing.method == "interpolation" and smoothing.quantisation is None
 
 

@@ -2,8 +2,9 @@
 
 In this order: the system is fitted to all rows; constants become simple numbers where the data single these out;
 equations are written as short as they can be; factors of one that the data refute are written; terms that equations
-share are fitted together; what is shown is simulated in whole, if that is possible. Each step is kept if the data are
-described no worse. Where groups of trajectories have constants of their own, `groups` does all of this instead.
+share are fitted together; the shown system is simulated along whole trajectories, if possible. Each step is kept if the
+data are described no worse. Where groups of trajectories have constants of their own, `groups` does all of this
+instead.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -99,7 +100,7 @@ class FinalModel:
 
     @property
     def are_errors_summed(self) -> bool:
-        """Whether the equations are simulated along longer pieces than those that constants are fitted to."""
+        """Whether the equations are simulated along longer pieces than the pieces of the fit of constants."""
         return self.piece < min(self.task.piece, self.task.longest)
 
     @cached_property
@@ -242,7 +243,8 @@ def _seen_in_whole(
 def _show(
     comparison: ModelComparison, near: FittedModel, programs: tuple[Program, ...], shared: Collection[SharedNumber] = ()
 ) -> ShownEquations | None:
-    """Return equations of these structures as they are shown, fitted beside another model; None if they cannot be."""
+    """Return equations of these structures as they are shown, fitted for comparison with another model; None if that
+    fails."""
     explicit, free = _freed(comparison, near, programs, shared)
     fitted = comparison.fit_beside(near, programs, shared=shared)
     if free is None or fitted is None:
@@ -253,7 +255,7 @@ def _show(
     def outside(rounded: RoundedSystem) -> frozenset[int]:
         """Return the fitted numbers, by index, of constants that lie outside of their intervals as they are shown."""
         if is_exact:
-            return frozenset()  # intervals are those of the integration's errors
+            return frozenset()  # intervals would follow from integration errors
         known = describe_constants(comparison, explicit, rounded.programs, errors)
         sought = (constants for equation, constants in enumerate(known) if equation not in comparison.fixed)
         written = (constant for constants in sought for constant in constants.written)
@@ -266,7 +268,7 @@ def _show(
 def _without_refuted(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[Program, ...] | None:
-    """Return the programs with those factors of one written out that the data refute; None where there are none."""
+    """Return the programs with those factors of one written out that the data refute; None without such factors."""
     programs = shown.rounded.programs
     known = describe_constants(comparison, shown.explicit, programs, estimate_errors(comparison, shown.free))
     if not any(constants.refuted_factors for constants in known):
@@ -288,10 +290,10 @@ _Outside = Callable[[RoundedSystem], frozenset[int]]
 def _rounded(
     comparison: ModelComparison, fitted: FittedModel, outside: _Outside
 ) -> tuple[RoundedSystem, FittedModel] | None:
-    """Return a system with constants as they are shown, in as few digits as leave simulations as they are.
+    """Return a system with constants as they are shown, in the fewest digits that do not change simulations.
 
-    They are compared with those of the same simple numbers and all digits of the other constants. None when it cannot
-    be simulated. Constants that would lie outside of their intervals are not made simple.
+    They are compared with simulations by the same simple numbers and all digits of the other constants. None when it
+    cannot be simulated. Constants that would lie outside of their intervals are not made simple.
     """
     *few, most = ERROR_DIGITS
     limit, exact = fitted.misfit + SETTINGS.selection.least_gain, None
@@ -322,7 +324,7 @@ def _with_digits(
 def _freed(
     comparison: ModelComparison, best: FittedModel, shown: Sequence[Program], shared: Collection[SharedNumber]
 ) -> tuple[tuple[ExplicitCoefficients, ...], FittedModel | None]:
-    """Fit what is shown with all its constants free, factors of one that are not written among them if that can be."""
+    """Fit the shown system with all its constants free, if possible also factors of one that are not written."""
     explicit = tuple(
         as_written(program)
         if equation in comparison.fixed or comparison.restrictions(equation).bounds is not None

@@ -1,9 +1,9 @@
-"""Where groups of trajectories may differ in constants: which of them do, and what is known of each. Pure.
+"""Groups of trajectories that may differ in constants: which constants differ, and their estimates. Pure.
 
-All constants begin with a value for each group. One after another, those that differ least become shared by all
+All constants begin with a value for each group. One after another, constants that differ least become shared by all
 groups, as long as that makes the description shorter. A value for each group costs 1/2 ln(rows of a group), a shared
-one 1/2 ln(rows). How an equation is written decides which constants there are: of x*(r - q*x) with r and q twice as
-large in one group, r*(x - k*x*x) has one that differs. So each coefficient in turn is tried as a factor of the sum.
+one 1/2 ln(rows). How an equation is written decides which constants there are: if r and q of x*(r - q*x) are twice as
+large in one group, only r differs in r*(x - k*x*x). So each coefficient in turn is tried as a factor of the sum.
 
 Letters: G groups, P constants of all equations, Q numbers that these are in all groups together.
 """

@@ -32,12 +32,12 @@ _MOST_ROWS: Final = 4_000
 
 @dataclass(frozen=True, eq=False)
 class LongRun:
-    """What is known of a model along trajectories that are longer than the pieces of its fit.
+    """The description of trajectories that are longer than the pieces of the fit.
 
-    It `fits` them in whole up to their noise or not, None where that is not known, as where there is or may be `chaos`.
+    The model `fits` whole trajectories up to their noise or not; None if not known, for instance with `chaos`.
     `r2` has the R2 of each state by simulations of whole trajectories of the equations as they are shown, only the
-    initial states fitted; None where they were not simulated, minus infinity where they could not be. Of a driven model
-    whose errors grow as those of chaos do `predictable_rows` can be predicted, where that is less than a piece.
+    initial states fitted; None if they were not simulated, minus infinity if the simulation failed. For a driven model
+    whose errors grow exponentially, `predictable_rows` can be predicted, if these are fewer than a piece.
     """
 
     fits: bool | None
@@ -47,7 +47,7 @@ class LongRun:
 
 
 def long_run_of(final: FinalModel) -> LongRun:
-    """Return what is known of a model along whole trajectories.
+    """Return how a model describes whole trajectories.
 
     It is chaotic where initial states are of no use for these, errors growing faster than the trajectories do: growth
     has no attractor to stay on. That a model that is, or may be, does not fit whole trajectories says nothing; one that
@@ -94,7 +94,8 @@ def _whole_r2(final: FinalModel) -> list[float | None] | None:
 def _is_exponential(final: FinalModel, rate: float) -> bool:
     """Tell whether errors that grow at this rate grow more along a trajectory than a power of time does.
 
-    Without exponential growth those of D linear equations grow like t^(D - 1) at most: over N rows less than N^D times.
+    Without exponential growth, errors of D linear equations grow at most like t^(D - 1): over N rows less than N^D
+    times.
     """
     measurements = final.comparison.estimator.measurements
     rows = final.task.longest
@@ -102,11 +103,11 @@ def _is_exponential(final: FinalModel, rate: float) -> bool:
 
 
 def _fits_in_whole(final: FinalModel) -> bool | None:
-    """Tell whether equations as they are shown describe whole trajectories up to their noise; None: it was not asked.
+    """Tell whether the shown equations describe whole trajectories up to their noise; None: this was not tested.
 
-    Errors of a phase grow in proportion to time, which is fast at first: that tells it from slow chaos. Constants are
-    fitted once more, in pieces that grow to whole trajectories, where there are very many rows to every so-manyth. It
-    is not asked of a model that does not describe the pieces, nor when the time is over.
+    Errors of a phase grow in proportion to time, which is fast at first, unlike errors of slow chaos. Constants are
+    fitted once more, in pieces that grow to whole trajectories, with very many rows to a subset. A model that does not
+    describe the pieces is not tested, and no model is when the time is over.
     """
     task, programs = final.task, final.shown
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
@@ -140,7 +141,7 @@ def may_be_chaotic(measurements: Measurements) -> bool:
 
 
 def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos | None:
-    """Return what is to be said of a model whose errors grow at this `rate`; None where it has inputs.
+    """Return the findings on chaos of a model whose errors grow at this `rate`; None if it has inputs.
 
     Args:
         fit: the model as it is shown, along the measured trajectories.
@@ -174,7 +175,7 @@ def look_for_chaos(fit: TrajectoryFit, rate: float, tolerance: float) -> Chaos |
 
 
 def _simulated(fit: TrajectoryFit, rows: int, stride: int, step: float, tolerance: float) -> FloatArray | Unsimulated:
-    """Return every `stride`-th of so many rows of the states from the end of the last trajectory on, or why not."""
+    """Return every `stride`-th of this many rows simulated from the end of the last trajectory on, or why not."""
     times = step * np.arange(0.0, rows, stride)
     estimator = along(fit.estimator.measurements, times, tolerance, rows)
     return estimator.simulate(fit.system, fit.simulated[:, -1])
@@ -185,8 +186,8 @@ def along(
 ) -> MultipleShooting:  # fmt: skip
     """Return an estimator that simulates systems without inputs along these `times`, where nothing was measured.
 
-    So much time has about so many `measured_rows`, each of which is allowed its steps. Constants are those of the group
-    of the trajectory `owner`.
+    This time has about `measured_rows` rows, each with its own allowance of steps. The constants are those of the
+    group of trajectory `owner`.
     """
     rows, count = len(times), len(measurements.observed)
     low, high = measurements.smoothed.min(axis=1), measurements.smoothed.max(axis=1)

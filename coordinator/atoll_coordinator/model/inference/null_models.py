@@ -1,12 +1,12 @@
 """Is an equation a better description than having no equation? Evidence against a constant and a random walk. Pure.
 
-A search that tries thousands of structures on few rows finds one that passes through all of them. What the rows say for
-it is the marginal likelihood, with the variance of the errors and the constants integrated out: n rows less the
-numbers fitted to them count, so that a model with as many numbers as rows gains nothing. By the inequality of Markov a
-description that is shorter than without an equation by t nats comes about by chance with a probability of at most
-exp(-t), however many structures were tried, as these are part of its length.
+A search that tries thousands of structures on few rows finds one that passes through all of them. The evidence of the
+rows for it is the marginal likelihood, with the variance of the errors and the constants integrated out: n rows minus
+the numbers fitted to them count, so that a model with as many numbers as rows gains nothing. By the inequality of
+Markov a description that is shorter than without an equation by t nats comes about by chance with a probability of at
+most exp(-t), however many structures were tried, as these are part of its length.
 
-Letters: n rows, k fitted constants beside the location.
+Letters: n rows, k fitted constants in addition to the location.
 """
 
 import math
@@ -24,9 +24,9 @@ _POINTS: Final = 4_001
 _TAIL: Final = 60.0
 """Nats beyond its knee to which the integrand is followed: it falls as exp(-t/2) there at least."""
 _LEAVES: Final = 4.0
-"""Leaves among which one is chosen by the price of a structure."""
+"""Number of leaves to choose from, according to the price of a structure."""
 _LEAST_LEFT: Final = 1e-30
-"""Guard: smallest share of a variance that is told from zero."""
+"""Guard: smallest share of a variance that counts as more than zero."""
 
 
 def log_bayes_factor(rows: float, constants: float, left: float) -> float:
@@ -42,8 +42,8 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
     Args:
         rows: n.
         constants: k.
-        left: 1 - R2, the squares of the residuals over those about the mean; over the squared steps of a random walk,
-            which have one number less than there are rows as well.
+        left: 1 - R2, the squared residuals over the squared differences from the mean; over the squared steps of a
+            random walk, which have one number less than there are rows as well.
     """
     if rows - 1.0 <= constants:
         return 0.0
@@ -60,9 +60,9 @@ def log_bayes_factor(rows: float, constants: float, left: float) -> float:
 
 
 def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | None = None) -> float:
-    """Return the sum of squared steps from row to row of all series (R,): what a random walk leaves to be explained.
+    """Return the sum of squared steps from row to row of all series (R,): the residuals of a random walk.
 
-    With the `times` (R,) of each it is that of a walk with a drift, the same for all.
+    With the `times` (R,) of each series the walk has a drift, the same for all.
     """
     steps = np.concatenate([np.diff(values) for values in series])
     if times is not None:
@@ -72,9 +72,9 @@ def squared_steps(series: Sequence[FloatArray], times: Sequence[FloatArray] | No
 
 
 def structure_price(program: Program, columns: int) -> float:
-    """Return the nats of a structure (`structure_length`), each of its variables one of so many columns.
+    """Return the nats of a structure (`structure_length`), each of its variables one of this many columns.
 
-    A leaf is priced as one of four in there, whatever the number of columns is.
+    That price counts a leaf as one of four, regardless of the number of columns.
     """
     leaves = int((program.operators == VARIABLE).sum())
     return structure_length(program) + leaves * max(math.log(max(columns, 1) / _LEAVES), 0.0)

@@ -3,13 +3,13 @@
 Where there are inputs, or groups of trajectories with constants of their own, each initial state takes the inputs and
 the group of one of the measured trajectories.
 
-Data decide between two equations as far as these describe the measurements unequally well. Where they describe them
-about as well and yet predict something else from initial states that were not measured, the data do not decide what
-happens there. So the model, its alternatives and draws of its constants are simulated from such states; what share of
-the odds predicts the same as the model is the probability that its predictions can be trusted.
+Data decide between two equations only if these describe the measurements unequally well. If two equations describe them
+about as well but predict different values from other initial states, the data do not decide which values are right. So
+the model, its alternatives and draws of its constants are simulated from such states. The share of the odds that
+predicts the same as the model is the probability that its predictions can be trusted.
 
-That an equation is short makes it more plausible where something was measured. Where a model leads beyond the measured
-range nothing speaks for its structure, and the odds of other structures are what the data alone give them.
+Within the measured range a short equation is more plausible. Outside of it nothing supports its structure, so that the
+odds of other structures there follow from the data alone, without prices of structures.
 
 Letters: D states, O measured ones, N rows, P fitted constants, G initial states.
 """
@@ -116,9 +116,9 @@ def predict(
 _DRAWN: Final = -1
 """The group of what is drawn."""
 _MOST_DRAWS: Final = SETTINGS.effort.beam**2
-"""Of so many a share of 0.95 has a standard error of 0.02."""
+"""Number of draws: a share of 0.95 has a standard error of 0.02."""
 _STRIDE: Final = 4
-"""Of so many simulated rows, the distance of one from the measured ones is looked at."""
+"""One in this many simulated rows is compared with the measured rows."""
 
 
 Course = FloatArray | Unsimulated
@@ -128,9 +128,9 @@ Course = FloatArray | Unsimulated
 class _Elsewhere:
     """Simulates systems from initial states among measured ones, for as long as the longest trajectory.
 
-    Where measured trajectories end on their way out of the measured range, as those of growth do, nothing says that
-    others stay near it: courses that leave it on the same side are followed for as long as a trajectory that was
-    measured lasts from about there.
+    If measured trajectories end on their way out of the measured range, as in growth, other trajectories may leave it,
+    too: simulations that leave it on the same side are followed for as long as a measured trajectory lasts from about
+    there.
     """
 
     def __init__(self, measurements: Measurements, tolerance: float, *, is_near: bool) -> None:
@@ -155,7 +155,7 @@ class _Elsewhere:
         return self._starts_of_groups(self._measurements.groups)
 
     def _starts_near_inputs(self) -> FloatArray:
-        """Return initial states (G, D) a tenth of the way from those of trajectories to others.
+        """Return initial states (G, D) a tenth of the way from initial states of trajectories to others.
 
         Farther away states without an equation, which are inputs as they were measured, would not be as they are.
         """
@@ -178,7 +178,7 @@ class _Elsewhere:
 
     @cached_property
     def _shift(self) -> FloatArray:
-        """What moves an initial state (D,) a little, and leaves sums as they are that the measured states keep."""
+        """Moves an initial state (D,) a little, without changing sums that are constant in the measured states."""
         measurements, noise = self._measurements, np.zeros(len(self._measurements.smoothed))
         noise[measurements.observed] = measurements.noise
         shift = SETTINGS.common.negligible * measurements.scales
@@ -247,19 +247,19 @@ class _Elsewhere:
         return dict(zip(names, self.starts[place].tolist(), strict=True))
 
     def _estimator(self, place: int) -> MultipleShooting:
-        """Return what simulates systems from one of the initial states."""
+        """Return the function that simulates systems from one of the initial states."""
         return self._estimators[place % len(self._estimators)]
 
     def _course(self, system: System, place: int, start: FloatArray, rows: int | None = None) -> Course:
         return self._followed(*self._estimator(place).simulate_as_far(system, start), rows)
 
     def _followed(self, simulated: FloatArray, why: Unsimulated | None, rows: int | None) -> Course:
-        """Return the measured states of so many rows, all unless given, or why a simulation did not come so far."""
+        """Return the measured states of this many rows, all by default, or why the simulation ended earlier."""
         course = simulated[self._measurements.observed, :rows]
         return course if why is None or (rows is not None and np.isfinite(course).all()) else why
 
     def _leaves_as_measured(self, simulated: FloatArray) -> bool:
-        """Tell whether a course (D, K) leaves the measured range where a trajectory that was measured ends."""
+        """Tell whether a course (D, K) leaves the measured range where a measured trajectory ends."""
         if not simulated.shape[1]:
             return False
         beyond = np.array([self._low - simulated[:, -1], simulated[:, -1] - self._low - self._width]) / self._width
@@ -284,7 +284,7 @@ class _Elsewhere:
 
 
 def _estimators(measurements: Measurements, tolerance: float) -> list[MultipleShooting]:
-    """Return what simulates systems from initial states, which take these in turn.
+    """Return the function that simulates systems from initial states, which take these in turn.
 
     Without inputs that is for as long as the longest trajectory. With inputs it is along a few of the trajectories, up
     to as many rows as a search is given.
@@ -309,7 +309,7 @@ def _estimators(measurements: Measurements, tolerance: float) -> list[MultipleSh
 
 
 def _in_one_piece(measurements: Measurements, owner: int) -> Measurements:
-    """Return the beginning of one trajectory, simulated at a stretch."""
+    """Return the beginning of one trajectory, simulated without a break."""
     rows = min(measurements.rows, SETTINGS.rows.most)
     beginning = measurements.pieces([(0, rows, owner)])
     return replace(beginning, resting=None, offset=np.zeros(0, dtype=np.int64))
@@ -357,14 +357,14 @@ class _Misses:
         return math.prod(float(share) for share in shares)
 
     def is_decided(self, state: int) -> bool:
-        """Tell whether it is known on which side of what a good model promises the share of draws is that agree.
+        """Tell whether the share of agreeing draws is significantly above or below the limit of a good model.
 
         It is beta distributed, from Jeffreys' prior on; 38 draws that all agree are enough.
         """
         from scipy import special
 
         if _DRAWN not in self._odds:
-            return True  # whatever is drawn takes too many steps
+            return True  # all draws take too many steps
         count, against = self._odds[_DRAWN], float(self._against[_DRAWN][state])
         wrong = math.exp(-SETTINGS.inference.distinct_nats)
         below = float(special.betainc(count - against + 0.5, against + 0.5, 1.0 - wrong))
@@ -395,7 +395,7 @@ def draws(system: System, covariance: FloatArray) -> Iterator[System]:
         return
     deviations = np.sqrt(np.diag(covariance))
     deviations = np.where(deviations > 0.0, deviations, 1.0)
-    values, vectors = np.linalg.eigh(covariance / deviations[:, None] / deviations)  # whatever the constants' units
+    values, vectors = np.linalg.eigh(covariance / deviations[:, None] / deviations)  # in any units
     scales = deviations[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(0)
     while True:

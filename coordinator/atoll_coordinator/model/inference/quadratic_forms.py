@@ -16,7 +16,7 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _REPRESENTED: Final = 8
-"""Lengths by which those of many trajectories are represented: eigenvalues hardly differ between them."""
+"""Lengths that represent the lengths of many trajectories: eigenvalues hardly differ between them."""
 _MOST_BINS: Final = 6 * SETTINGS.smoothing.least_bins_in_span
 """Bins of a trajectory whose eigenvalues are computed; of more a stretch is taken."""
 
@@ -24,17 +24,18 @@ _MOST_BINS: Final = 6 * SETTINGS.smoothing.least_bins_in_span
 def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float, span: int, degree: int) -> float:
     """Return the probability of at least this ratio of two variances of the same errors if the model is right.
 
-    The numerator is what a model with p parameters leaves, e'(I - H)e/(n - p) with the projection H on what parameters
-    can do; the denominator what loess leaves, e'Be/tr B. What parameters can do is smooth, so H takes the p smallest
-    eigenvalues of B, and the ratio exceeds r where a sum of squares weighted by 1/(n - p) - r b/tr B, over the other
-    eigenvalues b, is positive. Compare Cleveland & Devlin (1988), section 4, who match two moments.
+    The numerator has the residuals of a model with p parameters, e'(I - H)e/(n - p) with the projection H on the
+    derivatives by the parameters; the denominator has the residuals of loess, e'Be/tr B. These derivatives are smooth,
+    so H takes the p smallest eigenvalues of B, and the ratio exceeds r where a sum of squares weighted by 1/(n - p) - r
+    b/tr B, over the other eigenvalues b, is positive. Compare Cleveland & Devlin (1988), section 4, who match two
+    moments.
 
     Args:
         ratio: r, of variances, each over its degrees of freedom.
         lengths: rows of each trajectory.
         parameters: p.
         span: rows that loess looks at together.
-        degree: that of its polynomials.
+        degree: the degree of its polynomials.
     """
     values, counts = _residual_eigenvalues(tuple(sorted(lengths)), span, degree)
     trace = float(values @ counts)
@@ -44,7 +45,7 @@ def variance_ratio_tail(ratio: float, lengths: Sequence[int], parameters: float,
 
 
 def positive_tail(weights: FloatArray, counts: FloatArray) -> float:
-    """Return the probability that the sum of w z^2, with z normal and each weight w taken so many times, is positive.
+    """Return the probability that the sum of w z^2, with z normal and each weight w repeated as given, is positive.
 
     By the saddlepoint approximation of Lugannani & Rice (1980), as Kuonen (1999) uses it: the relative error is a few
     hundredths at most, also far out in the tail.
@@ -100,8 +101,8 @@ def _residual_eigenvalues(lengths: tuple[int, ...], span: int, degree: int) -> t
 def _eigenvalues(rows: int, span: int, degree: int) -> tuple[FloatArray, FloatArray]:
     """Return the eigenvalues of B for one trajectory of evenly spaced rows, and how often each counts.
 
-    Where the span is wide, bins of several rows are smoothed: within bins nothing is smoothed away, so that all other
-    eigenvalues are one. Of more bins than there is room for, a stretch is taken.
+    If the span is wide, bins of several rows are smoothed: the differences within bins are not smoothed away, so that
+    all other eigenvalues are one. If there are too many bins for the matrix, a part of the trajectory is used.
     """
     degree = min(degree, rows - 2)
     if degree < 0:

@@ -1,6 +1,6 @@
-"""Warnings of what residuals follow: noise of the process itself, constants of runs, a forcing, a hidden state. Pure.
+"""Warnings about the pattern of residuals: noise of the process, constants of runs, a forcing, a hidden state. Pure.
 
-Does what a model leaves of a state grow like a random walk? Then noise is part of the law. The mean square of second
+Do the residuals of a state grow like a random walk? Then noise is part of the law. The mean square of second
 differences of rows l apart is constant for errors of measurement, grows with l for a random walk and with l^4 for what
 is smooth (compare variograms, Matheron 1963). An exponent between 1/2 and 5/2 is nearest to a walk's; a mixture of the
 other two passes through these values, but not over three doublings of the lag.
@@ -35,7 +35,7 @@ def stochastic_remarks(
     """Return a sentence that proposes ``--stochastic``, if the residuals of states look like it.
 
     `states` are those that are `simulated` along the trajectories that were not held out. Without a simulation the
-    measurements stand for the residuals: of a process, hardly a model can be simulated.
+    measurements are used as residuals: models of a stochastic process can rarely be simulated.
     """
     walking = []
     for index, state in enumerate(recording.states):
@@ -68,13 +68,13 @@ def _residuals(
 
 
 def _rounding(recording: Recording, index: int) -> float:
-    """Return the variance of what rounding left of a state; such errors stay the same from row to row, and so walk."""
+    """Return the variance of the rounding errors of a state; these stay the same from row to row, like a walk."""
     quantisation = recording.smoothing[index].quantisation if index < len(recording.smoothing) else None
     return 0.0 if quantisation is None else quantisation.error**2
 
 
 def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], rounding: float) -> bool:
-    """Tell whether residuals grow like a walk that leaves a tenth of the state's variance behind in a trajectory.
+    """Tell whether residuals grow like a walk with at least a tenth of the state's variance in a trajectory.
 
     Not where they are no larger than errors of rounding, whose variance is given.
     """
@@ -92,7 +92,7 @@ def _walks(measured: Sequence[FloatArray], residuals: Sequence[FloatArray], roun
 
 
 def _mean_square(residuals: Sequence[FloatArray], lag: int) -> float:
-    """Return the mean square of second differences of rows so far apart, over that of one walk; NaN left out."""
+    """Return the mean square of second differences of rows this far apart, over that of a walk; NaN left out."""
     parts = [
         series[2 * lag :] - 2.0 * series[lag:-lag] + series[: -2 * lag] for series in residuals if len(series) > 2 * lag
     ]
@@ -102,7 +102,7 @@ def _mean_square(residuals: Sequence[FloatArray], lag: int) -> float:
 
 
 _FEWEST_RUNS: Final = 3
-"""Trajectories by which a constant of each is told from one wrong run."""
+"""Fewest trajectories that distinguish a constant of each trajectory from one wrong run."""
 _HALF: Final = 0.5
 """Share of the residuals' variance that is most of it."""
 
@@ -111,7 +111,7 @@ _HALF: Final = 0.5
 class RateResiduals:
     """Residuals of the rate of one state (n,), their times and trajectories, and the variables at these rows (V, n).
 
-    `rates` are those of the equation; values of the states were smoothed over `span` rows.
+    `rates` are the derivatives that the equation has; values of the states were smoothed over `span` rows.
     """
 
     residuals: FloatArray
@@ -128,7 +128,7 @@ class RateResiduals:
 
 
 def unexplained_remarks(recording: Recording, equations: Mapping[str, Refined], time: str = "t") -> Iterator[str]:
-    """Yield a sentence for what most of the residuals of equations that are not good follow."""
+    """Yield a sentence about the pattern in most of the residuals, for equations that are not good."""
     found: dict[str, list[str]] = {}
     period = 0.0
     for place, state in enumerate(recording.states):
@@ -188,7 +188,7 @@ def _variables(part: Trajectory, order: int) -> FloatArray:
 
 
 def _explanation(rest: RateResiduals) -> tuple[str | None, float | None]:
-    """Return what most of the residuals follow, and the period of a forcing."""
+    """Return the pattern that explains most of the residuals, and the period of a forcing."""
     if _differ_by_run(rest):
         return "runs", None
     if not _is_open(rest):
@@ -217,7 +217,7 @@ def _differ_by_run(rest: RateResiduals) -> bool:
 
 
 def _left(values: FloatArray, column: FloatArray) -> float:
-    """Return the sum of squares that a multiple of the column leaves."""
+    """Return the sum of squared residuals after fitting a multiple of the column."""
     square = float(np.sum(column * column))
     factor = float(np.sum(column * values)) / square if square > 0.0 else 0.0
     return float(np.sum((values - factor * column) ** 2))

@@ -16,8 +16,8 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _MOST_NUMBERS: Final = 750
-"""Measured numbers up to which the matrix is made, for its eigenvalues: it takes the cube of them. Of more rows the
-distribution of correlations is about normal."""
+"""Measured numbers up to which the matrix is made, for its eigenvalues: the work grows with their cube. With more rows
+the distribution of correlations is about normal."""
 _INDEPENDENT: Final = 1e-9
 """Singular values of unit columns, over the largest, below which they are linearly dependent."""
 
@@ -25,7 +25,7 @@ _INDEPENDENT: Final = 1e-9
 def residual_covariance(measurements: Measurements, fit: TrajectoryFit, index: int) -> FloatArray | None:
     """Return the covariance (n, n) of the residuals of one state in units of the variance of its errors.
 
-    That is its block of I - H with the projection H on what constants and initial states together can do. None where
+    This is its block of I - H with the projection H on the derivatives by constants and initial states. None where
     there are too many rows.
     """
     columns = whitened_columns(measurements, fit)
@@ -69,10 +69,10 @@ correlation of 0.6 (`benchmarks.noise.intervals`). No prior reaches 95 % for bot
 
 
 def widening(measurements: Measurements, fit: TrajectoryFit, is_noisy: npt.NDArray[np.bool_]) -> float:
-    """Return how many times the variances of constants are those of independent errors, the correlation integrated out.
+    """Return the variances of constants over the variances for independent errors, the correlation integrated out.
 
-    1 where there are so many rows that a correlation would have been found. What is left of states that are not noisy
-    (O,) goes together, and says nothing of errors of measurement.
+    1 where there are so many rows that a correlation would have been found. The residuals of states that are not noisy
+    (O,) are correlated, and do not show errors of measurement.
     """
     columns = whitened_columns(measurements, fit)
     if columns is None or not fit.system.count:
@@ -93,16 +93,17 @@ def expected_widening(
 ) -> float:
     """Return by how much the variances of the first `constants` fitted numbers grow in the mean over correlations.
 
-    Errors have the correlation r**(gap) within one owner, the gap in median steps. The probability of r is that of the
-    residuals with fitted numbers and variance integrated out (Harville 1974), and variances are the second moments
-    about the least-squares estimate. Of several constants the geometric mean counts: the generalised variance.
+    Errors have the correlation r**(gap) within one owner, the gap in median steps. The probability of r is the
+    probability of the residuals with fitted numbers and variance integrated out (Harville 1974), and variances are the
+    second moments about the least-squares estimate. For several constants the geometric mean is returned: the
+    generalised variance.
 
     Args:
-        columns: (M, K), what each fitted number does to each measured number, in units of its error.
+        columns: (M, K), derivatives of the measured numbers by the fitted numbers, in units of the errors.
         residuals: (M,), in the same units.
         owners: (M,), the series that a number belongs to.
         times: (M,).
-        constants: how many of the fitted numbers, the first ones.
+        constants: how many of the fitted numbers are constants; they come first.
     """
     scales = np.sqrt((columns**2).sum(axis=0))
     if not (scales[:constants] > 0.0).all():

@@ -63,7 +63,7 @@ def residual_statistics(
             errors are independent.
         reference: the smoother that estimates the noise from the same errors, for `too_large`; None: `noise` is known.
         covariance: (n, n) of the residuals of noise of variance one, all rows one after another, which makes the
-            distribution of correlations exact; None: they are about normal, what was fitted being smooth.
+            distribution of correlations exact; None: they are about normal, since the fitted curves are smooth.
     """
     rows = sum(len(series) for series in residuals)
     free = max(rows - parameters, 1.0)
@@ -109,11 +109,11 @@ def _reach(rows: float, parameters: float) -> int:
 def _exact_pattern(
     errors: Sequence[FloatArray], square: float, covariance: FloatArray, reach: int
 ) -> tuple[float, float]:
-    """Return the correlation of neighbours beyond that of residuals of noise, and the probability of all lags' sum.
+    """Return the correlation of neighbours in excess of noise, and the probability of the sum over all lags.
 
-    Residuals e of noise have the covariance I - H, with the projection H on what the fitted numbers can do. The sum of
-    correlations exceeds r where the quadratic form e'(A - r I)e is positive, with 1/2 in the off-diagonals of A as far
-    as the lags reach within a trajectory.
+    Residuals e of noise have the covariance I - H, with the projection H on the derivatives by the fitted numbers. The
+    sum of correlations exceeds r where the quadratic form e'(A - r I)e is positive, with 1/2 in the off-diagonals of A
+    as far as the lags reach within a trajectory.
     """
     owners = np.repeat(np.arange(len(errors)), list(map(len, errors)))
     places = np.concatenate([np.arange(len(series)) for series in errors])
@@ -186,9 +186,9 @@ def _too_large(
 def _correlations(errors: Sequence[FloatArray], square: float, parameters: float) -> tuple[list[float], list[float]]:
     """Return the correlation at each lag beyond what fitting causes, and the variance it has in noise.
 
-    With the projection H on what p parameters can do, residuals of noise have E sum e_i e_(i+k) = - sigma^2 sum
-    H_(i,i+k) over n_k pairs; that is about - sigma^2 p n_k/n, since what they do is smooth. The variance is that of
-    Ljung & Box (1978), n_k/(n (n + 2)).
+    With the projection H on the derivatives by p parameters, residuals of noise have E sum e_i e_(i+k) = - sigma^2 sum
+    H_(i,i+k) over n_k pairs; that is about - sigma^2 p n_k/n, since these derivatives are smooth. The variance is
+    from Ljung & Box (1978), n_k/(n (n + 2)).
     """
     rows = sum(len(series) for series in errors)
     correlations, variances = [], []
@@ -202,6 +202,6 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
 
 
 def clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return the residuals with those far out, by the median of their size, brought in."""
+    """Return the residuals, outliers (by the median of their size) clipped."""
     limit = SETTINGS.robustness.reach * float(np.median(np.abs(np.concatenate(list(residuals)))))
     return [np.clip(series, -limit, limit) for series in residuals]

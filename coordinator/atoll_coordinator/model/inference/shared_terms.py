@@ -1,9 +1,9 @@
 """Terms that several equations share, fitted together: a flux that leaves one state and enters another (ADR 0058).
 
-Brackets expanded, each term has a factor and numbers inside. Two terms of the same shape are one flux where the same
-numbers stand inside, and where one factor is a simple multiple of the other they are its stoichiometry. What the data
-allow is told by the quadratic form that the misfit is near its minimum, one decision after another, as for simple
-numbers; a fit with all of it decides.
+With brackets expanded, each term has a factor and numbers inside. Two terms of the same shape are one flux if their
+numbers inside are equal; if one factor is a simple multiple of the other, the factors are the stoichiometry. Near its
+minimum the misfit is a quadratic form, which says which numbers may be equal, one decision after another, as for simple
+numbers; a fit with all decisions is then compared.
 
 Letters: P fitted constants.
 """
@@ -35,15 +35,15 @@ from atoll_core.expression.writing.expansion import (
 from atoll_core.expression.writing.sums_of_products import Sum, UndefinedError
 
 _ROUNDING: Final = 2.0**-50
-"""Differences below this share of a constant are those of arithmetic."""
+"""Differences below this share of a constant are rounding errors."""
 
 
 @dataclass(frozen=True)
 class Stoichiometry:
     """A term of this `shape` in several equations: its fitted `numbers`, which stand in them all.
 
-    `multiples` has by equation how many times the flux stands there, None where the factor is fitted by itself. With
-    it the description is about so many `nats` shorter, of which the `saving` is what a flux takes that is written once.
+    `multiples` has by equation how many times the flux stands there, None where the factor is fitted by itself. The
+    description gets about `nats` shorter; the `saving` is the part of a flux that is written only once.
     """
 
     shape: Shape
@@ -116,7 +116,7 @@ class _Occurrence:
 
 
 def _sums(comparison: ModelComparison, shown: Sequence[Program]) -> list[Sum | None]:
-    """Return the terms of each equation, None of those that stay as they are.
+    """Return the terms of each equation, None for equations that stay as they are.
 
     Where another equation has n*u/(c + u), this one has it in place of n/(c + u).
     """
@@ -151,7 +151,8 @@ def _terms(comparison: ModelComparison, equation: int, program: Program) -> Sum 
 
 
 def _common(expansions: Sequence[Expansion | None]) -> dict[Shape, list[_Occurrence]]:
-    """Return the terms that two equations or more have, by shape; those are left out that one has several times."""
+    """Return the terms that two equations or more have, by shape; terms that one equation has several times are left
+    out."""
     occurrences: dict[Shape, list[_Occurrence]] = {}
     for equation, expansion in enumerate(expansions):
         for shape, occurrence in _occurrences(equation, expansion) if expansion is not None else ():
@@ -202,7 +203,7 @@ class _Estimates:
         return coefficients
 
     def variance(self, row: FloatArray) -> float:
-        """Return the variance of a sum of constants, that of arithmetic at least."""
+        """Return the variance of a sum of constants, at least the variance of rounding errors."""
         least = _ROUNDING * float(np.abs(row * self.values).max())
         return max(float(row @ self.covariance @ row), least * least, 1e-300)
 
@@ -217,9 +218,10 @@ class _Estimates:
 
 @dataclass(eq=False)
 class _Flux:
-    """Terms that have the same numbers inside; `nats` and `saving` are those of `Stoichiometry`.
+    """Terms that have the same numbers inside; `nats` and `saving` are as in `Stoichiometry`.
 
-    `ratios` are the factors over that of the `reference`, which is their smallest, where they are simple; by equation.
+    `ratios` are the factors over the factor of the `reference`, which is their smallest, where they are simple; by
+    equation.
     """
 
     terms: list[_Occurrence]
@@ -234,7 +236,7 @@ def _found(
     comparison: ModelComparison, free: FittedModel, common: Mapping[Shape, Sequence[_Occurrence]],
     savings: Mapping[Shape, float],
 ) -> list[Stoichiometry]:  # fmt: skip
-    """Return what the estimates of a fit say that terms share."""
+    """Return the numbers and factors that terms share, by the estimates of a fit."""
     system = free.fit.system
     index = {place: number for number, place in enumerate(comparison.places(system))}
     estimates = _Estimates(index, system.values, comparison.score.inflation(free) * bounded_covariance(free.fit))
@@ -306,7 +308,7 @@ def _simple_ratio(estimates: _Estimates, base: tuple[Place, float], constant: tu
 
 
 def _stoichiometry(shape: Shape, flux: _Flux) -> Stoichiometry | None:
-    """Return what the terms of a flux share, None where that is nothing."""
+    """Return the numbers that the terms of a flux share, None if they share none."""
     terms = [term for term in flux.terms if term.inner or term.equation in flux.ratios]
     if len(terms) < 2:
         return None
@@ -326,7 +328,7 @@ def _stoichiometry(shape: Shape, flux: _Flux) -> Stoichiometry | None:
 
 
 def _worthwhile(terms: Sequence[Stoichiometry], costs: Sequence[float]) -> tuple[Stoichiometry, ...]:
-    """Return those terms that are worth the `costs` of expanding their equations, none of the rest being so."""
+    """Return the terms that gain more than the `costs` of expanding their equations."""
 
     def gain(terms: Sequence[Stoichiometry]) -> float:
         expanded = {equation for term in terms for equation in term.multiples}

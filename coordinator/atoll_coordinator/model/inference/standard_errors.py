@@ -31,12 +31,12 @@ _HIGH_CORRELATION: Final = 0.95
 
 @dataclass(frozen=True, eq=False)
 class ConstantErrors:
-    """What the fit of all constants says of them.
+    """The estimates of all constants and their errors.
 
-    `values` (P,) have the joint `covariance` (P, P), which is that of the normal equations times `scale`, rows over
-    those that are left to judge by and count as one each. Student's t has so many `degrees_of_freedom`. `lower` and
-    `upper` (P,) are bounds, None without any; constants on one have a one-sided interval that `reaches` so far from it.
-    Where several constants are multiples of one number, `columns` (P,) tell of which.
+    `values` (P,) have the joint `covariance` (P, P), the covariance of the normal equations times `scale`: the number
+    of rows over the independent rows beyond the fitted numbers. `degrees_of_freedom` is for Student's t. `lower` and
+    `upper` (P,) are bounds, None without bounds; a constant on a bound has a one-sided interval that `reaches` this far
+    from it. Where several constants are multiples of one number, `columns` (P,) say of which.
     """
 
     values: FloatArray
@@ -49,7 +49,7 @@ class ConstantErrors:
     columns: Ints | None = None
 
     def of_constants(self, system: System) -> "ConstantErrors":
-        """Return the errors of all constants of a system, given those of the numbers that these are multiples of."""
+        """Return the errors of all constants of a system, from the errors of the numbers that they are multiples of."""
         if system.sharing is None:
             return self
         (columns,), multiples = system.columns, system.sharing.multiples
@@ -72,9 +72,9 @@ class ConstantErrors:
 def estimate_errors(comparison: ModelComparison, model: FittedModel) -> ConstantErrors:
     """Return the errors of the constants of a fit, by the errors of measurement by which systems are compared.
 
-    Variances are corrected for the numbers fitted, and are as many times those of independent rows as rows count as one
-    (`ModelComparison.inflation`): what an equation leaves out varies as slowly as the states do. Or as many times as a
-    correlation asks for that the rows do not exclude, if that is more.
+    Variances are corrected for the fitted numbers, and multiplied by the number of rows that count as one
+    (`ModelComparison.inflation`), since the errors of an equation vary as slowly as the states; or by the factor of a
+    correlation that the rows do not exclude, if that is larger.
     """
     fit = model.fit
     counts, inflation = float(comparison.score.counts.sum()), comparison.score.inflation(model)
@@ -102,7 +102,7 @@ def describe_constants(
 
     Args:
         comparison: says which equations are given.
-        explicit: the programs that `errors` are of, their factors of one being constants as well.
+        explicit: the programs of the `errors`, with factors of one as constants.
         shown: the same programs as they are written.
         errors: of all constants of `explicit`, one program after the other.
     """

@@ -1,4 +1,4 @@
-"""What is known of an equation by the rows of its target alone, where there are no trajectories to simulate. Pure.
+"""The evidence on an equation from the rows of its target alone, without trajectories to simulate. Pure.
 
 Letters: R rows, K constants.
 """
@@ -31,8 +31,8 @@ _MOST_ROWS: Final = 250
 class _Regression:
     """A program on rows, linearised about its constants.
 
-    `errors` (R,) are target minus program, weighted; `basis` (R, K) is what the fit of so many `constants` can do.
-    `has_location` tells that the constants can move all values alike.
+    `errors` (R,) are target minus program, weighted; `basis` (R, K) has the derivatives by the `constants`. With
+    `has_location` the constants can move all values alike.
     """
 
     errors: FloatArray
@@ -45,15 +45,15 @@ def target_evidence(
     shown: Refined, problem: Problem, weights: FloatArray | None, *, kind: JobKind = "target", is_known: bool = False,
     stopped: str = "",
 ) -> Evidence:  # fmt: skip
-    """Return what the rows of a problem say of the equation that is shown.
+    """Return the evidence of the rows of a problem on the equation that is shown.
 
     Args:
         shown: the equation, its error and its constants.
-        problem: the rows, of which at most about `RowSettings.most` are looked at.
+        problem: the rows, of which at most about `RowSettings.most` are used.
         weights: (R,) of the rows, 1 on average; None: all alike.
-        kind: "target", or that of a job whose trajectories the equation was not simulated along.
+        kind: "target", or the kind of a job along whose trajectories the equation was not simulated.
         is_known: whether the equation was given.
-        stopped: what was stopped.
+        stopped: the stage that was stopped.
     """
     target = problem.target
     scale = target.standard_deviation
@@ -80,7 +80,7 @@ def target_evidence(
 def _nearest(shown: Refined, problem: Problem) -> float | None:
     """Return the nats of the next best of its alternatives that says something else among the rows.
 
-    None where there is none: predictions of an equation that agrees keep what a good one promises.
+    None without one. Alternatives that agree with the equation do not count: their predictions are as good.
     """
     among = np.concatenate([problem.inputs, points_between(problem.inputs).T], axis=1)
     among = np.ascontiguousarray(among[:, np.isfinite(values_of(shown.program, among))])
@@ -99,7 +99,7 @@ def _nearest(shown: Refined, problem: Problem) -> float | None:
 def _with_rows(
     evidence: Evidence, program: Program, problem: Problem, weights: FloatArray | None, *, is_known: bool
 ) -> Evidence:
-    """Return the evidence with what residuals, and rows left out, say."""
+    """Return the evidence with residuals and rows left out."""
     places = thinned_places(len(problem.target.values), SETTINGS.rows.most)
     inputs, values = np.ascontiguousarray(problem.inputs[:, places]), problem.target.values[places]
     roots = np.ones(len(values)) if weights is None else np.sqrt(weights[places] / weights[places].mean())
@@ -144,7 +144,7 @@ def _digits(values: FloatArray) -> int | None:
 def _linearised(
     program: Program, inputs: FloatArray, values: FloatArray, roots: FloatArray, *, is_known: bool
 ) -> _Regression | None:
-    """Return errors of a program on rows and what its fit can do, None where a row has no finite value."""
+    """Return errors of a program on rows and its derivatives by constants, None if a row has no finite value."""
     places = [] if is_known else constant_places(program)
     fitted, slopes = values_and_gradient(program, inputs, places)
     errors = (values - fitted) * roots
@@ -167,7 +167,7 @@ def _fitted(values: FloatArray, roots: FloatArray, regression: _Regression) -> F
 def _order(errors: FloatArray, columns: FloatArray, fitted: FloatArray) -> IntArray:
     """Return that order of the rows, by a column or by the fitted values, in which neighbouring errors are most alike.
 
-    What an equation misses varies with its columns, so that it errs alike on neighbouring rows.
+    The errors of an equation vary with its columns, so that they are similar on neighbouring rows.
     """
     orders = [np.argsort(key, kind="stable") for key in (*columns, fitted)]
     return max(orders, key=lambda order: float(errors[order][:-1] @ errors[order][1:]))
@@ -195,8 +195,8 @@ def _null_nats(regression: _Regression, values: FloatArray, total: float, distin
         regression: the program.
         values: of the target (R,), weighted.
         total: their squares about their mean.
-        distinct: how many rows have inputs of their own.
-        price: nats of the structure, beyond those of a constant.
+        distinct: how many rows have different inputs.
+        price: nats of the structure minus the nats of a constant.
     """
     square = float(regression.errors @ regression.errors)
     if regression.has_location:

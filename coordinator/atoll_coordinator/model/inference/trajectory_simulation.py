@@ -34,8 +34,8 @@ class SimulatedTrajectory:
     `times` (R,) are centred as in the recording; `measured` (O, R) are the measured states, NaN where a value is not
     used; `values` and `errors` (O, R) are the simulated states with offsets and their standard errors (None where the
     simulation ends early); `start` is the initial condition, states and then velocities, without offsets (None like
-    `values`); `r2` has one number for each state, None where it could not be simulated to the end. `offsets` are what
-    was measured minus the state, by the names of the states that have one.
+    `values`); `r2` has one number for each state, None where it could not be simulated to the end. `offsets` are the
+    measured value minus the state, by the names of the states with an offset.
     """
 
     name: str
@@ -101,7 +101,7 @@ def _rows_by_trajectory(measurements: Measurements) -> list[tuple[str, IntArray]
 def listed_simulation(
     trajectories: Sequence[SimulatedTrajectory], states: Sequence[str], quantile: float, preparation: Preparation
 ) -> Simulation:
-    """Return simulations as a result lists them: thinned, at the times of the user's file, beside what was measured.
+    """Return simulations as a result lists them: thinned, at the times of the user's file, next to the measurements.
 
     The 95 % bands lie `quantile` standard errors on either side (Student's t, as of the constants). Where the errors of
     a solver were subtracted from the measurements, the result has the measurements themselves.
@@ -139,7 +139,7 @@ def listed_simulation(
 
 
 def _as_measured(part: SimulatedTrajectory, states: Sequence[str], recording: Recording) -> FloatArray:
-    """Return what was measured (O, R) of a trajectory, also where the errors of a solver were subtracted from it."""
+    """Return the measured states (O, R) of a trajectory, also where the errors of a solver were subtracted from it."""
     places = [recording.states.index(name) for name in states]
     measured = next(other.measured[places] for other in recording.trajectories if other.name == part.name)
     return (
@@ -182,7 +182,7 @@ def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, sc
         measurements: the trajectories.
         fit: the fit of their initial states, in which the constants are free.
         spread: S, the covariance (P, P) of the constants.
-        scale: what variances that follow from normal equations are multiplied by.
+        scale: factor of the variances from the normal equations.
     """
     fitted = fit.system.count
     standard_errors = np.zeros((len(measurements.observed), measurements.rows))

@@ -1,14 +1,15 @@
 """The checks of an equation, and the verdict that follows from them. Pure.
 
-`RULES` is the table: the name of each check, what it measures, its limit, and to which kinds of job it applies; the
-functions below it measure and say the result in a clause. A check has passed, has failed, or was not made, and then
-says why and what to do; or it is not applicable to a table that has nothing of what it looks at. An equation is `good`
-or `exact` only if every check that applies was made, would have seen a departure that matters, and passed. A departure
-matters if it has more than a tenth of the variance of a state, since predictions of a good equation have an R2 above
-0.9. Nothing that was not tested counts as passed.
+`RULES` is the table: the name of each check, the quantity it measures, its limit, and the kinds of job to which it
+applies. One function for each check measures the quantity and returns a `Finding` with a clause for the sentence. A
+check has passed, has failed, is not applicable to this table, or was not made; the clause then says why and what to do.
+An equation is `good` or `exact` only if every check that applies was made, could detect a relevant departure, and
+passed. A departure is relevant if it has more than a tenth of the variance of a state, since predictions of a good
+equation have an R2 above 0.9. A test that was not made never counts as passed.
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
@@ -30,51 +31,56 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
 
 _UNKNOWN: Final = 10.0
-"""Standard errors over an estimate from which on percents say nothing: they have hundreds of digits where it is 0."""
+"""Standard errors over an estimate from which on a percentage is not shown: of an estimate of 0 it is infinite."""
+
+_ADVICE: Final = re.compile(r": (?=(?:add|ask|give|leave|let|measure|sample) )")
+"""What separates the reason of a check from the advice behind it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known of the equation of one variable of a job of this `kind`. Defaults stand for what is not known.
+    """The known facts about the equation of one variable, in a job of this `kind`. Defaults mean: not known.
 
     Target, on the rows of the search: `error` is the normalized error, `target_uncertainty` the uncertainty of the
-    target over its standard deviation and `convergence_threshold` the normalized error at most which an equation has
-    converged when the job asks for none; `target_r2` is the share of the target's variance that is explained,
-    `predicted_r2` the same for rows left out one at a time.
+    target over its standard deviation, and `convergence_threshold` the normalized error below which an equation counts
+    as converged. `target_r2` is the explained share of the target's variance, `predicted_r2` the same share for rows
+    left out one at a time.
 
-    Simulation: `residuals` has (R,) numbers for each piece of a trajectory, measured minus simulated values of this
-    state, or target minus equation; a model is simulated to the end of all of them or of none. `parameters` is how many
-    numbers were fitted to them: constants and initial values, each shared by as many states as it was fitted to.
-    `noise` is the smoother's estimate of the measurement errors (0 for a state that was interpolated, of which
-    `noise_estimate` is what its second differences say; it `is_noise_residual` where few rows hide it and what is rough
-    in the residuals is taken for it), or the size of correlated errors of a sensor, and `innovations` are the whitened
-    residuals then; `covariance` (R, R) is that of residuals of independent errors of variance one, None where it is not
-    known; they stand in the one of so many `orders` of the rows in which neighbours are most alike;
-    `standard_deviation` is that of the measured values, in the state's unit as the noise; `reference` judges the
-    variance of the residuals, None where the noise is known; `are_errors_summed` tells that errors add up along
-    trajectories, as those of a solver do, and that constants were fitted to short pieces therefore; `has_outliers`
-    makes the tests robust. `held_out_r2` is the R2 of the simulations of held-out trajectories; with
-    `is_cross_validated`, of those left out one at a time.
+    Residuals: `residuals` has (R,) numbers for each piece of a trajectory: measured minus simulated values of this
+    state, or target minus equation. A model is simulated to the end of all pieces or of none. `parameters` is the count
+    of numbers fitted to the residuals: constants and initial values, each divided by the number of states that it was
+    fitted to. `standard_deviation` is the standard deviation of the measured values, in the unit of the state.
+    `covariance` (R, R) is the covariance of the residuals for independent errors of variance one, or None. The rows
+    stand in the one of `orders` possible orders in which neighbours are most alike. `are_errors_summed`: errors
+    accumulate along trajectories, like the errors of a solver, so that constants were fitted to short pieces.
+    `has_outliers` makes the tests robust. `held_out_r2` is the R2 of simulations of held-out trajectories, or, with
+    `is_cross_validated`, of trajectories left out one at a time.
 
-    `null_nats` is by how many nats the equation describes the rows better than no equation does (see `null_models`).
+    Noise: `noise` is the smoother's estimate of the measurement errors, in the unit of the state: 0 for an interpolated
+    state, whose second differences give `noise_estimate`. For a sensor with correlated errors it is their size, and
+    `innovations` are the whitened residuals. `is_noise_residual`: the rows are too few for an estimate, and the rough
+    part of the residuals is treated as noise. `reference` judges the variance of the residuals, None if the noise is
+    known. `solver` names the solver that computed the table, whose errors are subtracted from the residuals.
 
-    Model: `constants`, as they are reported, and `unit_coefficients`, factors of one that are not written;
-    `alternative` is how many nats longer the description is with the next best equation that is another function and
-    has no more constants; `rivals` are the odds of all other equations of a table without noise, `rivals_agree` tells
-    that some agree along what was measured; `prediction` is how far the state can be predicted from other initial
-    states, which lie near measured ones where it `is_near`, None where that was not tested, for the reason
-    `unpredicted`; `chaos` is what is known of a model whose trajectories cannot be predicted for long. `fits_whole`
-    tells whether it describes whole trajectories, None where only pieces of `piece` rows were simulated;
-    `predictable_rows` is over how many rows a driven model can be predicted at all, where its errors grow so fast that
-    this is less than a piece. `passes_pole` tells that its simulation goes through a point where this equation has no
-    finite value; `distinct_rows` counts rows that differ by more than rounding, None where that is not known;
-    `is_known` tells that the equation was given; `solver` names the one that computed the table, whose errors are not
-    in the residuals; `is_unsimulated` tells that there are trajectories, along which it was not simulated.
-    `unknown_inputs` are the shares of the variance of a rate that each input makes between its rows, where it is not
-    known, by name; NaN where too few rows tell, empty without inputs; `held_inputs` names all that are held.
-    `digits` is how many digits a target's values have that were rounded, None where they were not; `unfitted` counts
-    constants that are as the search left them, so that nothing is known of their errors.
-    `stopped` says what was stopped, nothing where nothing was: by a limit of time, or, with `is_cancelled`, by a user.
+    `null_nats` is the log-likelihood ratio of the equation over no equation (see `null_models`).
+
+    Model: `constants` as reported; `unit_coefficients` are factors of one that are not written. `unfitted` counts
+    constants as the search left them, without errors. `alternative` is the Δ description length of the next best
+    equation that is another function and has no more constants. `rivals` are the odds of all other equations of a table
+    without noise; `rivals_agree`: some of these agree on the measured trajectories. `prediction` says how far the state
+    can be predicted from other initial states (near measured ones with `is_near`); if None, `unpredicted` is the
+    reason. `chaos` describes a model whose trajectories cannot be predicted for long. `fits_whole`: the model describes
+    whole trajectories; None if only pieces of `piece` rows were simulated. `predictable_rows`: the rows over which a
+    driven model can be predicted, if these are fewer than a piece. `passes_pole`: the simulation passes a point where
+    the equation has no finite value. `is_known`: the equation was given. `is_unsimulated`: there are trajectories, but
+    the equation was not simulated along them.
+
+    Table: `distinct_rows` counts rows that differ by more than rounding. `unknown_inputs` are, by name, the shares of
+    the variance of a rate caused by uncertain values of an input between rows; NaN if there are too few rows, empty
+    without inputs. `held_inputs` names all held inputs. `digits` is the number of digits of a rounded target, else
+    None.
+
+    `stopped` names the stage that the time limit or, with `is_cancelled`, the user stopped; else it is empty.
     """
 
     kind: JobKind = "trajectories"
@@ -126,7 +132,7 @@ class Evidence:
     def statistics(self) -> ResidualStatistics:
         """The tests of the residuals."""
         residuals, innovations = self.residuals, self.innovations
-        if self.has_outliers:  # which must not decide
+        if self.has_outliers:  # outliers must not decide
             residuals = clip_outliers(residuals)
             innovations = None if innovations is None else clip_outliers(innovations)
         statistics = residual_statistics(
@@ -170,9 +176,9 @@ class Evidence:
         return float(sum_of_squares / special.chdtri(self.free_rows, 1.0 - math.exp(-SETTINGS.inference.distinct_nats)))
 
     def departure(self, share: float) -> float:
-        """Return the share of the state's variance that is so many times the variance of the noise.
+        """Return `share` times the variance of the noise, over the variance of the state.
 
-        What residuals of this size cannot hide is no departure.
+        At most the largest departure that residuals of this size can hide.
         """
         return min(share * self.relative_noise**2, self.largest_departure) if self.rows else math.inf
 
@@ -189,10 +195,10 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Rule:
-    """A check: its `name`, what it `measures`, and its `limit` in words; it applies to these `kinds` of job.
+    """A check: its `name`, the quantity it `measures`, its `limit` in words, and the `kinds` of job it applies to.
 
-    `find` measures; None: the equation was not simulated, or has no value on some rows. Checks that `is_exactness` are
-    needed for the grade `exact` alone.
+    `find` measures the quantity; it returns None if the equation was not simulated or has no value on some rows. Checks
+    with `is_exactness` are needed for the grade `exact` alone.
     """
 
     name: str
@@ -218,8 +224,8 @@ class Verdict:
 def judge(evidence: Evidence) -> Verdict:
     """Return the verdict on an equation.
 
-    `no model`: it explains next to nothing. `doubtful`: a check that applies has failed, was not made, or would not
-    have seen a departure that matters. `exact`: checks of exactness have passed as well. `good`: all others.
+    `no model`: it explains less than a tenth of the variance. `doubtful`: a check that applies has failed, was not
+    made, or could not detect a relevant departure. `exact`: the checks of exactness have passed as well. `good`: else.
     """
     checks, exactness = make_checks(evidence), make_checks(evidence, of_exactness=True)
     explained = next((check for check in checks if check.name == "explained variance"), None)
@@ -245,7 +251,7 @@ def make_checks(evidence: Evidence, *, of_exactness: bool = False) -> tuple[Chec
 
 
 def check_of(name: str, finding: Finding) -> Check:
-    """Return a check; it was not made if it has passed and would not have seen a departure that matters."""
+    """Return a check; one that has passed but could not detect a relevant departure counts as not made."""
     power = finding.power
     if finding.outcome == "passed" and power is not None and power > SETTINGS.inference.part:
         least = f"below {percent(power)} of the variance" if math.isfinite(power) else "of any size"
@@ -255,7 +261,7 @@ def check_of(name: str, finding: Finding) -> Check:
 
 
 def with_objection(verdict: Verdict, name: str, outcome: CheckOutcome, reason: str) -> Verdict:
-    """Return a verdict with a further check, which has failed or was not made: it is doubtful at best then."""
+    """Return a verdict with a further check that has failed or was not made: the verdict is at best doubtful."""
     checks = (*verdict.checks, check_of(name, Finding(outcome, reason)))
     if verdict.grade in ("no model", "doubtful"):
         return Verdict(verdict.grade, verdict.reason, checks)
@@ -272,13 +278,20 @@ def failures(checks: Sequence[Check]) -> list[str]:
 
 
 def sentence(clauses: Sequence[str]) -> str:
-    """Return at most two clauses as a sentence; a third is worth no more reading."""
-    text = ", and ".join(clauses[:2])
-    return text[0].upper() + text[1:] + "."
+    """Return the first two clauses as a sentence; with two, their advice follows in sentences of its own."""
+    if len(clauses) == 1:
+        return _capitalised(clauses[0])
+    parts = [_ADVICE.split(clause, maxsplit=1) for clause in clauses[:2]]
+    advice = dict.fromkeys(part for _, *rest in parts for part in rest)
+    return " ".join(map(_capitalised, [", and ".join(part[0] for part in parts), *advice]))
+
+
+def _capitalised(clause: str) -> str:
+    return clause[0].upper() + clause[1:] + "."
 
 
 def _merits(evidence: Evidence, checks: Sequence[Check]) -> list[str]:
-    """Return why an equation is good: its residuals; what it predicts is in the same clause, behind semicolons."""
+    """Return why an equation is good, as one clause: residuals, then predictions, separated by semicolons."""
     reasons = {check.name: check.reason for check in checks if check.outcome != "not applicable"}
     size = next((reasons[name] for name in ("residual size", "rows left out") if name in reasons), "")
     pattern = reasons.get("residual pattern", "")
@@ -417,9 +430,9 @@ def _size_without_noise(evidence: Evidence) -> Finding:
 
 
 def _exceeds(evidence: Evidence) -> bool:
-    """Tell whether residuals are larger than an interpolated state's noise can be, which so many rows tell.
+    """Tell whether residuals are larger than the noise of an interpolated state can be (F test).
 
-    Second differences, by which it is estimated, have 18/35 as many degrees of freedom as rows.
+    The noise is estimated from second differences, which have 18/35 as many degrees of freedom as rows.
     """
     from scipy import special
 
@@ -479,7 +492,7 @@ def _whole(evidence: Evidence) -> Finding | None:
 
 
 def _long_run(evidence: Evidence) -> Finding | None:
-    """Check a chaotic model by a simulation far longer than errors of an initial state can be carried."""
+    """Check a chaotic model by a simulation much longer than its trajectories can be predicted."""
     chaos, limit = evidence.chaos, SETTINGS.inference.improbable
     if chaos is None and not evidence.residuals:
         return None
@@ -505,7 +518,7 @@ def _long_run(evidence: Evidence) -> Finding | None:
 
 
 def _other_starts(evidence: Evidence) -> Finding | None:
-    """Check how far the model can be relied on elsewhere in the measured range."""
+    """Check whether predictions from other initial states within the measured range can be trusted."""
     known, limit = evidence.prediction, 1.0 - math.exp(-SETTINGS.inference.distinct_nats)
     if not evidence.residuals:
         return None
@@ -534,7 +547,7 @@ def _other_starts(evidence: Evidence) -> Finding | None:
 
 
 def _to_decide(known: Prediction | None) -> str:
-    """Return what to measure, behind a colon, or nothing where that is not known."""
+    """Return the advice where to measure, behind a colon; empty without a prediction."""
     return "" if known is None else f": measure from {_where(known)} to decide"
 
 
@@ -546,7 +559,7 @@ def _where(known: Prediction) -> str:
 
 
 def _target_noise(evidence: Evidence) -> Finding:
-    """Check what is known of the target: nonsense fits an uncertain one as well as the law does."""
+    """Check the uncertainty of the target: many wrong equations fit an uncertain target as well as the law does."""
     uncertainty, most = evidence.target_uncertainty, SETTINGS.inference.largest_uncertainty
     if uncertainty <= most:
         return Finding("passed", f"the target is uncertain by {percent(uncertainty)}", uncertainty, most)
@@ -555,9 +568,9 @@ def _target_noise(evidence: Evidence) -> Finding:
 
 
 def _predicted_rows(evidence: Evidence) -> Finding:
-    """Check the rows that take no part in a fit: of a good equation they are predicted with an R2 above 0.9.
+    """Check the rows left out of a fit: a good equation predicts them with an R2 above 0.9.
 
-    Where the target's own uncertainty is known, an equation cannot be asked for more than that.
+    If the target is uncertain, the R2 need not be higher than this uncertainty allows.
     """
     r2 = evidence.predicted_r2
     if r2 is None:
@@ -585,10 +598,10 @@ def _inputs(evidence: Evidence) -> Finding:
     most, shares = SETTINGS.inference.part, evidence.unknown_inputs
     if not shares:
         return Finding("not applicable", "the equations have no input")
-    untold = [one for one, share in shares.items() if math.isnan(share)]
-    if untold:
+    unestimated = [one for one, share in shares.items() if math.isnan(share)]
+    if unestimated:
         return Finding(
-            "not made", f"there are too few rows to estimate {_quoted(untold)} between them: sample more rows"
+            "not made", f"there are too few rows to estimate {_quoted(unestimated)} between them: sample more rows"
         )
     unknown, worst = [one for one, share in shares.items() if share > most], max(shares.values())
     if not unknown:
@@ -657,7 +670,7 @@ def _constants(evidence: Evidence) -> Finding | None:
 
 
 def _precision(evidence: Evidence) -> Finding:
-    """Check whether the equation is met but for rounding and errors of integration."""
+    """Check whether the residuals are as small as rounding and integration errors."""
     if not evidence.residuals or evidence.kind == "target":
         error, limit = evidence.error, evidence.convergence_threshold
         is_met = evidence.target_uncertainty <= SETTINGS.common.clean and error <= limit
@@ -675,11 +688,11 @@ def _precision(evidence: Evidence) -> Finding:
 
 
 def _loosest(evidence: Evidence) -> Finding:
-    """Check that all constants are known as in an exact law.
+    """Check that all constants are known as precisely as in an exact law.
 
-    Dropping a constant of which the estimate is t standard errors away from zero costs about t^2/2 nats. In data
-    without noise a law stands out by millions of nats, while terms that follow the errors of a simulation do by tens.
-    Factors of one of which some stand for others, as those of x*y in x*y - x*(y - x), have no errors and do not count.
+    Dropping a constant whose estimate is t standard errors away from zero costs about t^2/2 nats. In data without noise
+    a term of the law gains millions of nats, a term that follows integration errors gains tens. Redundant factors of
+    one, such as the factors of x*y in x*y - x*(y - x), have no errors and do not count.
     """
     limit = SETTINGS.common.negligible
     shares = [
@@ -699,9 +712,9 @@ def _loosest(evidence: Evidence) -> Finding:
 
 
 def _digits(evidence: Evidence) -> Finding:
-    """Check that values with few digits are met by constants with as few: others follow the errors of rounding.
+    """Check that constants have no more digits than the values: longer ones may follow the rounding errors.
 
-    What is periodic in the last digit of a column can give the rounding of every row.
+    A wave in the last digit of a column can reproduce the rounding of every row.
     """
     most = evidence.digits
     if most is None:
@@ -728,7 +741,7 @@ def _undecided(evidence: Evidence) -> Finding:
 
 
 def _chance(evidence: Evidence) -> Finding | None:
-    """Check that the equation stands out from none as an exact one must: odds of 200."""
+    """Check that the equation is likelier than no equation by odds of 200, as `exact` requires."""
     nats, least = evidence.null_nats, SETTINGS.inference.exact_nats
     if nats is None:
         return None
@@ -743,16 +756,16 @@ _TARGET: Final[Sequence[JobKind]] = ("target",)
 _ALL: Final = (*_SIMULATED, *_TARGET)
 """The steps of a process have checks of their own, see `stochastic.conclusion`."""
 
-# name, what is measured, limit, kinds of job, function; those first that weigh most in a sentence
+# name, quantity measured, limit, kinds of job, function; the most important checks come first, also in the sentence
 RULES: Final[Sequence[Rule]] = (
     Rule("explained variance", "R2 of the simulation, or on the target", "0.1", _ALL, _explained),
     Rule("simulation", "whether the trajectories could be simulated", "all", _SIMULATED, _simulated),
-    Rule("time", "what a limit of time has stopped", "nothing", _ALL, _time),
-    Rule("degrees of freedom", "rows less the numbers fitted to them", "1", _ALL, _freedom),
+    Rule("time", "stages that the time limit stopped", "nothing", _ALL, _time),
+    Rule("degrees of freedom", "rows minus the numbers fitted to them", "1", _ALL, _freedom),
     Rule("distinct rows", "rows that differ by more than rounding", "5", _ALL, _distinct),
     Rule("inputs between rows", "share of the variance of a rate that is not known", "0.1", _SIMULATED, _inputs),
     Rule("no equation", "Δ log-likelihood over a constant and a random walk", "4.6", _ALL, _null),
-    Rule("held-out trajectories", "R2 of trajectories left out", "0.9 less the noise", _SIMULATED, _held_out),
+    Rule("held-out trajectories", "R2 of trajectories left out", "0.9 minus the noise", _SIMULATED, _held_out),
     Rule("rows left out", "R2 of rows left out one at a time", "0.9", _TARGET, _predicted_rows),
     Rule("target uncertainty", "uncertainty of the target", "0.01", _TARGET, _target_noise),
     Rule("residual size", "residuals over the noise", "1.25, p < 0.01", _SIMULATED, _residual_size),

@@ -1,4 +1,4 @@
-"""The equation of one variable, fitted to its target without simulating anything.
+"""The equation of one variable, fitted to its target without simulations.
 
 - `equation`: from a front to the equation that is shown: `Shortening`, `fit_equation`
 - `fit`: the `Fitter` of constants to the rows of a target

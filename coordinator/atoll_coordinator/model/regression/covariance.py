@@ -30,7 +30,7 @@ _RIDGE: Final = 1e-14
 
 @dataclass(frozen=True)
 class Known:
-    """The constants of one equation with their errors: those that are written, and factors of one that are not."""
+    """The constants of one equation with their errors: the written constants, and factors of one, which are not."""
 
     written: tuple[Constant, ...]
     unit_coefficients: tuple[UnitCoefficient, ...]
@@ -78,7 +78,7 @@ def estimate_constants(
         least_squares: fits it to the rows that decide its constants.
         criterion: has the number of these rows and the least variance of their errors.
         has_intervals: whether the errors are independent, so that there are 95 % intervals (Student's t with n - K
-            degrees of freedom) and constants that the data do not determine can be told.
+            degrees of freedom) and constants that the data do not determine are recognised.
     """
     bounds = least_squares.restrictions.bounds
     explicit = make_coefficients_explicit(program) if bounds is None else as_written(program)
@@ -95,7 +95,7 @@ def estimate_constants(
     errors = [math.inf] * len(values)
     if degrees_of_freedom > 0 and math.isfinite(fitted.mse):
         normal = np.where((held[:, None] | held) & ~np.eye(len(values), dtype=bool), 0.0, fitted.normal)
-        errors = standard_errors(replace(fitted, normal=normal), criterion)  # what is held is as good as given
+        errors = standard_errors(replace(fitted, normal=normal), criterion)  # a held constant counts as given
     known = describe(explicit, program, values.tolist(), errors, quantile)
     if ranges is None:
         return known

@@ -3,11 +3,11 @@
 *Shortening.* The search compares individuals by their error on some rows; here whole descriptions are compared, on all
 rows. Members of the front that are far from the shortest are left out; the others are reduced. Then the programs one
 step from the smallest of the nearly shortest descriptions are tried (a larger one may have begun to describe the
-noise), and those one step from the shortest as long as the description gets shorter; not when its errors are at the
+noise), then programs one step from the shortest as long as the description gets shorter; not when its errors are at the
 limit, where only its size could be better. The work is bounded by a number of point evaluations, not by the clock,
-unless there is a deadline. *Finishing.* Of the shortest, constants become simple numbers where the data single them
-out, by the same rules as for systems along trajectories (`rounding`); they get standard errors, and the program its
-errors on all rows. The front stays as the search found it.
+unless there is a deadline. *Finishing.* Constants of the shortest program become simple numbers where the data single
+them out, by the same rules as for systems along trajectories (`rounding`); they get standard errors, and the program
+its errors on all rows. The front stays as the search found it.
 """
 
 import math
@@ -40,8 +40,8 @@ from atoll_core.expression.writing.expansion import form_of
 from atoll_core.expression.writing.shortest import collected, shortest, shortest_over
 
 _MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
-"""Neighbours are candidates whose description is longer than the best by at most so many nats (odds of 400), and the
-smallest program that is not longer by more has its neighbours tried, too."""
+"""Neighbours are candidates whose description is longer than the best by at most this many nats (odds of 400), and the
+neighbours of the smallest program within this limit are tried, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +174,8 @@ class Shortening:
     def _around(self, best: FrontCandidate) -> list[Fitted]:
         """Return the most promising programs one step from `best`, each also reduced.
 
-        Of those with equal errors, which are equal functions in other words, the shortest is taken; but of those that
-        are equal to `best`, the shortest for each collection of operators, since their constants may be simpler.
+        Of programs with equal errors, which are equal functions, the shortest is kept; of programs equal to `best`, the
+        shortest for each collection of operators, since their constants may be simpler.
         """
         most = best.length + _MARGIN
         fits: dict[tuple[str, bytes], tuple[float, Fitted]] = {}
@@ -253,7 +253,7 @@ def fit_equation(
 def _alternatives(
     shown: Refined, chosen: FrontCandidate, candidates: Sequence[FrontCandidate], problem: Problem
 ) -> tuple[Alternative, ...]:
-    """Return the equation that is shown and what was compared with it, the shortest descriptions first.
+    """Return the equation that is shown and its alternatives, the shortest descriptions first.
 
     Each form once. More constants always describe about as well: such candidates are no alternatives, unless they
     describe the rows far better. Constants are counted before some become simple.
@@ -302,7 +302,7 @@ def _finished(  # noqa: PLR0913, whose constants, by which rows, as what
 
 
 def _with_simple_numbers(program: Program, criterion: RegressionCriterion, least_squares: LeastSquares) -> Program:
-    """Return a program with those constants simple that the rows single out, the others fitted, neutral ones left out.
+    """Return a program with simple constants where the rows single them out, others fitted, neutral ones left out.
 
     As it is fitted where there are too many constants, or where simple ones fit less well than they should.
     """
@@ -323,7 +323,7 @@ def _with_simple_numbers(program: Program, criterion: RegressionCriterion, least
 def _with_estimates(
     program: Program, criterion: RegressionCriterion, least_squares: LeastSquares
 ) -> tuple[Program, tuple[SimpleNumber | None, ...], SimpleTogether | None]:
-    """Return a program with constants as they are shown, the simple numbers near them, and those shown together."""
+    """Return a program with constants as they are shown, the simple numbers near them, and their joint odds."""
     fitted, places = least_squares.fit(program), constant_places(program)
     if not places or not math.isfinite(fitted.mse):
         return program, (None,) * len(places), None

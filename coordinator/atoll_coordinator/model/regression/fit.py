@@ -131,7 +131,7 @@ class _TargetFit(Fitter[Fitted, FloatArray, Fitted]):
         return SETTINGS.effort.settled * self._rows.half * point.mse
 
     def done(self, point: Fitted, promise: float, taken: int) -> bool:
-        """Tell whether steps that are all as good as the next one do not come near the error that is enough."""
+        """Tell whether further steps with the gain of the next one would not reach the error that is enough."""
         if taken <= SETTINGS.effort.brief_steps or not self._enough > 0.0:
             return False
         left = max(1.0 - promise / (self._rows.half * point.mse), 0.0)

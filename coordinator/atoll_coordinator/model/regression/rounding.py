@@ -10,9 +10,9 @@ its estimate once the earlier ones are fixed, and a beam of the most probable de
 as in integer least squares). A simple number takes the place of an estimate when its odds, against all other decisions
 together, reach `InferenceSettings.distinct_nats`.
 
-*All constants together.* What share of them is simple is not known beforehand, and any share is as likely: of K
-constants m certain ones are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession), so that
-simple numbers speak for each other, and estimates against a simple number that is alone. And a constant may be simple
+*All constants together.* The share of simple constants is not known beforehand, and any share is as likely: m given
+constants of K are simple with the probability m! (K - m)!/(K + 1)! (Laplace's rule of succession), so that
+simple numbers support each other, and estimates speak against a single simple number. And a constant may be simple
 as a factor of one that is decided already: 0.9 (c + f) with c = 0.1111 is 0.1 + 0.9 f with the bracket expanded.
 
 All routes round by this module: equations of a target (`equation`), systems along trajectories and groups of them
@@ -42,7 +42,7 @@ _ROUNDING: Final = 2.0**-50
 _DIGIT: Final = math.log(3.0)
 """Nats of each digit beyond the first, in addition to the nats of the whole number."""
 _SHORT: Final = 3
-"""Of numerators with more digits the sum of probabilities is an integral."""
+"""For numerators with more digits, the sum of probabilities is replaced by an integral."""
 _DIGITS_OF_PI: Final = 2
 """Digits of multiples of pi: with more, they would say less than a decimal of the same size."""
 _LARGE: Final = 1e200
@@ -64,7 +64,7 @@ class Decision:
 
     @classmethod
     def none(cls, means: FloatArray, covariance: FloatArray) -> "Decision":
-        """Return the decision on no constant; variances are at least those of rounding errors."""
+        """Return the decision on no constant; variances are at least the variances of rounding errors."""
         least = np.maximum((_ROUNDING * means) ** 2, np.finfo(np.float64).tiny)
         spread = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))
         return cls((), 0.0, tuple(range(len(means))), means, spread)
@@ -91,7 +91,7 @@ class Decision:
 
 
 class Considered:
-    """Decisions that were weighed against each other, and the odds of what some of them have in common."""
+    """Decisions that were compared, and the odds of a property that some of them share."""
 
     def __init__(self, weighed: Sequence[Decision] = ()) -> None:
         """Weigh these decisions."""
@@ -102,7 +102,7 @@ class Considered:
         self._whole: Final = math.fsum(self._weights)
 
     def odds_of(self, chosen: Iterable[bool]) -> float:
-        """Return the odds of the chosen decisions, those that are true here, against all others."""
+        """Return the odds of the chosen decisions (true here) against all others."""
         share = math.fsum(compress(self._weights, chosen))
         return share / max(self._whole - share, 1e-300)
 
@@ -136,7 +136,7 @@ class Rounding:
         """Return simple numbers of two and more of these constants that are right together; None if that is unlikely.
 
         The largest combination that the data single out, else the largest that is likelier than all others together.
-        Its places are those in `constants`.
+        Its places are indices of `constants`.
         """
         decided = self.considered.numbers
         combinations = dict.fromkeys(
@@ -178,9 +178,9 @@ class Estimates:
     def rounded(self, digits: int = ERROR_DIGITS[0], estimates: Collection[int] = ()) -> Rounding:
         """Return the constants as they are shown.
 
-        Estimates are rounded to so many digits of their standard errors, one after another, each at its estimate given
-        the earlier ones: so the last of several constants that only together are determined keeps the digits it needs.
-        Simple numbers that are singled out take their place, except for the `estimates`, by number.
+        Estimates are rounded to this many digits of their standard errors, one after another, each at its estimate
+        given the earlier ones: so the last of several constants that are only determined together keeps the digits it
+        needs. Simple numbers that the data single out replace estimates, except for the `estimates`, by number.
         """
         means, decision = self._means, Decision.none(self._means, self._covariance)
         covariance = decision.covariance
@@ -220,7 +220,7 @@ def allowed_growth(means: FloatArray, covariance: FloatArray, numbers: Mapping[i
 def decisions(means: FloatArray, covariance: FloatArray, *, has_products: bool = False) -> list[Decision]:
     """Return the most probable decisions on constants with these `means` (K,) and `covariance`, none among them.
 
-    With `has_products` a constant may also be what makes its product with one that is decided a simple number.
+    With `has_products` a constant may also be what makes its product with a constant already decided a simple number.
     """
     all_decisions = beam = [Decision.none(means, covariance)]
     while beam:
@@ -277,7 +277,7 @@ def _priced(numbers: Mapping[float, float], value: float, error: float, least: f
 
 
 def _rounded(value: float, error: float, digits: int) -> float:
-    """Return `value` rounded to so many digits of its error, and to as many of its own at least."""
+    """Return `value` rounded to this many digits of its error, and to at least as many of its own."""
     if value == 0.0 or not math.isfinite(value):
         return value
     size = min(error, abs(value)) if error > 0.0 else abs(value)
@@ -310,7 +310,7 @@ def number_length(numerator: int, denominator: int = 1) -> float:
 def simple_numbers(value: float, error: float) -> dict[float, float]:
     """Return numbers within a few standard errors of `value`, each with its length in nats; 0 is not among them.
 
-    The more digits the error leaves, the more of them are considered, of decimals up to one more than it justifies.
+    The more digits the error justifies, the more are considered, for decimals one digit more.
 
     Args:
         value: not 0.
@@ -336,8 +336,8 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
 def continuum_density(value: float) -> float:
     """Return the probability of any number per unit at `value`, when each decade is as probable as by simple numbers.
 
-    Simple numbers of length L have the probability e^-L, up to a common factor; the sum of those between two powers of
-    ten, the same for all, is spread evenly over the logarithm of that decade.
+    Simple numbers of length L have the probability e^-L, up to a common factor; the sum of the probabilities between
+    two powers of ten, the same for all, is spread evenly over the logarithm of that decade.
     """
     return _probability_of_decade() / math.log(10.0) / abs(value)
 
@@ -360,7 +360,7 @@ def _probability_of_decade() -> float:
 
 
 def _near(value: float, error: float, denominator: int, unit: float, digits: int) -> Iterator[tuple[float, int]]:
-    """Yield multiples of `unit` by p/q times powers of ten near `value`, with p, which has at most so many digits."""
+    """Yield multiples of `unit` by p/q times powers of ten near `value`, with at most this many digits in p."""
     if value == 0.0:
         return
     beside = SETTINGS.regression.numerators_beside

@@ -1,4 +1,4 @@
-"""Known equations, measured on the data: they stand beside what is found. Pure."""
+"""Known equations, measured on the data, next to the equations found. Pure."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from atoll_core.search.pareto import FrontEntry
 def known_entries(dataset: Dataset, config: JobConfig) -> dict[str, FrontEntry]:
     """Return each known equation as the only member of its front, in the dataset's order; `config` is resolved.
 
-    Its errors are those on all rows, infinite where it is not finite on all of them; it was found nowhere.
+    Its errors are errors on all rows, infinite if it is not finite on all of them; no island found it.
     """
     entries = {}
     for name, program in known_programs(dataset, config).items():

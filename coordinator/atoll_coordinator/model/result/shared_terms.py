@@ -1,7 +1,7 @@
 """Terms that several equations have in common, such as a flux that leaves one state and enters another.
 
-Two terms are one when they differ in their factors alone: inside, numbers agree within two standard errors of their
-difference. Those that were fitted together have the same numbers there.
+Two terms are one if they differ only in their factors: numbers inside agree within two standard errors of their
+difference. Terms that were fitted together have the same numbers inside.
 """
 
 import math
@@ -28,8 +28,8 @@ def shared_terms(
 ) -> tuple[SharedTerm, ...]:
     """Return the terms that two equations or more have, as `term`, with the `factors` that they have there.
 
-    Numbers are no such terms, nor are lone variables that were not fitted together. Numbers inside are those of the
-    first equation. Of terms that were fitted together `multiples` has how many times the flux stands in each equation.
+    Numbers are not shared terms, nor are single variables that were not fitted together. Numbers inside come from the
+    first equation. For terms fitted together, `multiples` has how many times the flux stands in each equation.
 
     Args:
         equations: by variable.

@@ -1,4 +1,5 @@
-"""What a result says of the data: their source, columns, noise, smoothed trajectories, and the rows of a regression."""
+"""The parts of a result about the data: their source, columns, noise, smoothed trajectories, and the rows of a
+regression."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -32,14 +33,14 @@ MOST_REGRESSION_ROWS: Final = 1_000
 LEAST_ROWS: Final = 8
 """Measured rows listed of each trajectory at least."""
 DIGITS: Final = 12
-"""Significant digits of what was measured: errors of less than 1e-11 of a value are none."""
+"""Significant digits of measured values: errors of less than 1e-11 of a value do not count."""
 
 
 # ---------------------------------------------------------------------------------------------------- measured rows
 
 
 def data(preparation: Preparation, *, has_trajectories: bool = True) -> Data | None:
-    """Return digest, files and number of rows of the table, how it was read, and what was measured of each trajectory.
+    """Return digest, files and number of rows of the table, how it was read, and the measured rows of each trajectory.
 
     None where the source is not known. `trajectories` is null where states were not measured in time, or not wanted.
     """
@@ -85,7 +86,7 @@ def _measured(recording: Recording, part: Trajectory, share: float) -> Recorded:
 
 
 def system(preparation: Preparation) -> System | None:
-    """Return what the columns are, their units, and the range of each variable in the rows that count.
+    """Return the roles of the columns, their units, and the range of each variable in the rows that count.
 
     All by column name; angles are in radians there. None where the source is not known.
     """
@@ -131,9 +132,9 @@ def regression(preparation: Preparation, program: Program | None) -> Regression 
 
 
 def noise(recording: Recording | None, errors: Mapping[str, Errors]) -> dict[str, Noise]:
-    """Return what is known of the measurement errors of each state; empty when no state was measured in time.
+    """Return the estimated measurement errors of each state; empty if no state was measured in time.
 
-    `errors` are what the residuals of the shown model say of them, by state.
+    `errors` are estimates from the residuals of the shown model, by state.
     """
     if recording is None:
         return {}
@@ -201,7 +202,7 @@ def _excluded(recording: Recording, rows: Sequence[ExcludedRow]) -> tuple[Exclud
 def smoothing(recording: Recording | None) -> Smoothing | None:
     """Return smoothed and measured values of the states that were smoothed; None when none was.
 
-    `rows` counts all rows, `listed` those that are here: all of them, or rows of each trajectory spread evenly.
+    `rows` counts all rows, `listed` the rows included: all, or evenly spread rows of each trajectory.
     """
     if recording is None:
         return None

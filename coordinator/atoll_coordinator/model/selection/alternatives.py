@@ -1,4 +1,4 @@
-"""What comes closest to the chosen equations, and whether one of these predicts better. Pure.
+"""The closest alternatives to the chosen equations, and whether one of these predicts better. Pure.
 
 Where two descriptions are nearly as long, trajectories that were left out decide between them: their misfit takes the
 place of the misfit to all trajectories and of the price of constants, which stands for it. An equation with a pole in
@@ -41,7 +41,7 @@ class RankedAlternative:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """How the ranking ended: who won, how well that system predicts, and by equation what came closest."""
+    """The outcome of the ranking: the best system, how well it predicts, and its closest alternatives by equation."""
 
     selection: SelectedModel
     validated: Validated | None
@@ -79,7 +79,7 @@ def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
 def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedModel, list[list[FittedModel]]]:
     """Return the selection and its alternatives, none of which is shorter: one that lost before may win now.
 
-    Where the work of a part of the selection is used up an alternative may stay shorter, which is said of it.
+    If the work of a part of the selection is used up, an alternative may stay shorter; the result reports this.
     """
     until = selection.comparison.estimator.work + SETTINGS.effort.work
     while True:
@@ -98,8 +98,8 @@ def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedMod
 def _simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> SelectedModel:
     """Return the selection, equations exchanged for shorter ones that are multiples of them at all measured points.
 
-    Of an input that is switched between 0 and 1, 2.3*u/(0.16 + u**2) is 2*u wherever it was measured; how it goes from
-    the one to the other between two rows was not, and is what such equations describe.
+    For an input that is switched between 0 and 1, 2.3*u/(0.16 + u**2) equals 2*u on all rows; the two differ only while
+    the input changes between two rows, which was not measured.
     """
     comparison = selection.comparison
     if not len(comparison.estimator.measurements.inputs):
@@ -125,7 +125,7 @@ def _simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> SelectedM
 
 
 def _is_multiple(values: FloatArray, others: FloatArray) -> bool:
-    """Tell whether values are a multiple of others but for rounding."""
+    """Tell whether values are a multiple of others up to rounding."""
     with np.errstate(all="ignore"):
         size = float(values @ values)
         rest = others - values * (float(values @ others) / size if size > 0.0 else 0.0)
@@ -155,7 +155,7 @@ def _winner(
 ) -> RankedAlternative | None:
     """Return the alternative that is close behind and predicts best, and clearly better than the one in front, or None.
 
-    Those with more constants are left out: what these gain on few trajectories is chance as often as not.
+    Alternatives with more constants are left out: their gain on few trajectories is often chance.
     """
     best, winner = validated_length(own.misfit, model.programs) - SETTINGS.inference.distinct_nats, None
     for alternative in (alternative for equation_alternatives in alternatives for alternative in equation_alternatives):
@@ -190,12 +190,12 @@ def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list
 
 
 def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> list[FittedModel]:
-    """Return what came closest with another equation for one variable, distinct in function, the closest first.
+    """Return the closest alternatives for the equation of one variable, distinct as functions, the closest first.
 
     The user's guesses are among them, however far behind they are.
 
-    Programs of the same misfit say the same in other words unless they differ beside the measured curves, also where
-    groups have constants of their own. The same form with other constants is the same equation, unless they fit better.
+    Programs of the same misfit count as one function unless they differ off the measured curves, also if groups have
+    their own constants. The same form with other constants is the same equation, unless they fit better.
     """
     comparison, best = selection.comparison, selection.model
     tried = sorted(
@@ -235,9 +235,9 @@ def _alternatives(selection: SelectedModel, index: int, inputs: FloatArray) -> l
 def _without_needless_constants(
     comparison: ModelComparison, best: FittedModel, models: Sequence[FittedModel], index: int
 ) -> list[FittedModel]:
-    """Return what rivals that are about as short as the best become without the constants that they can do without.
+    """Return alternatives about as short as the best system, without their unnecessary constants.
 
-    A rival may be the law but for such a constant, and shorter than the best without it.
+    Without such a constant an alternative may be the law, and shorter than the best system.
     """
     limit = best.nats + SETTINGS.inference.distinct_nats
     search = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
@@ -266,10 +266,10 @@ def fit_guesses(selection: SelectedModel, index: int) -> list[FittedModel]:
 
 
 def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
-    """Return what may be one variable's equation as well where there is no noise, as it agrees along measured curves.
+    """Return other possible equations of one variable without noise, which agree along the measured curves.
 
-    Those are candidates, and where terms are dependent along the curves its neighbours, and sums that a pursuit of
-    its values finds. They are about as short: of the others the odds are too small to count.
+    These are candidates, its neighbours if terms are dependent along the curves, and sums that a pursuit of its values
+    finds. Only equations about as short are returned: the odds of others are too small to count.
     """
     task, comparison, own = selection.task, selection.comparison, selection.model.programs[index]
     if not task.is_nearly_clean or task.recording.groups or task.is_over:
@@ -293,7 +293,7 @@ def _agreeing(selection: SelectedModel, index: int) -> list[Program]:
 
 
 def _with_neutral_constants(program: Program) -> Program:
-    """Return a program without the constants that are 0, 1 or -1 but for rounding."""
+    """Return a program without the constants that are 0, 1 or -1 up to rounding."""
     places = constant_places(program)
     near = {
         place: round(value)
@@ -309,7 +309,7 @@ def _with_neutral_constants(program: Program) -> Program:
 
 
 def _are_dependent(terms: Sequence[Expression], inputs: FloatArray) -> bool:
-    """Tell whether some terms are a linear combination of others wherever was measured."""
+    """Tell whether some terms are a linear combination of others on all measured rows."""
     columns = np.array([values_of(sum_of([term], [1.0]), inputs) for term in terms])
     sizes = np.sqrt((columns**2).sum(axis=1))
     if len(sizes) > inputs.shape[1] or not np.isfinite(sizes).all() or not (sizes > 0.0).all():

@@ -28,7 +28,8 @@ from atoll_core.expression.writing.shortest import collected, shortened, shortes
 class CandidateSet:
     """The programs that one variable's equation may be made of, by where they come from.
 
-    `front` and `runners_up` are what the search handed on, `guesses` what it began with; a `known` equation is given.
+    `front` and `runners_up` are the programs passed from the search to refining, `guesses` its first programs; a
+    `known` equation is given.
     """
 
     front: tuple[Member, ...] = ()
@@ -80,7 +81,7 @@ class CandidateSet:
 
 
 def form(program: Program) -> bytes:
-    """Return what programs of one form have in common, whatever their constants are."""
+    """Return the form of a program: its structure, regardless of the values of constants."""
     return structure(collected(program))
 
 
@@ -103,13 +104,13 @@ def collect_candidates(dataset: Dataset, config: JobConfig, pools: Pools) -> dic
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """What constants of candidates are fitted to first."""
+    """The data to which constants of candidates are fitted first."""
 
     problem: Problem
     restrictions: Restrictions
 
     def least_squares(self) -> LeastSquares:
-        """Return what fits them."""
+        """Return the function that fits them."""
         return LeastSquares(self.problem, restrictions=self.restrictions)
 
 
@@ -136,7 +137,7 @@ _STARTS: Final[BatchFunction[LeastSquares, _Start, tuple[Program, ...]]] = Batch
 
 def _written(comparison: ModelComparison, programs: Sequence[Program], *, is_shortest: bool) -> Iterator[Program]:
     """Yield programs in a short writing, or in the shortest; as they are where time is over before."""
-    if len(programs) < 2:  # nobody need be asked
+    if len(programs) < 2:  # no worker need be asked
         yield from map(shortest if is_shortest else shortened, programs)
         return
     made = comparison.spread.map(_WRITINGS, lambda: is_shortest, programs, _WRITINGS_OF_A_BATCH[is_shortest])
@@ -144,7 +145,7 @@ def _written(comparison: ModelComparison, programs: Sequence[Program], *, is_sho
 
 
 _WRITINGS_OF_A_BATCH: Final = (32, 4)
-"""Most programs that are written anew: a short writing takes about a millisecond, the shortest ten, some a hundred."""
+"""Most programs that are rewritten: a short writing takes about a millisecond, the shortest ten, some a hundred."""
 _WRITINGS: Final[BatchFunction[bool, Program, Program]] = BatchFunction(
     "writings", bool, Program, Program,
     lambda is_shortest, program: shortest(program) if is_shortest else shortened(program),
@@ -157,7 +158,7 @@ class RankedCandidates:
     def __init__(self, comparison: ModelComparison, problem: Problem, whole: ModelComparison | None = None) -> None:
         """`comparison` is for this variable alone; by the `problem` constants are fitted first.
 
-        What is too long is told by the comparison of the `whole` system.
+        The comparison of the `whole` system says which programs are too long.
         """
         self._whole = whole or comparison
         self._comparison = comparison
@@ -189,7 +190,8 @@ class RankedCandidates:
         self._started += started
 
     def _brief(self, programs: Iterable[Program], most: float) -> list[Program | None]:
-        """Return programs in a short writing, None of those of `most` nats or more; constants alone tell of many."""
+        """Return programs in a short writing; None for programs of `most` nats or more, often by their constants
+        alone."""
         given, price = list(programs), self._whole.score.constant_nats
         are_few = [price * len(constant_places(program)) < most for program in given]
         written = iter(_written(self._comparison, list(compress(given, are_few)), is_shortest=False))
@@ -200,8 +202,8 @@ class RankedCandidates:
     def programs(self) -> list[Program]:
         """All of them, the most promising first.
 
-        Those that do badly with the other states as smoothed come last, as they were added: with the right equations
-        for these they may do well.
+        Programs that fit badly with the other states as smoothed come last, in the order of addition: they may fit well
+        with the right equations for these states.
         """
         best, first = [model.programs[0] for model in self._models], SETTINGS.effort.kept
         best = [*_written(self._comparison, best[:first], is_shortest=True), *best[first:]]

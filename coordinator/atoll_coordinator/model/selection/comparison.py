@@ -63,10 +63,10 @@ class Constraints:
 
 
 def differ(first: FloatArray, second: FloatArray, share: float = SETTINGS.common.negligible) -> bool:
-    """Tell whether values (R,) of two equations are apart by more than this share of their deviation."""
+    """Tell whether values (R,) of two equations differ by more than this share of their standard deviation."""
     with np.errstate(all="ignore"):
         difference = float(np.sqrt(np.mean((first - second) ** 2)))
-        size = SETTINGS.common.negligible * float(np.sqrt(np.mean(second**2)))  # a constant has no deviation
+        size = SETTINGS.common.negligible * float(np.sqrt(np.mean(second**2)))  # a constant has no standard deviation
         return not difference <= share * max(float(np.std(second)), size)
 
 
@@ -89,10 +89,10 @@ class ModelComparison:
         estimator: fits systems to the measurements.
         names: the variables of the programs.
         fixed: equations, by index, whose constants are given.
-        leading: with order 2 the equations of the positions, which come before those that are sought.
-        spread: has systems fitted, by threads or by workers; one after another unless given.
-        constraints: what equations must keep to.
-        calibration: the score by earlier residuals; None: that of the smoother's noise.
+        leading: with order 2 the equations of the positions, which come before the equations that are sought.
+        spread: lets threads or workers fit systems; one after another unless given.
+        constraints: restrictions of the equations.
+        calibration: the score by earlier residuals; None: the score by the smoother's noise.
         tried: the best model of each program that was fitted for an equation, by (equation, structure).
     """
 
@@ -107,7 +107,7 @@ class ModelComparison:
 
     @cached_property
     def score(self) -> Score:
-        """What systems are compared by."""
+        """The score by which systems are compared."""
         count = 1 if self.groups is None else self.groups.count
         return self.calibration or Score.of_smoother(self.estimator, len(self.leading), self.fixed, count)
 
@@ -126,17 +126,17 @@ class ModelComparison:
         self, systems: Sequence[Sequence[Program]], steps: int = SETTINGS.effort.steps,
         lengths: Sequence[int | None] = STAGES,
     ) -> list[FittedModel]:  # fmt: skip
-        """Return what `fit_model` makes of systems, the shortest description first; without those that failed.
+        """Return the models of systems by `fit_model`, the shortest description first; without failed fits.
 
         After the deadline no more are fitted.
         """
         return self._fitted(FitOrder(steps, tuple(lengths)), list(map(tuple, systems)))
 
     def _fitted(self, order: FitOrder, systems: Sequence[Programs], until: float = math.inf) -> list[FittedModel]:
-        """Return the models of systems, the shortest description first; without those that failed.
+        """Return the models of systems, the shortest description first; without failed fits.
 
-        Of the first systems, as far as the estimator's work is less than `until`; of none after the deadline. Where
-        others take batches, more are fitted than may count: those that do not are dropped, and so is their work.
+        Systems are fitted in order as long as the estimator's work is less than `until`, none after the deadline. With
+        other workers, more may be fitted than count: the others are dropped, and so is their work.
         """
         bounded = SETTINGS.effort.kept if until < math.inf else max(len(systems), 1)
         ahead = self._fitted_elsewhere(order, systems) if self.spread.is_shared and len(systems) > 1 else None
@@ -163,7 +163,7 @@ class ModelComparison:
         return model if model is not None and math.isfinite(model.nats) else None
 
     def _fitted_elsewhere(self, order: FitOrder, systems: Sequence[Programs]) -> list[FitOutcome | None]:
-        """Return what comes of systems, fitted by whoever takes them; None of what time has cut short."""
+        """Return the fits of systems, by threads or workers; None for fits that the deadline stopped."""
         size = self.spread.batch_size(len(systems), self._most_of_a_batch(order))
         batches = [FitBatch(order, tuple(systems[first : first + size])) for first in range(0, len(systems), size)]
         outcomes: list[FitOutcome | None] = []
@@ -206,7 +206,7 @@ class ModelComparison:
         return FittedModel(fitted, SummarizedFit(summary.squares, complete), summary.misfit, summary.nats)
 
     def outcomes(self, batch: FitBatch) -> tuple[FitOutcome, ...]:
-        """Return what comes of the systems of a batch, as it travels."""
+        """Return summaries of the fits of a batch, as they are sent."""
         return tuple(self._outcome(batch.order, programs) for programs in batch.systems)
 
     def _outcome(self, order: FitOrder, programs: Programs) -> FitOutcome:
@@ -215,7 +215,7 @@ class ModelComparison:
         return FitOutcome(None if model is None else self.summary(order, model), self.estimator.counted - before)
 
     def summary(self, order: FitOrder, model: FittedModel) -> FitSummary:
-        """Return what travels of the model of a system that was fitted to an order."""
+        """Return the summary, as it is sent, of the model of a system."""
         fit, sharing = model.fit, model.fit.system.sharing
         in_whole = order.near is not None or self.score.errors is not None
         return FitSummary(
@@ -232,7 +232,7 @@ class ModelComparison:
 
     @property
     def parts(self) -> ComparisonParts:
-        """What this comparison is made of, as it is calibrated."""
+        """The parts of this comparison, with its calibration."""
         estimator = self.estimator
         return ComparisonParts(
             estimator.measurements, estimator.tolerance, estimator.measured_rows, self.names, self.fixed, self.leading,
@@ -247,7 +247,7 @@ class ModelComparison:
 
     @classmethod
     def of_parts(cls, parts: ComparisonParts) -> "ModelComparison":
-        """Return the comparison that is made of these, which can be asked for all but what calibrates it."""
+        """Return the comparison of these parts, which can do everything except calibrate."""
         rows = parts.groups
         groups = None if rows is None else GroupedRows(rows.count, rows.problems, rows.restrictions)
         estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
@@ -256,7 +256,7 @@ class ModelComparison:
         return replace(made, calibration=replace(made.score, errors=parts.errors, misfit=parts.misfit))
 
     def restrictions(self, equation: int) -> Restrictions:
-        """Return what an equation must keep to; a given one to nothing."""
+        """Return the restrictions of an equation; a given equation has none."""
         return NONE if equation in self.fixed else self.constraints.restrictions.get(equation, NONE)
 
     def admitted(self, programs: Sequence[Program]) -> list[Program] | None:
@@ -338,8 +338,8 @@ class ModelComparison:
     ) -> FittedModel | None:  # fmt: skip
         """Return the fitted `system` of `programs` and the rest, begun with the initial states of `near`.
 
-        None when it cannot be simulated or may not stand. A fit ends where it is told that it does not come to a
-        description of at most so many nats.
+        None when it cannot be simulated or may not stand. A fit ends early if it will not reach a description of at
+        most this many nats.
         """
         return self._fit_from(self._beginning(near), programs, steps, fixed_nodes, shared, most)
 
@@ -373,10 +373,10 @@ class ModelComparison:
     ) -> list[FittedModel]:  # fmt: skip
         """Return models of the best of `programs` for one equation, fewer of them after each of the `rounds`.
 
-        Each round is a number of steps and how many programs stay. Of those that say the same in other words the one of
-        shortest description stays, see `distinct`. Once the estimator's work is `until`, no more are taken
-        in than the next few. Descriptions of more than `most` nats are of no use; unless given, those that are longer
-        than `near` by a term.
+        Each round is a number of steps and the number of programs that are kept. Of equivalent programs only the one
+        with the shortest description is kept, see `distinct`. Once the estimator's work is `until`, no more are taken
+        in than the next few. Descriptions of more than `most` nats are dropped; by default `most` is the length of
+        `near` and one term more.
         """
         limit = self._useful(near) if most is None else most
         models: list[FittedModel] = []
@@ -392,9 +392,9 @@ class ModelComparison:
     def foresee(
         self, near: FittedModel, lists: Mapping[int, Sequence[Program]], rounds: Sequence[tuple[int, int]]
     ) -> dict[int, Foreseen]:
-        """Return what `narrow_down` gives of the programs of several equations, as long as `near` is the best.
+        """Return the results of `narrow_down` for several equations, valid as long as `near` is the best model.
 
-        They are fitted at the same time by whoever takes batches; nothing where there is nobody or one equation alone.
+        They are fitted at the same time by other workers; empty without other workers or with a single equation.
         No work is counted, see `take_in`.
         """
         if len(lists) < 2 or not self.spread.is_shared:
@@ -414,12 +414,12 @@ class ModelComparison:
         return foreseen
 
     def take_in(self, equation: int, foreseen: Foreseen) -> list[FittedModel]:
-        """Return the models that were foreseen, their work counted as that of `narrow_down` is."""
+        """Return the models that were foreseen, their work counted as in `narrow_down`."""
         self.estimator.count(foreseen.work)
         return self._remembered(equation, foreseen.models)
 
     def _useful(self, near: FittedModel) -> float:
-        """Return the nats of the longest description that is of use beside `near`: longer by a term."""
+        """Return the nats of the longest useful description: longer than `near` by one term."""
         return near.nats + least_term_length(self.score.constant_nats)
 
     def measure(self, fit: TrajectoryFit) -> FittedModel:
@@ -436,10 +436,10 @@ class ModelComparison:
         return list(models)
 
     def distinct(self, models: Iterable[FittedModel], equation: int) -> list[FittedModel]:
-        """Return the models, sorted by nats, without those that say of one `equation` what one before does.
+        """Return the models, sorted by nats, without models whose `equation` is equivalent to one before.
 
-        That is so where their misfits are equal, unless the equations differ beside the measured curves: errors of the
-        integration alone are equal for all that agree along these.
+        Equations are equivalent if the misfits are equal, unless they differ off the measured curves: integration
+        errors are the same for all equations that agree along the curves.
         """
         kept: list[FittedModel] = []
         misfits: list[tuple[float, int]] = []
@@ -456,9 +456,10 @@ class ModelComparison:
         return kept
 
     def differ_beside(self, model: FittedModel, other: FittedModel, equation: int) -> bool:
-        """Tell whether the equations of two models differ beside the measured curves by more than their constants may.
+        """Tell whether the equations of two models differ off the measured curves by more than their errors.
 
-        Where there is no noise these are known, and a thousandth counts; else what a prediction would lose by.
+        Without noise constants are known, and a thousandth counts; with noise, a difference that matters for
+        predictions.
         """
         first, second = (values_of(one.programs[equation], self._beside) for one in (model, other))
         either = np.isfinite(first) | np.isfinite(second)
@@ -466,7 +467,7 @@ class ModelComparison:
         return bool(either.any()) and differ(first[either], second[either], share)
 
     def disputed_state(self, model: FittedModel, others: Sequence[FittedModel], equation: int) -> dict[str, float]:
-        """Return the state beside the measured curves, by name, where one equation differs most from those of `others`.
+        """Return the state off the measured curves, by name, where one equation differs most from the `others`.
 
         Each counts by its odds against `model`.
         """
@@ -484,7 +485,7 @@ class ModelComparison:
 
     @cached_property
     def _beside(self) -> FloatArray:
-        """Points (V, G) beside the measured curves; none where groups have constants of their own."""
+        """Points (V, G) off the measured curves; none if groups have their own constants."""
         measurements = self.estimator.measurements
         points = np.concatenate([measurements.smoothed, measurements.inputs])
         moved = len(points if measurements.has_smoothed_inputs else measurements.smoothed)

@@ -23,7 +23,7 @@ from atoll_core.expression.program import Program
 
 @dataclass(frozen=True, eq=False)
 class Validated:
-    """What is left of the trajectories that were left out: R2 of each measured state, and the misfit in nats.
+    """The prediction of the trajectories left out: R2 of each measured state, and the misfit in nats.
 
     The misfit is infinite and R2 minus infinity where they could not be simulated.
     """
@@ -52,10 +52,10 @@ class Validation:
         count = min(len(owners), SETTINGS.effort.beam)
         self._folds = [frozenset(owners[fold::count]) for fold in range(count)]
         self.is_possible: Final = count >= SETTINGS.selection.least_folds and comparison.groups is None
-        """Whether there are enough trajectories, and the constants of one are those of the others."""
+        """Whether there are enough trajectories, and all have the same constants."""
 
     def of(self, model: FittedModel) -> Validated | None:
-        """Return how well the system of `model` predicts; None where time is over: fits that end early tell nothing."""
+        """Return how well the system of `model` predicts; None where time is over: fits that end early do not count."""
         comparison, fit = self._comparison, model.fit
         measurements = comparison.estimator.measurements
         squares, whitened, total = np.zeros((3, len(measurements.observed)))
@@ -76,8 +76,8 @@ class Validation:
 
 
 def squared_errors(comparison: ModelComparison, fold: Fold) -> tuple[FloatArray, ...]:
-    """Return the sums of squared errors (O,) along trajectories left out, as they are and without what goes together
-    in errors of measurement; nothing where they cannot be simulated, or time is over."""
+    """Return the sums of squared errors (O,) along trajectories left out, as they are and without the correlated
+    part of errors of measurement; None where they cannot be simulated, or time is over."""
     whole, steps = comparison.estimator, SETTINGS.effort.steps
     measurements, left_out = whole.measurements, fold.left_out
     is_out = np.isin(measurements.owners, list(left_out))
@@ -104,7 +104,7 @@ def _shooter(whole: MultipleShooting, measurements: Measurements) -> MultipleSho
 FOLDS: Final[BatchFunction[ModelComparison, Fold, tuple[FloatArray, ...]]] = BatchFunction(
     "folds", ComparisonParts, Fold, tuple[FloatArray, ...], squared_errors, ModelComparison.of_parts
 )
-"""Systems fitted without some trajectories, and what they miss of these."""
+"""Systems fitted without some trajectories, and their residuals on these."""
 
 
 def _total_squares(measurements: Measurements) -> FloatArray:

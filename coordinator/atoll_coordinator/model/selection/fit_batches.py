@@ -1,4 +1,4 @@
-"""Fits of systems as they travel: the parts of a comparison, the systems to be fitted, and summaries of fits. Pure.
+"""Fits of systems as messages: the parts of a comparison, the systems to be fitted, and summaries of fits. Pure.
 
 A summary has the numbers from which one integration makes the whole fit again: states, residuals and normal equations
 are hundreds of times as large, and most candidates do not need them.
@@ -49,7 +49,7 @@ class Beginning:
 class FitOrder:
     """How systems are to be fitted: in stages of growing `lengths`, or in whole from a beginning `near`.
 
-    A fit takes so many `steps` at most, and ends where it will not reach a description of `most` nats.
+    A fit takes at most `steps` steps, and ends early if it will not reach a description of `most` nats.
     """
 
     steps: int

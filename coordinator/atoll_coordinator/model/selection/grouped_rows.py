@@ -21,7 +21,7 @@ from atoll_core.expression.restrictions import NONE, Restrictions
 class RowsByGroup:
     """The `problems` of each equation, one of each of `count` groups, none for an equation that is given.
 
-    `restrictions` are those of the equations, by index.
+    `restrictions` has the restrictions of each equation, by index.
     """
 
     count: int

@@ -1,6 +1,6 @@
-"""The best system of all candidates, one variable's exchanged at a time, and what is near it (ADR 0021).
+"""The best system of all candidates, one equation exchanged at a time, and shorter descriptions nearby (ADR 0021).
 
-From the best systems the descent looks for shorter descriptions nearby; whatever they can do without is left out. All
+From the best systems the descent looks for shorter descriptions nearby; unnecessary parts are left out. All
 work is bounded by counts, never by the clock.
 """
 
@@ -32,8 +32,8 @@ def fit_jointly(
         task: what is modelled.
         lists: candidates of each variable, the best first.
         begun: a system to begin with; the best of a few unless given.
-        are_laws: whether no terms are sought beyond those of the candidates, so that none can describe what coarse
-            steps of the integration err by.
+        are_laws: whether no terms are sought beyond the terms of the candidates, so that no term can describe errors
+            of coarse integration steps.
     """
     comparison = task.comparison
     best = combine(comparison, lists) if begun is None else comparison.fit_model(begun)
@@ -52,7 +52,7 @@ def search_jointly(
     begun: Sequence[Program] | None = None,
     is_hopeless: Callable[[SelectedModel], bool] = lambda _: False,
 ) -> SelectedModel | None:
-    """Return the best system of these candidates and of what is near it, see `fit_jointly`.
+    """Return the best system of these candidates and their neighbourhood, see `fit_jointly`.
 
     `is_hopeless` tells of the best of the candidates when its neighbours need not be looked at.
     """
@@ -70,10 +70,10 @@ def search_jointly(
 def _without_noise(
     task: ModellingTask, comparison: ModelComparison, best: FittedModel
 ) -> tuple[ModelComparison, FittedModel]:
-    """Return comparison and system as without noise where that system shows that there is none, else as they are.
+    """Return comparison and system treated as noise-free if that system shows that there is no noise, else unchanged.
 
-    Of few rows, or of few to a period, a smoother takes for noise what it cannot follow. With steps that err by a share
-    of that, needless terms would describe what the integration errs by.
+    With few rows, or few rows in a period, a smoother treats motion that it cannot follow as noise. Integration steps
+    with errors relative to such noise would be so coarse that unnecessary terms describe the integration errors.
     """
     limit = SETTINGS.selection.least_noise * comparison.estimator.measurements.scales
     observed = comparison.estimator.measurements.observed
@@ -106,11 +106,11 @@ def exchange(
     comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]],
     rounds: Rounds = SETTINGS.effort.rounds,
 ) -> FittedModel:  # fmt: skip
-    """Return the best system that comes of exchanging one variable's program at a time; all of them at first.
+    """Return the best system found by exchanging the program of one variable at a time; at first of all variables.
 
-    Where the errors are those of the integration, no longer program could make the description shorter. By `rounds`
-    candidates are narrowed down. Where others take batches, those of all equations are at the same time, as if the best
-    stayed the same: what comes of those after one that is exchanged is dropped.
+    If the residuals are integration errors, no longer program could make the description shorter. Candidates are
+    narrowed down in `rounds`. With other workers, the candidates for all equations are fitted at the same time, as if
+    the best system stayed the same: after an exchange the later results are dropped.
     """
     until = comparison.estimator.work + SETTINGS.effort.work
     if comparison.score.is_exact(best):
@@ -140,7 +140,7 @@ def exchange(
 def _exchangeable(
     comparison: ModelComparison, best: FittedModel, lists: Sequence[Sequence[Program]]
 ) -> dict[int, list[Program]]:
-    """Return by equation the programs that may be better; those are left out that have none."""
+    """Return by equation the programs that may be better; equations without such programs are left out."""
     room = comparison.score.room(best)
     lengths = [comparison.score.affordable(best, equation, room) for equation in range(len(lists))]
     shorter = [
@@ -159,7 +159,7 @@ def search_locally(
 ) -> FittedModel:
     """Return the end of the descent from the best system.
 
-    Where that leaves noise alone, programs are not tried that are so long that no misfit could make them better.
+    If the residuals of the system are noise, programs so long that no misfit could make them better are not tried.
     """
     room = comparison.score.room(best)
     has_room = comparison.score.has_room(best)
@@ -194,11 +194,11 @@ def search_terms(
     """Return the end of the descent from the best system by one term more or less in one equation.
 
     Each is fitted along the trajectories, begun from the system as it is, until the estimator's work is `until`. All
-    terms are tried, however little room the residuals seem to leave: the constants of a system make up for a term that
-    is missing as far as they can, so that noise hides the pattern that is left. The expanded sum itself is tried as
+    terms are tried, however small the residuals are: the other constants of a system partly compensate for a
+    missing term, so that noise hides the remaining pattern. The expanded sum itself is tried as
     well: each of its terms can go, or lose its coefficient. Where an equation has functions, the
     best of its candidates (`lists`) without any is another beginning, and so is the best of some sums of two terms
-    (`pairs`): no single term leads from the one to the other.
+    (`pairs`): adding one term to the equation does not reach these.
     """
 
     def around(equation: int, program: Program) -> Iterator[Program]:
@@ -246,7 +246,7 @@ def compare_rivals(
 ) -> None:  # fmt: skip
     """Fit programs in the place of one equation, and remember the best; the first without needless constants.
 
-    With constants that it can do without, a rival is taken for an elaboration.
+    With unnecessary constants, an alternative counts as an elaboration of the equation.
     """
     effort = SETTINGS.effort
     rounds = (effort.rounds[0], (effort.brief_steps, effort.beam))
@@ -257,7 +257,7 @@ def compare_rivals(
 
 
 def reduce_all(comparison: ModelComparison, best: FittedModel) -> FittedModel:
-    """Return a system with whatever its equations can do without left out."""
+    """Return a system without the unnecessary parts of its equations."""
     last = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
     for equation in range(len(best.programs)):
         if equation not in comparison.fixed:

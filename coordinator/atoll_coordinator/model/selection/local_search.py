@@ -24,8 +24,8 @@ Around = Callable[[int, Program], Iterator[Program]]
 class LocalSearch:
     """Shortens systems until nothing near is shorter, or the estimator's `budget` of work is used up.
 
-    What was begun then is finished, unless that takes more than the overdraft beyond. A descent that comes to a system
-    that was tried before ends there. Unless it `is_thorough`, systems on the way lose needless constants only.
+    A step that has begun is finished, unless it takes more than the overdraft. A descent ends at a system that was
+    tried before. Unless it `is_thorough`, systems on the way lose unnecessary constants only.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class LocalSearch:
         return model
 
     def reduce(self, model: FittedModel, equation: int) -> FittedModel:
-        """Return `model` with whatever one equation can do without left out."""
+        """Return `model` without the unnecessary parts of one equation."""
         while not self.is_exhausted:
             model = self.prune(model, equation)
             if not self._is_new(self._reduced, model, equation):
@@ -74,9 +74,8 @@ class LocalSearch:
     def prune(self, model: FittedModel, equation: int) -> FittedModel:
         """Make constants of one equation neutral as long as that shortens the description, the least needed first.
 
-        What a constant is needed for is told by its distance from 0, 1 or -1 in standard errors (Wald's test), so that
-        each step takes one or two fits. This is done even when the budget is
-        used up: there are but so many constants.
+        Whether a constant is needed follows from its distance from 0, 1 or -1 in standard errors (Wald's test), so that
+        each step takes one or two fits. This is done even when the budget is used up, since constants are few.
         """
         while True:
             following = None
@@ -93,8 +92,8 @@ class LocalSearch:
     def _needless(self, model: FittedModel, equation: int) -> list[Program]:
         """Return programs with one constant neutral that promise shorter descriptions, the most promising first.
 
-        Constants that the data do not determine, of infinite variance, are the first; by what is nearest. Residuals
-        that are those of the integration do not tell how well constants are known: they count as large as they may be.
+        Constants that the data do not determine, of infinite variance, are the first; the others by their distance.
+        Integration errors do not show how well constants are known: such residuals count at their upper limit.
         """
         program = model.programs[equation]
         fit = model.fit
@@ -116,7 +115,7 @@ class LocalSearch:
         return programs
 
     def _is_new(self, tried: dict[tuple[int, tuple[bytes, ...]], float], model: FittedModel, equation: int) -> bool:
-        """Tell whether that has not been `tried` with one equation of a system, or with worse constants only."""
+        """Tell whether an equation of a system has not been `tried`, or only with worse constants."""
         system = equation, tuple(map(structure, model.programs))
         if model.nats > tried.get(system, math.inf) - SETTINGS.selection.least_gain:
             return False

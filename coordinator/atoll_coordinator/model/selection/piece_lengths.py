@@ -1,8 +1,8 @@
-"""How much of a trajectory is simulated at a stretch: all of it, or where that cannot be fitted, shorter pieces.
+"""The rows of a trajectory that are simulated without a break: all, or if that cannot be fitted, shorter pieces.
 
-Errors of an initial state grow along a trajectory; of a chaotic one, until nothing is left of it after some hundred
-rows. Shorter pieces, each from an initial state of its own, can still be fitted. They tell less of a model, hence the
-longest that can be fitted are taken.
+Errors of an initial state grow along a trajectory; in a chaotic system, its prediction is lost after some
+hundred rows. Shorter pieces, each from its own initial state, can still be fitted. They test a model less, hence the
+longest pieces that can be fitted are used.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from atoll_core.expression.program import Program
 
 
 def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedModel | None:
-    """Return the best system of these candidates and of what is near it, None where none can be simulated."""
+    """Return the best system of these candidates and their neighbourhood, None where none can be simulated."""
     if not all(lists):
         return None
     first = [programs[0] for programs in lists]
@@ -44,7 +44,7 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
 def _as_solved(
     task: ModellingTask, lists: Sequence[Sequence[Program]], programs: Sequence[Program]
 ) -> SelectedModel | None:
-    """Return the system of which a solver gives the rows, without what it can do without.
+    """Return the system from which a solver computed the rows, without unnecessary parts.
 
     Nothing else is tried: only of the law does the solver give them.
     """
@@ -70,7 +70,7 @@ def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
 
 
 def _without_needless(selection: SelectedModel) -> SelectedModel:
-    """Return a selection whose residuals are those of the integration without constants that it can do without."""
+    """Return a selection whose residuals are integration errors, without unnecessary constants."""
     comparison, model = selection.comparison, selection.model
     if not comparison.score.is_exact(model):
         return selection
@@ -111,23 +111,23 @@ def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
 def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:
     """Yield sentences for the user: trajectories were not simulated in whole, states are without an equation."""
     if task.solver is not None:
-        yield f"The rows are what {task.solver}, gives of these equations; its errors were taken off them."
+        yield f"{task.solver}, reproduces the rows from these equations; its errors were subtracted from them."
     whole = task.longest
     if whole > task.piece:
         tested = (
-            "with constants fitted to these, the model describes whole ones, too"
+            "with constants fitted to whole trajectories, the model describes them, too"
             if is_tested_in_whole
             else "beyond a piece the model has not been tested"
         )
         yield (
-            f"Trajectories were simulated in pieces of {task.piece} rows or less, each from an initial state of its "
-            f"own, not in whole (up to {whole} rows); {tested}."
+            f"Trajectories were simulated in pieces of {task.piece} rows or less, each from its own initial state, "
+            f"not in whole (up to {whole} rows); {tested}."
         )
     others = [state for state in task.recording.states if state not in task.variables]
     if others:
         yield (
-            f"Simulations take {', '.join(others)}, without an equation, as smoothed; the errors of that add to what "
-            "they leave."
+            f"Simulations take {', '.join(others)}, without an equation, as smoothed; errors of smoothed values add to "
+            "the residuals."
         )
 
 
@@ -148,7 +148,7 @@ def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> It
 
 
 def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
-    """Tell whether a system that does not fit well does so in shorter pieces."""
+    """Tell whether a system that does not fit well fits well in shorter pieces."""
     if selection.is_like_noise:
         return False
     rows = selection.comparison.estimator.measurements.rows
@@ -157,7 +157,7 @@ def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> b
 
 
 def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[Sequence[Program]]) -> SelectedModel:
-    """Return what becomes of a system for short pieces if it holds for longer ones; itself if it does not."""
+    """Return a system for short pieces fitted to longer pieces if it describes these, else the system itself."""
     rows = selection.comparison.estimator.measurements.rows
     for longer in _tasks(task):
         if longer.piece <= selection.task.piece:
@@ -171,7 +171,7 @@ def _lengthened(task: ModellingTask, selection: SelectedModel, lists: Sequence[S
 def _fitted(
     task: ModellingTask, programs: Sequence[Program], rows: int, *, is_precise: bool = False
 ) -> SelectedModel | None:
-    """Return a system fitted to at most about so many rows, None when it cannot be simulated."""
+    """Return a system fitted to at most about this many rows, None when it cannot be simulated."""
     measurements = task.measurements(task.variables).thinned(rows)
     comparison = task.compare(measurements, task.variables, is_precise=is_precise)
     model = comparison.fit_model(programs, lengths=(SETTINGS.shooting.lengths[0], None))
@@ -187,8 +187,8 @@ def _tasks(task: ModellingTask) -> list[ModellingTask]:
 def in_stretches(task: ModellingTask, programs: Sequence[Program]) -> ModellingTask:
     """Return the task with pieces so long that a system describes nearly clean trajectories in the fewest nats.
 
-    Errors of a solver add up along a trajectory; an initial state for each piece, which takes 1/2 ln N for each number,
-    ends that. Of a whole trajectory, terms that do not belong to the law would describe the sum of such errors.
+    Errors of a solver add up along a trajectory; an initial state for each piece, which costs 1/2 ln N for each number,
+    ends the sum. In a whole trajectory, terms outside of the law would describe the sum of such errors.
     """
     lengths: dict[int, float] = {}
     tasks = {task.piece: task}

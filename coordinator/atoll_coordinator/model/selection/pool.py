@@ -1,7 +1,7 @@
-"""The pool of candidates: what is proposed for each equation, ranked, and the best system of a few of them.
+"""The pool of candidates: the programs proposed for each equation, ranked, and the best system of a few of them.
 
-Proposals come in stages. As soon as a system leaves noise alone, programs so long that no misfit could make up for it
-are no longer taken in.
+Proposals come in stages. As soon as the residuals of a system are noise, programs so long that no misfit could
+compensate are no longer added.
 """
 
 import math
@@ -17,7 +17,7 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.expression.program import Program
 
 Proposer = Callable[[ModellingTask, str, float], Iterable[Program]]
-"""Proposes for the equation of a variable what may be shorter than so many nats (see `ModelComparison.length`)."""
+"""Proposes programs for the equation of a variable, shorter than this many nats (see `ModelComparison.length`)."""
 
 
 class CandidatePool:
@@ -30,7 +30,7 @@ class CandidatePool:
         """Candidates of some variables may be `given`: there are no others of these.
 
         The `best` system, if there is one already, has calibrated the errors of the `comparison`. Unless the pool
-        `is_calibrating`, no better one does: what was measured before is compared with what comes.
+        `is_calibrating`, better systems do not calibrate it again, so that old and new lengths can be compared.
         """
         self._is_calibrating = is_calibrating
         self.comparison = comparison
@@ -40,7 +40,7 @@ class CandidatePool:
         self.lists: list[list[Program]] = [list(given.get(name, ())) for name in task.variables]
 
     def add(self, propose: Proposer) -> None:
-        """Take in what is proposed for each equation."""
+        """Add the programs that are proposed for each equation."""
         calls = [partial(self._add_to, propose, equation) for equation, _ in enumerate(self._task.variables)]
         self._task.spread.branches(calls)
         if not all(self.lists):
@@ -52,7 +52,7 @@ class CandidatePool:
                 self.comparison, self.best = self.comparison.calibrated(begun)
 
     def _add_to(self, propose: Proposer, equation: int) -> None:
-        """Take in what is proposed for one equation, which has nothing to do with what is for the others."""
+        """Add the programs that are proposed for one equation, independently of the others."""
         task, name = self._task, self._task.variables[equation]
         if name not in self._ranked:
             return
@@ -75,10 +75,10 @@ class CandidatePool:
 
     @property
     def suffices(self) -> bool:
-        """Whether nothing is left that a longer system could be worth its length for, nor a shorter one missing.
+        """Whether neither a longer system could gain its length nor a shorter one be missing.
 
-        One may be where targets are too uncertain for the search to tell a law from others of the same error (bar
-        magnets at 5 % of noise), and where an equation is longer than laws usually are.
+        One may be missing if targets are too uncertain for the search to distinguish a law from others of the same
+        error (bar magnets at 5 % of noise), and where an equation is longer than laws usually are.
         """
         if self.best is None or self.comparison.score.has_room(self.best):
             return False
@@ -89,9 +89,9 @@ class CandidatePool:
 
 
 def _found_by_search(task: ModellingTask, name: str) -> list[Program]:
-    """Return what the search has found for an equation: what there is to simulate where no time is left to choose.
+    """Return the programs of the search for an equation, to be simulated if no time is left to choose.
 
-    First come the shortest ones that describe the target up to its uncertainty, then those of the least error.
+    First come the shortest programs that describe the target up to its uncertainty, then the others by their error.
     """
     target, members = task.dataset.problem(name).target, task.candidates[name].front
     limit = (target.uncertainty * target.standard_deviation) ** 2

@@ -1,7 +1,7 @@
-"""What proposes candidates for an equation; none of it decides between them.
+"""Proposers: functions that return candidate programs for an equation; the choice is made elsewhere.
 
-Each takes what is modelled, a variable, and the nats from which on a program is too long to matter (infinite where that
-is not known), and returns programs.
+Each takes the modelling task, a variable, and the nats from which on a program is too long to matter (infinite if not
+known).
 """
 
 import math
@@ -29,7 +29,7 @@ from atoll_core.expression.writing.shortest import shortened
 
 
 def propose_nearest(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
-    """Return what the search holds for the best, and laws by sparse regression."""
+    """Return the best programs of the search, and laws by sparse regression."""
     del most
     settled = [task.settled[name].program] if name in task.settled else []
     laws = (law.program for law in task.laws.get(name, ()))
@@ -42,7 +42,7 @@ def propose_sums(task: ModellingTask, name: str, most: float) -> Iterable[Progra
 
 
 def propose_like(model: FittedModel, comparison: ModelComparison, task: ModellingTask, name: str) -> list[Program]:
-    """Return sums that say about what the equation of one variable does, along the curves that its system simulates.
+    """Return sums with about the values of the equation of one variable, along the curves that its system simulates.
 
     A fitted system knows derivatives better than smoothing does, by as much as it misses the measurements by less.
     """
@@ -59,7 +59,7 @@ def propose_like(model: FittedModel, comparison: ModelComparison, task: Modellin
 def propose_reduced(
     model: FittedModel, comparison: ModelComparison, task: ModellingTask, equation: int, candidates: Sequence[Program]
 ) -> list[Program]:
-    """Return what is left of candidates that are too long to matter where one part goes, those of least error first."""
+    """Return candidates that are too long to matter, with one part removed, by their error."""
     most, own = comparison.score.affordable(model, equation), model.programs[equation]
     long = [program for program in candidates if comparison.score.length(program) >= most][: SETTINGS.effort.beam]
     known = {structure(own), *map(structure, candidates)}
@@ -90,9 +90,9 @@ def _with_whole_powers(program: Program) -> Iterator[Program]:
 
 
 def rates_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:
-    """Return the problem whose target is what a program says at the inputs, a share of its deviation uncertain.
+    """Return the problem whose target has the values of a program, uncertain by a share of their standard deviation.
 
-    None where that is constant, or not finite.
+    None if they are constant, or not finite.
     """
     values = values_of(program, problem.inputs)
     deviation = float(values.std())
@@ -103,16 +103,16 @@ def rates_of(program: Program, problem: Problem, uncertainty: float) -> Problem 
 
 
 def propose_all(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
-    """Return all that the search handed on."""
+    """Return all programs passed from the search to refining."""
     del most
     return task.candidates[name].programs
 
 
 def propose_pairs(task: ModellingTask, name: str) -> list[Program]:
-    """Return the sums of two products up to the second degree, those that leave least of the derivatives first.
+    """Return the sums of two products up to the second degree, by their residuals on the derivatives.
 
-    Noise can hide that a sum such as that of logistic growth, of which each part alone describes less than a constant
-    does, describes as much: no change of one term leads from the one to the other.
+    In logistic growth, for example, each term alone describes less than a constant does, so that adding or changing one
+    term at a time does not reach the sum of both.
     """
     problem = task.dataset.problem(name)
     terms = next(libraries(task.columns(name), task.operators(name)), [])
@@ -134,7 +134,8 @@ def propose_further_sums(task: ModellingTask, name: str, most: float) -> Iterabl
 
 
 def may_be_widened(task: ModellingTask, name: str) -> bool:
-    """Tell whether further operators may be tried for an equation: one with a law of rates has no other candidates."""
+    """Tell whether further operators may be tried for an equation: an equation with a law of rates has no other
+    candidates."""
     has_law = any(law.is_of_rates for law in task.laws.get(name, ()))
     return bool(task.further_operators(name)) and not has_law and name not in task.known
 
@@ -148,5 +149,5 @@ def _pursued(task: ModellingTask, name: str, most: float, needed: Collection[int
 
 
 def _sums(task: ModellingTask, problem: Problem, sought: Pursuit) -> tuple[Program, ...]:
-    """Return the sums that leave least of a target; none where time is over before they are found."""
+    """Return the sums with the smallest residuals on a target; none if time is over before they are found."""
     return task.spread.map(PURSUED, lambda: problem, [sought])[0] or ()

@@ -1,7 +1,7 @@
-"""Constants of a system as they are shown, by what the trajectories say of them.
+"""Constants of a system as they are shown, by the information of the trajectories.
 
 As `atoll_coordinator.model.regression.rounding` does for one equation: near its minimum the misfit is a quadratic form
-of the constants, which tells what simple numbers the data single out and how many digits estimates deserve.
+of the constants, which says which simple numbers the data single out and how many digits estimates have.
 """
 
 import sys
@@ -27,7 +27,7 @@ from atoll_core.expression.writing.shortest import collected
 class RoundedSystem:
     """The equations with constants as they are shown; `simple` has for each of its constants the nearest simple number.
 
-    `together` says how those that are shown in each equation are judged together; nothing where they were not. A given
+    `together` has the joint odds of the simple numbers shown in each equation, empty if these were not judged. A given
     equation has none.
     """
 
@@ -58,7 +58,7 @@ def round_system(comparison: ModelComparison, model: FittedModel) -> tuple[Progr
 
 
 class ShownConstants:
-    """The constants of a fitted system as they are shown, in any number of digits; what is simple is found once."""
+    """The constants of a fitted system as they are shown, in any number of digits; simple numbers are found once."""
 
     def __init__(self, comparison: ModelComparison, model: FittedModel) -> None:
         """Show the structure of `model`, all constants fitted in this comparison."""
@@ -69,8 +69,8 @@ class ShownConstants:
         """Return the programs with constants as they are shown.
 
         Args:
-            digits: of their standard errors to which estimates are rounded.
-            estimates: fitted numbers, by index, whose place no simple number takes although one is singled out.
+            digits: number of digits of the standard errors to which estimates are rounded.
+            estimates: fitted numbers, by index, that stay estimates although a simple number is singled out.
         """
         comparison, programs, system = self._comparison, self._model.programs, self._model.fit.system
         if not system.count:
@@ -96,7 +96,7 @@ class ShownConstants:
 
 
 def _in_one_equation(system: System, rounding: Rounding, first: int, last: int) -> SimpleTogether | None:
-    """Return what is known of the simple numbers together of the constants from `first` until before `last`."""
+    """Return the joint odds of the simple numbers of the constants from `first` until before `last`."""
     simple_together = rounding.together(system.columns[0, first:last].tolist())
     if simple_together is None or system.sharing is None:
         return simple_together

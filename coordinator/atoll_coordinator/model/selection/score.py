@@ -1,12 +1,12 @@
 """The score by which systems of equations are compared: the length of their description in nats (Rissanen 1978).
 
 A description consists of the errors of the simulated states, minus their log-likelihood, of the structures of the
-equations, and of 1/2 ln N for each fitted constant (`model.criteria`). What is known of the errors (how large the
-independent ones are, whether errors of neighbouring rows are correlated as those of a sensor) comes from the smoother
-at first, later from the residuals of the best system. A score never changes: `Score.calibrated` returns another one,
+equations, and of 1/2 ln N for each fitted constant (`model.criteria`). The error model (the size of the
+independent errors, correlated errors of a sensor) comes from the smoother at first, later from the residuals of the
+best system. A score never changes: `Score.calibrated` returns another one,
 and lengths by two scores are never compared.
 
-Doubts: the calibration takes the residuals of the best system so far for errors of measurement. Where this system is
+Doubts: the calibration treats the residuals of the best system so far as errors of measurement. If this system is
 wrong, its score is too lenient to others; hence models are calibrated again after each stage that found a better one.
 """
 
@@ -60,7 +60,7 @@ class FittedModel:
 
 
 def _spread(rows: FloatArray) -> FloatArray:
-    """Return by what factors (O,) variances that the roughness of so many rows tells may be wrong."""
+    """Return the factors (O,) by which variances estimated from the roughness of this many rows may be wrong."""
     return np.asarray(1.0 + 2.0 * np.sqrt(ROUGHNESS_VARIANCE / np.maximum(rows, 1.0)))
 
 
@@ -70,12 +70,12 @@ class Score:
 
     Attributes:
         estimator: fits systems to the measurements.
-        leading: how many equations of positions come before those that are sought (order 2); they are not scored.
+        leading: how many equations of positions come before the equations that are sought (order 2); not scored.
         fixed: equations, by index, whose constants are given.
-        groups: groups of trajectories that may have constants of their own; 1 without groups.
+        groups: groups of trajectories that may have their own constants; 1 without groups.
         misfit: turns mean squares of residuals into nats.
         roughness: standard deviations (O,) of independent errors.
-        errors: errors that are correlated between neighbouring rows; None where all are independent.
+        errors: errors that are correlated between neighbouring rows; None if all are independent.
     """
 
     estimator: MultipleShooting
@@ -101,7 +101,7 @@ class Score:
 
     @cached_property
     def least_errors(self) -> FloatArray:
-        """Standard deviations (O,) below which errors are those of the integration."""
+        """Standard deviations (O,) below which errors are integration errors."""
         return _least_errors(self.estimator)
 
     @cached_property
@@ -140,8 +140,8 @@ class Score:
     def calibrated(self, fit: TrajectoryFit) -> tuple["Score", TrajectoryFit]:
         """Return the score with the errors that the residuals of a fit show, and the fit made again with these.
 
-        Errors that are correlated between neighbouring rows, as those of a sensor, are estimated first; the size of
-        the independent errors follows from the roughness of the whitened residuals.
+        Errors that are correlated between neighbouring rows, such as errors of a sensor, are estimated first; the size
+        of the independent errors follows from the roughness of the whitened residuals.
         """
         if fit.errors.shares.any():
             fit = self.with_errors(fit, None) or fit
@@ -178,7 +178,7 @@ class Score:
         return (constants + self._initial_values) / len(self.counts)
 
     def _constants_length(self, system: System) -> float:
-        """Return the nats of all fitted numbers: those of one group are known from its rows alone."""
+        """Return the nats of all fitted numbers: constants of one group are known from its rows alone."""
         own = 0 if system.sharing is None else system.sharing.own_numbers
         return self._own_nats * own + self._shared_nats * (system.count - own)
 
@@ -200,21 +200,21 @@ class Score:
     def _independent_noise(self, deviations: FloatArray, free: FloatArray) -> FloatArray:
         """Return the standard deviations (O,) of independent errors, by the roughness of residuals.
 
-        So many `free` rows count and not all, since numbers were fitted to them, and the smoother's noise as one row
-        more: residuals of a system with as many numbers as rows say nothing.
+        Only `free` rows count, since numbers were fitted to the rows, and the smoother's noise counts as one row more:
+        residuals of a system with as many numbers as rows have no information.
         """
         squares, smoother = self.counts * deviations**2, self.estimator.measurements.noise**2
         return np.asarray(np.sqrt((squares * (free > 0.0) + smoother) / (np.maximum(free, 0.0) + 1.0)))
 
     def with_errors(self, fit: TrajectoryFit, errors: ErrorModel | None) -> TrajectoryFit | None:
-        """Return a fit begun anew with these errors, independent ones unless given."""
+        """Return a fit begun again with these errors, independent ones unless given."""
         errors = errors or ErrorModel.independent(np.sqrt(fit.squares))
         return self.estimator.fit(fit.system, None, SETTINGS.effort.steps, fit.starts, errors, is_stiff=fit.is_stiff)
 
     def _with_sensor_errors(self, fit: TrajectoryFit) -> TrajectoryFit | None:
-        """Return a fit to independent errors with those of a sensor, None where there are none or constants object.
+        """Return a fit to independent errors refitted with errors of a sensor; None without such errors or if refuted.
 
-        See `Innovations.sensor_errors`, and `_is_refuted`. Of states that are nearly clean nothing is an error of a
+        See `Innovations.sensor_errors`, and `_is_refuted`. Nearly clean states have no errors of a
         sensor.
         """
         if not self.is_noisy.any():
@@ -225,7 +225,7 @@ class Score:
         return None if correlated is None or self._is_refuted(fit, correlated) else correlated
 
     def whitened(self, fit: TrajectoryFit) -> FloatArray:
-        """Return the residuals (O, N), what goes together in the errors of measurement taken out."""
+        """Return the residuals (O, N) without the correlated part of the errors of measurement."""
         return fit.residuals if self.errors is None else self.estimator.whitened(fit.residuals, self.errors)
 
     def squares(self, fit: TrajectoryFit) -> FloatArray:
@@ -234,7 +234,8 @@ class Score:
 
     @property
     def has_independent_errors(self) -> npt.NDArray[np.bool_]:
-        """Of which states (O,) errors of measurement are taken to be independent between rows, and there are some."""
+        """Whether the errors of measurement of each state (O,) are treated as independent between rows, and not
+        zero."""
         return self.is_noisy & (self.errors is None)
 
     def inflation(self, model: FittedModel) -> float:
@@ -260,9 +261,10 @@ class Score:
     def room(self, model: FittedModel) -> float:
         """Return how many nats the misfit of `model`, by which the errors are calibrated, could be less.
 
-        Of a nearly clean state it could fall to the noise, or to what an exact model leaves. Where the residuals of a
-        state are as small as the smoother's noise, it could at most explain what is slow in them beyond what is so in
-        independent errors. Where those of a noisy state are larger, there is no limit.
+        The misfit of a nearly clean state could fall to the noise, or to the residuals of an exact model. If the
+        residuals of a state are as small as the smoother's noise, a longer system could at most explain their slow
+        part, as far as it exceeds the slow part of independent errors. If they are larger than the noise, there is no
+        limit.
         """
         measurements, squares = self.estimator.measurements, self.squares(model.fit)
         misfit = self._misfit_of(model.fit.system)
@@ -277,24 +279,24 @@ class Score:
         return misfit.total(squares) - misfit.total(np.where(is_clean, least, left * squares))
 
     def _noise(self, errors: ErrorModel | None) -> FloatArray:
-        """Return the standard deviations (O,) of errors: the smoother's noise, which is that of independent ones, or
-        where they go together what these `errors` have."""
+        """Return the standard deviations (O,) of errors: the smoother's noise, which is the size of independent
+        errors, or the size of the correlated `errors`."""
         noise = self.estimator.measurements.noise
         return noise if errors is None else np.where(errors.shares > 0.0, np.maximum(errors.sigmas, noise), noise)
 
     def affordable(self, model: FittedModel, equation: int, room: float | None = None) -> float:
         """Return the length from which on no program in one equation's place is a description about as short.
 
-        Whatever it explains, it gains no more than the `room` there is, which is found unless given.
+        It gains at most the `room`, which is computed unless given.
         """
         room = self.room(model) if room is None else room
         return self.length(model.programs[equation]) + room + SETTINGS.inference.distinct_nats
 
     def _is_like_noise(self, model: FittedModel) -> npt.NDArray[np.bool_]:
-        """Tell of which states (O,) no more is left than a sensor's errors, or the smoother's noise.
+        """Tell for which states (O,) the residuals are at most a sensor's errors, or the smoother's noise.
 
-        Errors that are independent may be of uneven size, such as outliers: n with the kurtosis k tell their variance
-        as well as 2 n/(k - 1) normal ones.
+        Independent errors may be of uneven size, such as outliers: n errors with the kurtosis k give their variance as
+        precisely as 2 n/(k - 1) normal ones.
         """
         measurements, rows, squares = self.estimator.measurements, self.counts, model.fit.squares
         errors = measurements.weights * model.fit.residuals**2
@@ -305,13 +307,13 @@ class Score:
         return is_noise if self.errors is None else is_noise | (self.errors.shares > 0.0)
 
     def is_exact(self, model: FittedModel) -> bool:
-        """Tell whether all errors are those of the integration."""
+        """Tell whether all residuals are integration errors."""
         return bool(np.all(model.fit.squares <= self.least_errors * self.least_errors))
 
     def excess(self, model: FittedModel) -> float:
         """Return how many times as large as the noise the residuals are, of the state that is fitted worst.
 
-        Where smoothed states are inputs, their errors are taken to leave as much as the noise again.
+        Errors of smoothed states that are inputs are assumed to add residuals as large as the noise.
         """
         measurements, residuals = self.estimator.measurements, np.sqrt(model.fit.squares)
         least = SETTINGS.common.negligible * measurements.scales[measurements.observed]
@@ -327,10 +329,10 @@ class Score:
         return ratio()
 
     def _is_refuted(self, begun: TrajectoryFit, fit: TrajectoryFit) -> bool:
-        """Tell whether constants differ by more than chance from those of the fit that it was begun with.
+        """Tell whether constants differ by more than chance from the constants that the fit began with.
 
-        Then what the residuals have in common is not errors, but what the equations miss (Hausman 1978, Econometrica
-        46:1251).
+        Then the correlated part of the residuals is not errors of measurement, but an error of the equations (Hausman
+        1978, Econometrica 46:1251).
         """
         from scipy import special
 
@@ -359,7 +361,7 @@ def _pieces(estimator: MultipleShooting, counts: FloatArray) -> FloatArray:
 def _misfit_of_noise(estimator: MultipleShooting, noise: FloatArray, rows: FloatArray) -> TrajectoryMisfit:
     """Return the misfit of errors whose independent part has about the standard deviation `noise` (O,).
 
-    So many independent `rows` (O,) tell it.
+    It is estimated from `rows` (O,) independent rows.
     """
     counts = estimator.measurements.weights.sum(axis=1)
     pieces, smallest, spread = _pieces(estimator, counts), _smallest_noise(estimator), _spread(rows)

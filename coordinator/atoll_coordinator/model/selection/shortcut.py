@@ -1,9 +1,8 @@
-"""The model where each state has a law by sparse regression that stands at the noise level: no search around it.
+"""The model where each state has a law by sparse regression whose residuals are noise: no search around it.
 
-Such laws were chosen from all products up to a degree, on many more rows than there are products. What is left to do
-is to fit them to trajectories together, in pieces as long as errors of the initial states can be carried, to leave out
-what they can do without, and to compare the few that come into question. Where the fit does not reach the noise, the
-long way is taken.
+Such laws were chosen from all products up to a degree, on many more rows than there are products. They are then
+fitted to trajectories together, in pieces as long as errors of the initial states allow, unnecessary parts are left
+out, and the few possible systems are compared. If the fit does not reach the noise, all stages run.
 """
 
 import math
@@ -60,8 +59,8 @@ def select_by_laws(task: ModellingTask) -> SelectedModel | None:
 def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
     """Return the best system of laws that stand at the noise level; None unless every variable has one or is known.
 
-    What time may cut short begins with it: it takes little more than a fit. Other than in `select_by_laws`, laws may be
-    of few rows, and other programs may describe these about as well.
+    A choice with a time limit begins with it, since it takes little more than a fit. Unlike in `select_by_laws`, laws
+    may come from few rows, and other programs may describe these about as well.
     """
     if task.recording.groups:
         return None
@@ -87,7 +86,7 @@ def laws_in_short_pieces(task: ModellingTask) -> SelectedModel | None:
 
 
 def standing_laws(task: ModellingTask, name: str) -> list[Law]:
-    """Return the laws of one variable, the best first, if that one leaves noise alone."""
+    """Return the laws of one variable, the best first, if the residuals of the best are noise."""
     laws = [law for law in task.laws.get(name, ()) if task.may_be_shown(law.program)]
     return laws if laws and laws[0].excess <= SETTINGS.inference.excess else []
 
@@ -111,7 +110,7 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
         return None
     comparison, best = selection.comparison, selection.model
     descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work + SETTINGS.effort.work)
-    for equation in range(len(lists)) if not is_of_rates else ():  # those can do without nothing
+    for equation in range(len(lists)) if not is_of_rates else ():  # these have no unnecessary parts
         if equation not in comparison.fixed:
             best = descent.prune(best, equation)
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
@@ -120,8 +119,8 @@ def fit_laws_together(task: ModellingTask, lists: Sequence[Sequence[Program]]) -
 def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: float) -> float:
     """Return over how many rows errors as large as the noise stay small: half of where they are as large as the state.
 
-    With errors that grow e-fold in T, those of the relative size e reach the state's after T ln(1/e). `rate` is 1/T;
-    infinite where errors do not grow.
+    If errors grow by a factor of e in T, an error of the relative size e is as large as the state after T ln(1/e).
+    `rate` is 1/T; infinite where errors do not grow.
     """
     measurements = comparison.estimator.measurements
     size = float(np.clip(measurements.relative_noise.max(), _LEAST_SIZE, 0.1))
@@ -129,7 +128,7 @@ def predictable_rows(fit: TrajectoryFit, comparison: ModelComparison, rate: floa
 
 
 def _programs(task: ModellingTask, name: str) -> list[Program]:
-    """Return the laws of one variable, the best first; none where there is none at the noise level.
+    """Return the laws of one variable, the best first; none if no residuals are at the noise level.
 
     An equation that the search of a target without noise has converged to comes before them if it is shorter, and
     stands alone where there is no law. There are none where the search has found another one that describes the rows
@@ -153,6 +152,6 @@ def _begun(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> SelectedM
 
 
 def _rows(task: ModellingTask) -> int:
-    """Return how many rows were measured: means know what all of theirs do."""
+    """Return how many rows were measured: a mean counts all of its rows."""
     recording = task.recording
     return sum(len(part.times) for part in recording.trajectories if not part.held_out) * recording.rows_of_mean

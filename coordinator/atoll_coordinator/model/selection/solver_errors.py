@@ -1,11 +1,11 @@
-"""Errors of the solver that computed a table, found by computing the table again, and taken off.
+"""Errors of the solver that computed a table, found by computing the table again, and subtracted.
 
-What a solver errs by is a function of the equations, of the first row and of the solver (Zadunaisky 1976, Numerische
-Mathematik 27:21): the same one makes the same errors again. So constants are sought with which it gives the rows
-themselves. Its solutions depend on constants as exact ones do but for a little, hence steps by exact sensitivities
-settle (defect correction, Stetter 1978, Numerische Mathematik 29:425); over few rows at first, since a step that is
-accepted with some constants and rejected with others makes them jump. Equations that are not the law leave as much as
-before, and so does another solver: nothing is taken off then.
+The errors of a solver are a function of the equations, of the first row and of the solver (Zadunaisky 1976, Numerische
+Mathematik 27:21): the same solver makes the same errors again. So constants are sought with which it reproduces the
+rows. Its solutions depend on constants almost as exact solutions do, hence steps by exact sensitivities converge
+(defect correction, Stetter 1978, Numerische Mathematik 29:425); over few rows at first, since the solutions jump where
+the solver accepts a step for some constants and rejects it for others. With wrong equations, or another solver, the
+residuals stay as large as before, and no errors are subtracted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -48,16 +48,16 @@ SOLVERS: Final = tuple(
     )
     for method in ("RK45", "LSODA")
 )  # fmt: skip
-"""Those that are tried: the defaults, and what else is met in programs."""
+"""Solvers that are tried: the defaults, and other common settings."""
 
 
 _PATIENCE: Final = 5
-"""Steps that a fit may take without halving what is left: accepted and rejected steps of the solver change at first."""
+"""Steps that a fit may take without halving the residuals: accepted and rejected solver steps change at first."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """One trajectory: its `times` (R,) and what was `measured` (S, R)."""
+    """One trajectory: its `times` (R,) and the `measured` states (S, R)."""
 
     times: FloatArray
     measured: FloatArray
@@ -65,7 +65,7 @@ class _Run:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """The constants with which a solver gives the rows, as a system, and what it leaves of each state (S,)."""
+    """The constants with which a solver reproduces the rows, as a system, and the residuals of each state (S,)."""
 
     solver: Solver
     system: System
@@ -123,9 +123,9 @@ def _fitted(task: ModellingTask, whole: Measurements, solver: Solver, system: Sy
 def _settled(
     task: ModellingTask, part: Measurements, solver: Solver, system: System, runs: Sequence[_Run]
 ) -> tuple[System, FloatArray, float]:
-    """Return the constants with which a solver leaves the least of the first rows, and that over its errors.
+    """Return the constants with the least residuals of a solver on the first rows, and these over its errors.
 
-    Between them what it leaves of each state (S,), over its deviation.
+    Between them: the residuals of each state (S,) over its standard deviation.
     """
     estimator = task.compare(part, task.variables, has_noise=False).estimator
     scales, starts = part.scales[:, None], np.ascontiguousarray(part.measured[:, part.bounds[:, 0]].T)
@@ -151,7 +151,7 @@ def _settled(
 
 
 def _simplified(system: System) -> System:
-    """Return the system with the simple numbers that constants are but for the share of an exact model's errors."""
+    """Return the system with constants rounded to simple numbers within the errors of an exact model."""
     values = system.values.copy()
     simple = find_simple(values, np.diag((SETTINGS.inference.exact * values) ** 2))
     values[[*simple]] = [*simple.values()]
@@ -161,7 +161,7 @@ def _simplified(system: System) -> System:
 def _moved(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
     """Return the system after a step of least squares by residuals (M,) that depend on constants by `slopes` (M, P).
 
-    Where these tell little of a direction, constants are known as well as from the fit that they come from.
+    In directions about which the rows say little, constants keep the precision of the fit that they come from.
     """
     sizes = np.abs(system.values)
     left, singular, right = np.linalg.svd(slopes * sizes, full_matrices=False)
@@ -235,7 +235,7 @@ def _corrected(task: ModellingTask, found: _Found) -> ModellingTask | None:
 
 
 def _without_noise(smoothing: Smoothing, left: float) -> Smoothing:
-    """Return how a state is smoothed of which a share `left` of its deviation are errors."""
+    """Return the smoothing of a state whose errors are a share `left` of its standard deviation."""
     deviation = smoothing.noise / smoothing.relative_noise if smoothing.relative_noise > 0.0 else 0.0
     return replace(
         smoothing, method="interpolation", noise=left * deviation, relative_noise=left, span=None, degree=None

@@ -7,13 +7,14 @@ one. The stages fall into three parts:
 1. *Shortcuts*: laws by sparse regression, and equations of converged searches, are fitted first. Where these describe
    the trajectories up to the noise, nothing else is proposed.
 2. *Candidates*: each stage adds what it proposes for each equation to the pool, until the pool suffices
-   (`CandidatePool.suffices`): a system leaves nothing to explain, and is not longer than laws usually are. Then the
+   (`CandidatePool.suffices`): the residuals of a system are noise, and it is not longer than laws usually are. Then the
    best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
-3. *Second looks* at the system found: candidates that were too long less one part, sums that say about the same,
+3. *Second looks* at the system found: candidates that were too long with one part removed, sums with about the same
+values,
    operators with which no search began, the user's guesses, and terms that noise has hidden.
 
 Doubts: the second looks repair what the first parts miss, each for a kind of law that was missed once. A search over
-all candidates by one criterion would make them needless, at several times the work.
+all candidates by one criterion would make them unnecessary, at several times the work.
 """
 
 import logging
@@ -66,11 +67,11 @@ class Choice:
     """How far the choice of the model has come.
 
     Attributes:
-        task: what is modelled.
+        task: the measurements and candidates.
         pool: the candidates, from the first stage that proposes any on.
         lists: the final candidates by equation; None as long as stages may add more.
         selection: the best system so far; None before any could be simulated.
-        begun: the best system of laws alone, with which a choice of limited time begins.
+        begun: the best system of laws alone, with which a choice with a time limit begins.
         is_searched: whether the selection comes from the search among candidates, and not from laws alone.
     """
 
@@ -117,7 +118,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of the choice: its name in the log, when it is due, and what it makes of the choice."""
+    """One stage of the choice: its name in the log, its condition, and the function from one choice to the next."""
 
     name: str
     is_due: Callable[[Choice], bool]
@@ -168,7 +169,7 @@ def fit_converged(choice: Choice) -> Choice:
 
 
 def propose(proposer: Proposer) -> Callable[[Choice], Choice]:
-    """Return what adds the proposals of a proposer to the pool."""
+    """Return the stage that adds the proposals of a proposer to the pool."""
 
     def run(choice: Choice) -> Choice:
         task = choice.task
@@ -205,7 +206,7 @@ def stop_without_simulation(choice: Choice) -> Choice:
 
 
 def search(choice: Choice) -> Choice:
-    """Search the best system of all candidates, and of what is near it."""
+    """Search the best system of all candidates and of their neighbourhood."""
     if choice.lists is None:
         assert choice.pool is not None, "candidates were proposed"
         task = choice.task.with_comparison(choice.pool.comparison)
@@ -238,7 +239,7 @@ def compare_with_laws(choice: Choice) -> Choice:
 
 
 def improve(second_look: Callable[[SelectedModel], SelectedModel]) -> Callable[[Choice], Choice]:
-    """Return what replaces the selection by that of a second look."""
+    """Return the stage that replaces the selection by the result of a second look."""
 
     def run(choice: Choice) -> Choice:
         assert choice.selection is not None
@@ -250,8 +251,8 @@ def improve(second_look: Callable[[SelectedModel], SelectedModel]) -> Callable[[
 def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description by a candidate that was too long, less one of its parts.
 
-    Where a short equation leaves nothing to explain, longer candidates are not fitted; the law may be one of them but
-    for a term, such as 0.8 x**0.75 - 1.5 x**3 in a x**b - c x**d - 0.003.
+    If the residuals of a short equation are noise, longer candidates are not fitted; one of them may be the law except
+    for one term, such as 0.8 x**0.75 - 1.5 x**3 in a x**b - c x**d - 0.003.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     lists = [
@@ -265,9 +266,9 @@ def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
 
 
 def with_sums_like(selection: SelectedModel) -> SelectedModel:
-    """Return the selection, or a shorter description by sums that say about what its equations do.
+    """Return the selection, or a shorter description by sums with about the values of its equations.
 
-    Their constants are those of the curves of the selection, from which it takes more than a few steps to the best.
+    Their constants fit the curves of the selection, so that the best constants are more than a few steps away.
     """
     task, comparison, before = selection.task, selection.comparison, selection.model
     known = [[task.known[name]] if name in task.known else None for name in task.variables]
@@ -284,7 +285,7 @@ def with_sums_like(selection: SelectedModel) -> SelectedModel:
 def with_guesses(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description by the user's guesses, one at a time or all together.
 
-    They are fitted along the trajectories whatever became of them in the search, which judges by derivatives.
+    They are fitted along the trajectories regardless of their fate in the search, which compares by derivatives.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     guesses = [task.candidates[name].fitted_guesses for name in task.variables]
@@ -304,9 +305,9 @@ def with_guesses(selection: SelectedModel) -> SelectedModel:
 def with_other_terms(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description by terms that noise has hidden or made up, see `search_terms`.
 
-    The errors of measurement are taken anew from what each better system leaves. Without noise the stages before have
-    missed none, and a term could describe what coarse steps of the integration err by; laws by derivatives among many
-    variables can do without none, and have been chosen from all terms.
+    The errors of measurement are estimated again from the residuals of each better system. The stage does not run
+    without noise: no term is hidden, and a term could describe errors of coarse integration steps. Nor does it run for
+    laws by derivatives among many variables: these were chosen from all terms.
     """
     task, comparison, best = selection.task, selection.comparison, selection.model
     until, seen = comparison.estimator.work + SETTINGS.effort.work, {_structures(best)}
@@ -367,7 +368,7 @@ def _may_have_sums_like(choice: Choice) -> bool:
 
 
 def _may_hide_terms(choice: Choice) -> bool:
-    """Tell whether noise may have hidden a term, or made one up.
+    """Tell whether noise may have hidden a term, or caused one.
 
     Without noise the stages before have missed none, and a term could describe the errors of coarse integration steps.
     """

@@ -1,4 +1,4 @@
-"""What is modelled: the measurements and the candidates (`ModellingTask`); and the system that is chosen."""
+"""The modelling task: measurements and candidates (`ModellingTask`); and the chosen system (`SelectedModel`)."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -28,12 +28,12 @@ from atoll_core.expression.writing.shortest import shortest
 
 @dataclass(frozen=True, eq=False)
 class ModellingTask:
-    """What is modelled: the variables that have `candidates`, in the order of the equations.
+    """The measurements, and the variables that have `candidates`, in the order of the equations.
 
-    `settled` are equations that were fitted to noise-free targets; `spread` has work
-    done, by threads or elsewhere; `piece` is how many rows are simulated at a stretch, at most; after the
-    `deadline` nothing new is tried; `solver` names the one whose errors have been taken off the recording.
-    `among_many` are laws that preparing has found already (None: it has not looked).
+    `settled` are equations that were fitted to noise-free targets; `spread` computes work in threads or on other
+    workers; `piece` is the most rows that are simulated without a break; after the `deadline` nothing new is tried;
+    `solver` names the solver whose errors were subtracted from the recording. `among_many` are laws found during
+    preparation (None: not sought).
     """
 
     dataset: Dataset
@@ -70,12 +70,12 @@ class ModellingTask:
 
     @property
     def has_been_stopped(self) -> bool:
-        """Whether anything has been left out for want of time."""
+        """Whether the time limit has stopped any work."""
         return self.deadline is not None and self.deadline.has_cut_short
 
     @property
     def is_limited(self) -> bool:
-        """Whether time may be over before nothing new is left to be tried."""
+        """Whether the time limit may end the choice early."""
         return self.deadline is not None and self.deadline.seconds is not None
 
     @property
@@ -122,7 +122,7 @@ class ModellingTask:
 
     @cached_property
     def compared_measurements(self) -> Measurements:
-        """The measurements of all variables on as many rows as systems of so many are compared on."""
+        """The measurements of all variables on as many rows as systems with this many states are compared on."""
         settings = SETTINGS.selection
         rows = min(settings.compared_rows, settings.compared_numbers // max(len(self.variables), 1))
         return self.measurements(self.variables).thinned(rows)
@@ -135,7 +135,8 @@ class ModellingTask:
         return [sizes[name] for name in self.dataset.names]
 
     def sizes_for(self, variable: str) -> list[float]:
-        """Return the size of each variable of the dataset; 0 of those that the equation of `variable` may not use."""
+        """Return the size of each variable of the dataset; 0 for variables that the equation of `variable` may not
+        use."""
         columns = self.columns(variable)
         return [size if column in columns else 0.0 for column, size in enumerate(self.sizes)]
 
@@ -156,10 +157,9 @@ class ModellingTask:
     ) -> ModelComparison:  # fmt: skip
         """Return a comparison over these measurements, which may stand for more `measured_rows` of the same time.
 
-        Steps of the integration err by a share of the noise, or as if there were none unless it `has_noise`. They all
-        may err to one side, while the noise is averaged over the rows: where it `is_precise`, that share is the one of
-        their sum along a piece over the standard error of a mean, and noise is what was found of it, not what an
-        interpolation may err by.
+        Errors of integration steps are a share of the noise; without `has_noise` the noise counts as zero. All steps
+        may err to one side, while noise is averaged over the rows: if it `is_precise`, the share is of their sum along
+        a piece over the standard error of a mean, and the noise is the estimate, not the error of an interpolation.
         """
         noise = float(measurements.relative_noise.min()) if has_noise else 0.0
         if is_precise and not any(self.dataset.problem(name).target.is_noisy for name in self.candidates):
@@ -179,7 +179,7 @@ class ModellingTask:
         )  # fmt: skip
 
     def restrictions(self, variable: str) -> Restrictions:
-        """Return what the equation of `variable` must keep to."""
+        """Return the restrictions of the equation of `variable`."""
         if variable not in self._restrictions:
             self._restrictions[variable] = restrictions_of(self.config, variable, self.dataset.names)
         return self._restrictions[variable]
@@ -219,5 +219,5 @@ class SelectedModel:
 
     @property
     def is_like_noise(self) -> bool:
-        """Whether the system leaves about as much of every state as its noise."""
+        """Whether the residuals of every state are about as large as its noise."""
         return self.comparison.score.excess(self.model) <= SETTINGS.inference.excess

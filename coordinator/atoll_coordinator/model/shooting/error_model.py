@@ -1,7 +1,8 @@
 """The errors of measured states, by which a fit weighs its residuals, and their estimate from residuals. Pure.
 
-The errors of a state have one variance, in a row of weight 1. A share of it may go together between neighbouring rows
-(see `atoll_coordinator.model.shooting.kernels.innovations`), as errors of simulators, filters and drifting sensors do.
+The errors of a state have one variance, in a row of weight 1. A share of it may be correlated between neighbouring
+rows (see `atoll_coordinator.model.shooting.kernels.innovations`), as in errors of simulators, filters and drifting
+sensors.
 Letters: O measured states, N rows.
 """
 
@@ -24,8 +25,8 @@ _NOTHING: Final = np.empty(0)
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Errors of O states: `sigmas` their standard deviations, `shares` of the variances that go together, `decays` the
-    correlation of that share between rows one median step apart. All are (O,).
+    """Errors of O states: `sigmas` are their standard deviations, `shares` the correlated shares of the variances,
+    `decays` the correlation of these shares between rows one median step apart. All are (O,).
 
     A fit estimates `sigmas`, unless these errors are `is_known`; `shares` and `decays` stay as they are.
     """
@@ -58,7 +59,7 @@ class ErrorModel:
     def lengths(self) -> FloatArray:
         """Rows that count as one independent row each (O,): the ratio of variances of a mean.
 
-        (1 + r) / (1 - r) where all errors go together, 1 where none do.
+        (1 + r) / (1 - r) if all errors are correlated, 1 if none are.
         """
         return np.asarray(1.0 - self.shares + self.shares * (1.0 + self.decays) / (1.0 - self.decays))
 
@@ -104,10 +105,10 @@ class Innovations:
     def sensor_errors(self, residuals: FloatArray, sigmas: FloatArray, fitted: float, turns: FloatArray) -> ErrorModel:
         """Return the errors of measurement in these residuals, which may hold errors of the law as well.
 
-        Residuals that go together between neighbouring rows are errors of the sensor where they are rough: an
+        Correlated residuals of neighbouring rows are errors of the sensor if they are rough: an
         Ornstein-Uhlenbeck process describes them in fewer nats than independent errors, and than a smooth process.
         Errors of the law are smooth, since they add up along the trajectory, and their derivatives vary no faster than
-        the derivative of the state. Where residuals are not rough in this sense, errors are taken to be independent.
+        the derivative of the state. If residuals are not rough in this sense, errors are treated as independent.
 
         Args:
             residuals: (O, N).

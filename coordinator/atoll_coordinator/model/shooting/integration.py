@@ -1,7 +1,7 @@
 """Systems integrated along the rows of measurements, with the sensitivities that a fit needs.
 
 Every segment of rows is integrated from an initial state of its own. Two Runge-Kutta methods share the work: an
-explicit one, and an implicit one for stiff systems, which a caller tries when the explicit one used up its steps.
+explicit one, and an implicit one for stiff systems, which a caller tries if the explicit one has used up its steps.
 Letters: D states, P fitted numbers, L numbers of one segment (D initial states, then offsets), G segments, N rows, O
 measured states.
 """
@@ -54,7 +54,7 @@ class Method:
 class Integration:
     """States (D, N) along segments and their sensitivities (N, D, P + L), no rows of these unless they were wanted.
 
-    So many segments are `done`; `done` is below zero where all `steps` that were allowed are used up.
+    `done` is the number of finished segments; below zero if all allowed `steps` are used up.
     """
 
     done: int
@@ -107,7 +107,7 @@ class Integrator:
         self, method: Method, system: System, segments: Ints, starts: FloatArray, simulated: FloatArray,
         sensitivities: FloatArray,
     ) -> tuple[int, int]:  # fmt: skip
-        """Write states and sensitivities; return what `integrate_segments` does, and the steps."""
+        """Write states and sensitivities; return the result of `integrate_segments`, and the steps."""
         measurements, taken = self.measurements, np.zeros(1, dtype=np.int64)
         rows = int((segments[:, 1] - segments[:, 0]).sum())
         budget = 200 + int(method.steps * (self._rows_in_row * rows))

@@ -30,7 +30,7 @@ would count. Weights that reach to six median errors have 0.061."""
 class Measurements:
     """Rows of trajectories for a system of D equations.
 
-    `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated at a stretch, `owners` (B,) the
+    `bounds` (B, 2) are the half-open row ranges of the pieces that are simulated without a break, `owners` (B,) the
     trajectories, indices of `names`, that they belong to. `measured` and `weights` are (O, N), 0 leaves a number out;
     `smoothed` is (D, N); `observed` (O,) tells which of the D states are measured, and `offset` (K,) which of these up
     to an offset. `scales` (D,) are the states' standard deviations, `noise` (O,) the standard deviations of the
@@ -38,11 +38,11 @@ class Measurements:
     inputs as smoothed. `inverse_variances` (O, N) divide the variance of the errors of each row, 1 on average over the
     recording; they are part of `weights`. `consistency` (O,) is the weighted mean square of normal errors over their
     variance, less than one where robustness weights reduce the large ones; None: one for all states. `resting` (O, N)
-    tells along which trajectories a state was 0 throughout, as an absent species is: there it has no weight and begins
-    at 0; None: nowhere. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers of a point: D states,
-    then U inputs. `groups` (T,) are the groups of trajectories that have constants of their own, by owner; None: all
-    share them. `input_error` is the error of input curves between rows over their standard deviations: simulated
-    states err by about the same share of their own.
+    marks trajectories along which a state was 0 throughout, like an absent species: there it has no weight and begins
+    at 0; None: none. `input_slopes` belong to `inputs` (U, N). `variables` names the numbers of a point: D states, then
+    U inputs. `groups` (T,) are the groups of trajectories with their own constants, by owner; None: all share them.
+    `input_error` is the error of input curves between rows over their standard deviations: simulated states have errors
+    of about the same share of their standard deviations.
     """
 
     bounds: Ints
@@ -119,8 +119,8 @@ class Measurements:
     def thinned(self, most: int) -> "Measurements":
         """Return pieces of the trajectories of at most about `most` rows together, early ones as well as late ones.
 
-        Where groups have constants of their own, the number of pieces is such that they have so many rows; each group
-        has one at least if possible.
+        If groups have their own constants, there are as many pieces as give this number of rows; each group has at
+        least one if possible.
         """
         if self.rows <= most:
             return self
@@ -169,9 +169,10 @@ def measurements_of(
 ) -> Measurements:
     """Return the measurements for a system with equations for the `modelled` states (indices).
 
-    The other states, as smoothed, are inputs behind the recording's own; rows where they are not known are left out.
+    The other states, as smoothed, are inputs after the inputs of the recording; rows where they are not known are left
+    out.
     With order 2 the velocities of the modelled states are states, too, behind the positions, and not measured. At most
-    `piece` rows are simulated at a stretch.
+    `piece` rows are simulated without a break.
 
     Raises:
         ValueError: there are no such trajectories.
@@ -314,7 +315,7 @@ def _stacked(arrays: Iterator[FloatArray]) -> FloatArray:
 
 
 def _pieces(lengths: Sequence[int], most: int) -> tuple[Ints, Ints]:
-    """Return bounds and owners of the pieces of trajectories that have so many rows."""
+    """Return bounds and owners of the pieces of trajectories with this many rows."""
     ranges: list[tuple[int, int]] = []
     owners: list[int] = []
     start = 0
@@ -335,8 +336,8 @@ def _cut(first: int, end: int, count: int) -> list[tuple[int, int]]:
 def _spread(owners: Sequence[int], count: int) -> list[int]:
     """Return the places of `count` pieces, given the trajectory of each: as many of each, early ones and late ones.
 
-    Every n-th piece could be the first of each trajectory, without anything that comes late in all of them, such as an
-    attractor or an input that is switched on. A lattice meets each of `count` equal parts of a trajectory once, and
+    Every n-th piece could be the first of each trajectory, without the later parts, such as an attractor or an input
+    that is switched on. A lattice meets each of `count` equal parts of a trajectory once, and
     neighbouring trajectories in distant parts.
     """
     step = lattice_step(count)

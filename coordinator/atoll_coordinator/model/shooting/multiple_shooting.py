@@ -7,13 +7,13 @@ the least sum of squared residuals over the variances of the errors. Segments gr
 
 1. *A point of the fit* (`_Point`). The system is integrated with its sensitivities, the derivatives of all states by
    the constants and by the initial state of the segment (`integration`). They give the normal equations, which have the
-   shape of an arrow: a block for the constants, and for each segment a block of its own numbers that meets the
-   constants alone. The segments' blocks are eliminated first (`kernels.normal_equations.solve_step`).
+   shape of an arrow: a block for the constants, and for each segment a block of its own numbers, coupled to the
+   constants only. The segments' blocks are eliminated first (`kernels.normal_equations.solve_step`).
 2. *The errors* (`error_model`). The variance of each state is estimated from the residuals again after each step, so
-   that no state outweighs the others by its unit. Where a sensor's errors go together between neighbouring rows, the
-   residuals are whitened before they are squared (`Innovations`); what share of them goes together stays as it is
-   during a fit. It is found by calibration (`selection.comparison`): the first good model is fitted with independent
-   errors, its residuals tell the errors of measurement, and all later models are fitted and compared with these.
+   that no state outweighs the others by its unit. If errors of a sensor are correlated between neighbouring rows, the
+   residuals are whitened before they are squared (`Innovations`); the correlated share is constant during a fit. It is
+   found by calibration (`selection.comparison`): the first good model is fitted with independent errors, its residuals
+   give the errors of measurement, and all later models are fitted and compared with these.
 3. *A step* (`least_squares.minimize`). Where sensitivities cost much more than states, a step is tried with states
    alone, since nearly half of all steps fail.
 4. *Joining* (`MultipleShooting.join`). Before segments are fitted in longer ones, constants and initial states are
@@ -54,10 +54,10 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.kernels.tape import Ints
 
 _REJECTED: Final = 0.4
-"""Share of the steps of fits that do not lower the cost: of data without noise 0.5 with 8 states, 0.4 with 40. States
-are integrated alone first where that takes less than this share of the work."""
+"""Share of the steps of fits that do not lower the cost: without noise 0.5 with 8 states, 0.4 with 40. States are
+integrated alone first if this takes less than this share of the work."""
 _FIT_BYTES: Final = 8_000
-"""Memory of a remembered fit besides its states and residuals."""
+"""Memory of a remembered fit in addition to its states and residuals."""
 _REMEMBERED_BYTES: Final = 64_000_000
 """Memory of all remembered fits of an estimator, about; beyond, the oldest are forgotten."""
 
@@ -92,7 +92,7 @@ _Step = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A `misfit` of at most so many nats, without which a fit is useless."""
+    """The largest useful `misfit` of a fit in nats."""
 
     misfit: TrajectoryMisfit
     most: float
@@ -104,7 +104,7 @@ class Goal:
         return b"".join(part.tobytes() for part in parts)
 
     def is_beyond(self, squares: FloatArray, promise: float, steps: int) -> bool:
-        """Tell whether errors of these mean squares (O,) are too large for `steps` that gain as much as the next.
+        """Tell whether errors of these mean squares (O,) are too large for `steps` with the gain of the next one.
 
         Steps gain less towards the end of a fit. The promise of the next one, see `_Shooting.equations`, is twice its
         gain in squares over variances, of which two are a nat: half of that is taken, as if each step gained twice as
@@ -159,9 +159,9 @@ class MultipleShooting:
             steps: most steps, successful or not.
             starts: initial states (G, D), or with offsets (G, D + K); the smoothed ones unless given.
             errors: the errors of measurement at first; independent, of the smoother's noise, unless given.
-            is_stiff: whether similar systems are; in a fit of few steps no other is taken for stiff, since most
-                candidates that seem so are bad ones.
-            goal: a fit ends where it turns out that it will not reach this.
+            is_stiff: whether similar systems are stiff; in a fit of few steps no other system is treated as stiff,
+                since most candidates that seem stiff are wrong.
+            goal: a fit ends early if it will not reach this.
         """
         arrays = (*system.arrays(), starts)
         key = (
@@ -342,7 +342,7 @@ class MultipleShooting:
         return self.layout(None).sensor_errors(fit.residuals, np.sqrt(fit.squares), fitted, turns)
 
     def whitened(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
-        """Return residuals (O, N) of whole trajectories without the share that goes together in these errors."""
+        """Return residuals (O, N) of whole trajectories without the correlated share of these errors."""
         return self.layout(None).whitened(residuals, errors)
 
     def squared_innovations(self, residuals: FloatArray, errors: ErrorModel) -> FloatArray:
@@ -556,10 +556,10 @@ def _condensed(blocks: _Blocks, ends: FloatArray, gaps: FloatArray, pieces: Ints
     Optimization 20:1655).
 
     Args:
-        blocks: of each segment alone.
+        blocks: of each segment.
         ends: T and S (G, D, P + D).
         gaps: h, by how much the end is beyond the initial state of the next segment (G, D).
-        pieces: of which each segment is a part (G,), ascending.
+        pieces: (G,), the piece that each segment belongs to, ascending.
 
     Returns:
         Blocks of the pieces, and B, A and c (G, D, P + D + 1).

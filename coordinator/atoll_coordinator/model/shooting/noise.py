@@ -1,11 +1,11 @@
-"""How large errors of measurement are: by smoothing, before there is a law, and by residuals of a law. Pure.
+"""The size of errors of measurement: from smoothing, before a law is known, and from residuals of a law. Pure.
 
 *By smoothing* (`estimate_variances`). The variance of a row is a^2 + b^2 x^2 with the smoothed value x, the
 two-component model of analytical chemistry (Rocke & Lorenzato 1995); it is fitted to the residuals of smoothing, which
 do not depend on any law. *By residuals* (`roughness`, `slow_shares`). Errors of measurement are rough, the errors of a
-law are slow: second differences tell the size of the former, cosines along the rows the share of the latter.
-`count_pieces` says how many independent numbers slow errors are. Letters: O measured states, N rows, R rows of some
-trajectories.
+law are slow: second differences give the size of errors of measurement, cosines along the rows the share of errors of
+the law. `count_pieces` returns the number of independent numbers in slow errors. Letters: O measured states, N rows, R
+rows of some trajectories.
 """
 
 import math
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from atoll_coordinator.model.shooting.measurements import Measurements
 
 _SHARES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
-"""Proportional shares that are tried; at the last, errors at zero are a tenth of those at the root mean square."""
+"""Proportional shares that are tried; at the last, errors at zero are a tenth of the errors at the root mean square."""
 _EVIDENCE: Final = 1.0
 """Nats by which errors that grow with the value must be the better description. Measured on equal errors, decays and
 waves of 8 to 200 rows, 80 tables each: that much comes about by chance in 0 to 5 %; of errors in proportion to the
@@ -102,7 +102,7 @@ def _estimate(recording: Recording, state: int) -> tuple[VarianceModel, float]:
 
 
 def _residual_shares(smoothing: Smoothing, rows: int) -> FloatArray:
-    """Return by what share (R,) of the variance of its error the residual of each row varies."""
+    """Return the variance (R,) of the residual of each row over the variance of its error."""
     if smoothing.span is None or smoothing.degree is None:
         return np.ones(rows)
     return residual_shares(rows, smoothing.span, smoothing.degree)
@@ -175,7 +175,7 @@ def count_pieces(measurements: "Measurements") -> FloatArray:
 def _correlation_length(parts: Sequence[FloatArray]) -> int:
     """Return the lag at which the autocorrelation of `parts`, all together, falls below 1/e; the longest where none is.
 
-    Transforms tell at which lags that may be, up to their rounding errors; there it is summed up.
+    Fourier transforms give the possible lags up to rounding errors; the sums are computed at these.
     """
     least = sum(float(part @ part) for part in parts) / math.e
     sums = np.zeros(max(map(len, parts), default=0))
@@ -189,7 +189,7 @@ def _correlation_length(parts: Sequence[FloatArray]) -> int:
 
 
 def _stretches(measurements: "Measurements") -> Iterator[slice]:
-    """Yield ranges of rows without a gap between them, whatever pieces they are simulated in."""
+    """Yield ranges of rows without a gap between them, regardless of the pieces of simulations."""
     times = measurements.times
     steps = np.diff(times)
     usual = 1.5 * float(np.median(steps)) if len(steps) else 0.0

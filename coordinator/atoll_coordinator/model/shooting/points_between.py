@@ -1,4 +1,4 @@
-"""Points off the measured curves, from two measured ones that are far apart. Pure.
+"""Points off the measured curves, each from two measured points that are far apart. Pure.
 
 Letters: N measured points, V numbers of each, G points off the curves.
 """
@@ -29,7 +29,7 @@ def points_between(points: FloatArray) -> FloatArray:
 def points_beside(points: FloatArray, moved: int) -> FloatArray:
     """Return points (G, V) in the boxes that two measured ones span, where constant sums and the like do not hold.
 
-    The first so many numbers are `moved`; the others, such as inputs, stay as they are at the first of the two.
+    The first `moved` numbers are moved; the others, such as inputs, stay as they are at the first of the two.
     """
     first, second, shares = _pairs(points, moved)
     first[:, :moved] += shares.T * (second - first)[:, :moved]
@@ -37,7 +37,7 @@ def points_beside(points: FloatArray, moved: int) -> FloatArray:
 
 
 def without_kept(moves: FloatArray, points: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return `moves` (G, V) without what would change a weighted sum that all measured `points` (V, N) keep.
+    """Return `moves` (G, V) that keep the weighted sums which are constant in all measured `points` (V, N).
 
     These are directions (singular vectors, in widths of the range) along which points do not vary visibly, given their
     `noise` (V,): the variance of N independent rows is known to a share of sqrt(2/N), and a signal differs from noise
@@ -56,7 +56,7 @@ def without_kept(moves: FloatArray, points: FloatArray, noise: FloatArray) -> Fl
 
 
 def _pairs(points: FloatArray, numbers: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return two measured points (G, V), twice, and so many shares (numbers, G) of the way from one to the other."""
+    """Return two measured points (G, V), twice, and shares (numbers, G) of the way from one to the other."""
     count, width = SETTINGS.effort.beam, np.maximum(np.ptp(points, axis=1), 1e-300)
     known = points.T[thinned_places(points.shape[1], MOST_POINTS)]
     outer = known[_far_apart(known / width, 2 * count)]

@@ -31,7 +31,7 @@ _LEAST_EIGENVALUE: Final = 1e-11
 _OPEN_LOADING: Final = 1e-6
 """Squared component of a constant along a direction that is not determined, from which it is not determined itself."""
 _CANCELLED: Final = 1e-13
-"""Share of its diagonal that rounding leaves of the normal matrix where initial states stand in for a constant."""
+"""Share of its diagonal below which the normal matrix is rounding: initial states then replace a constant."""
 _HELD: Final = 1e-9
 """Standard error of a constant on its bound, over its size."""
 
@@ -44,8 +44,8 @@ class TrajectoryFit:
     in whole, their K offsets (G, D + K); `simulated` (D, N); `residuals` (O, N) measured minus simulated and offset;
     `errors` the errors of measurement by which they were weighed; `squares` (O,) their mean squares; `normal`,
     `coupling` and `own` the blocks of the normal equations at the end, weighted; `estimator` fitted it; `is_stiff`
-    tells whether the system was integrated as a stiff one; `gradient` (P,) is by how much more likely the data become
-    where a constant grows, which is zero but for constants on their bounds.
+    tells whether the system was integrated as a stiff one; `gradient` (P,) is the derivative of the log-likelihood
+    by the constants, zero except for constants on their bounds.
     """
 
     system: System
@@ -73,9 +73,9 @@ class TrajectoryFit:
     def reduced(self) -> FloatArray:
         """The normal matrix (P, P) of the constants, initial states eliminated.
 
-        States that trajectories forget at once have hardly any curvature. By the roots W (G, D, D) with WW' the
-        inverses of their blocks it is taken from the constants' without more than rounding errors; an inverse leaves
-        an indefinite matrix.
+        States that trajectories forget at once have hardly any curvature. With the roots W (G, D, D), WW' being the
+        inverses of their blocks, it is subtracted up to rounding errors only; with an inverse the matrix would become
+        indefinite.
         """
         scale = np.sqrt(np.maximum(np.einsum("gdd->gd", self.own), 1e-200))
         values, vectors = np.linalg.eigh(self.own / (scale[:, :, None] * scale[:, None, :]))
@@ -137,10 +137,10 @@ def growth_rate(fit: TrajectoryFit) -> float:
     """Return the rate at which errors of a state grow, in e-folds per unit of time: the largest Lyapunov exponent.
 
     The mean over all trajectories; negative where errors shrink, NaN without a segment of two rows. The sensitivities
-    to a segment's initial state tell how large a small error is at its end. An error is carried from segment to
+    to a segment's initial state give the size of a small error at its end. An error is carried from segment to
     segment of a trajectory and made small again at each, so that it turns into the direction of fastest growth
-    (Benettin et al. 1980). Of a trajectory of one segment there is only the growth of its own fastest direction, which
-    is an upper limit.
+    (Benettin et al. 1980). A trajectory with one segment has only the growth of its own fastest direction, which is
+    an upper limit.
     """
     measurements = fit.estimator.measurements
     fitted, states = fit.system.count, len(fit.system.outputs)
@@ -172,7 +172,7 @@ def _growths(matrices: FloatArray) -> list[float]:
 
 
 def speed_growth(fit: TrajectoryFit) -> float:
-    """Return the rate at which trajectories get faster, in e-folds per unit of time, on average over those of `fit`.
+    """Return the mean rate at which the trajectories of `fit` get faster, in e-folds per unit of time.
 
     An error of time grows like the speed, and so do all errors of a process that grows as a whole: compared with the
     state they stay as small as they were. Speeds are means over the first and the second half of a trajectory, so that

@@ -1,4 +1,4 @@
-"""The one dictionary of terms: products of variables, these times functions with a constant inside, libraries of both.
+"""The dictionary of terms: products of variables, these times functions with a constant inside, libraries of both.
 
 A `Product` is a tuple of variables. A `Shape` is a product times a function, with its values on some rows; its function
 may have a constant inside. An `Atom` is a shape with a number for that constant: a term of a sum without its
@@ -285,7 +285,7 @@ class Shape:
         return structure_length(program), len(constant_places(program))
 
     def price(self, rows: float) -> float:
-        """Return the nats of the term in a sum over so many rows: its structure, and 1/2 ln N for each constant."""
+        """Return the nats of the term in a sum over this many rows: its structure, and 1/2 ln N for each constant."""
         structure, constants = self._written
         return structure + constants * constant_nats_of(rows)
 
@@ -361,7 +361,7 @@ def shapes(
 ) -> Iterator[Shape]:
     """Yield each of the `products` times each function that the operators (codes) allow.
 
-    Where it `has_powers`, quotients are those of Hill's equation: with powers up to the fourth, and wider grids.
+    Where it `has_powers`, quotients are as in Hill's equation: with powers up to the fourth, and wider grids.
     """
     arguments = list(_arguments(inputs, columns, set(operators)))
     if has_powers and DIVIDE in operators:

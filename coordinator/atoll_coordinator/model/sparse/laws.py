@@ -1,9 +1,9 @@
 """The laws of states by regression alone: which rows an equation is fitted to, which libraries are tried.
 
 Few variables (libraries of all products up to the fourth degree exist): sums of products, on derivatives where there is
-no noise, else in the weak form, where other programs compete with them. Many variables: short sums of products and of
-functions, each equation for itself, then with the functions of other laws: a flux that leaves one state enters another.
-Dozens of variables: forward selection first says which of them an equation takes.
+no noise, else in the weak form, where they are compared with other programs. Many variables: short sums of products and
+of functions, each equation for itself, then with the functions of other laws: a flux that leaves one state enters
+another. Dozens of variables: forward selection first says which of them an equation takes.
 """
 
 import math
@@ -74,7 +74,7 @@ def find_all_laws(
         config: the resolved configuration.
         others: programs by variable that laws are compared with where there is noise.
         among_many: the result of `laws_among_many`; None: it is computed here.
-        spread: has the work done; one after another unless given.
+        spread: computes in threads or on workers; one after another unless given.
     """
     by_variable: dict[str, tuple[Law, ...]] = {}
     among_many = laws_among_many(preparation, config) if among_many is None else among_many
@@ -133,8 +133,8 @@ def settled_variables(preparation: Preparation, config: JobConfig, among_many: L
     """Return the variables whose equations have laws that need no long search to compare them with.
 
     The residuals of these laws are like noise, and they were chosen on more rows than systems are compared on. Among
-    many variables each equation counts for itself; else all are settled or none, since the laws of few are found beside
-    a search that ends soon. None where the user has said when the search ends or where it begins. `among_many` is the
+    many variables each equation is settled independently; among few, all are settled or none, since a search of few
+    variables ends soon. None if the user has set the end or the beginning of the search. `among_many` is the
     result of `laws_among_many`.
     """
     budget = config.budget
@@ -204,11 +204,11 @@ def find_laws(
 
     Args:
         problem: its derivative on the rows of the search; the target's variable is a state of `recording`.
-        recording: what was measured.
+        recording: the measurements.
         columns: indices of the variables that it may be made of.
         operators: codes of the operators.
         others: programs that laws are compared with where there is noise.
-        spread: has the work done; one after another unless given.
+        spread: computes in threads or on workers; one after another unless given.
     """
     if not _has_like_rows(recording) or not _makes_sums(columns, operators) or recording.order == 2:
         return ()
@@ -397,7 +397,7 @@ def _among_many(part: Preparation, config: JobConfig) -> dict[str, tuple[Law, ..
 def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobConfig:
     """Return the resolved configuration with the variables that each equation takes, where there are dozens.
 
-    What the user allows stays as it is, and so does an equation of which nothing can be told.
+    Variables that the user allows stay as they are, and so does an equation for which no variables can be excluded.
     """
     dataset, recording, space = preparation.dataset, preparation.recording, config.space
     if recording is None or not _are_many(len(dataset.names), 2):
@@ -410,7 +410,7 @@ def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobC
             variables_of[name] = tuple(dataset.names[place] for place in kept)
     update: dict[str, object] = {"variables_of": variables_of}
     beginning = space.model_copy(update={"terminals": None})
-    if space.terminals == beginning.terminals_for(len(dataset.names)):  # the user has not said otherwise
+    if space.terminals == beginning.terminals_for(len(dataset.names)):  # not set by the user
         counts = [len(variables_of.get(name, dataset.names)) for name in dataset.variables]
         update["terminals"] = beginning.terminals_for(max(counts))
     return config.model_copy(update={"space": space.model_copy(update=update)})
@@ -419,9 +419,9 @@ def with_screened_variables(preparation: Preparation, config: JobConfig) -> JobC
 def screened(rows: RateRows, columns: Sequence[int]) -> tuple[int, ...]:
     """Return the variables among `columns` (indices) that the equation takes, in ascending order.
 
-    Of all products of two variables, and cubes, the one that explains most of the rest is added, one at a time, as long
-    as that is more than the best of so many explains by chance. Terms that only replaced later ones are the first to
-    leave in a backward elimination; variables are taken from its end.
+    Products of two variables, and cubes, are added one at a time: each time the product that explains most of the
+    residuals, as long as this is more than the best of as many explains by chance. A backward elimination first removes
+    terms that only replaced later ones; the variables are those of the terms that remain.
     """
     if not _are_many(len(columns), 2):
         return tuple(columns)

@@ -2,8 +2,8 @@
 
 Where there are six variables or more, libraries of all products up to the fourth degree are too large, and laws have
 functions that sums of products do not replace. Each equation is searched for itself: polynomials of low degree, then
-products with functions (quotients as in Hill's equation and others), which are all compared beside the terms that are
-there. At last functions of other laws are terms, too: a flux that leaves one state enters another. The reasons and
+products with functions (quotients as in Hill's equation and others), which are all compared in addition to the terms of
+the sum. At last functions of other laws are terms, too: a flux that leaves one state enters another. The reasons and
 figures: ADR 0043 and 0048.
 
 Letters: A atoms, K terms, N rows of a regression, W windows of L rows, R rows of all trajectories, V variables.
@@ -43,7 +43,7 @@ from atoll_core.expression.program import operators_in
 
 _DEGREES: Final = range(1, SETTINGS.sparse.degree + 1)
 _KEPT: Final = 2
-"""Functions beside each of the sums that a search begins with, which are then terms of a library."""
+"""Functions added to each of the sums that a search begins with; they are then terms of a library."""
 
 # ------------------------------------------------------------------------------------------------ short windows
 
@@ -233,7 +233,7 @@ def polished(fit: Sum) -> Sum:
 
 
 class Beside:
-    """The residuals of a sum, and how much of them other terms explain. Rows weigh by errors and by what is missing.
+    """The residuals of a sum, and how much of them other terms explain. Rows are weighted by errors and missing terms.
 
     The variance of the missing terms, the same on all rows, is the one with which the median residual is normal.
 
@@ -259,7 +259,7 @@ class Beside:
         self._left = self._projected(values[None])[0]
 
     def _projected(self, values: FloatArray) -> FloatArray:
-        """Return the residuals of weighted `values` (A, N) beside the terms."""
+        """Return the residuals of weighted `values` (A, N) after projection on the terms."""
         remainder = values * self._weights
         for _ in range(2):  # the second time for rounding errors of the first
             remainder = remainder - (remainder @ self._basis) @ self._basis.T
@@ -301,9 +301,9 @@ class Beside:
 
 
 def best_atoms(rows: Rows, begun: Sequence[Sequence[Atom]], tried: Sequence[Shape]) -> Iterator[list[list[Atom]]]:
-    """Yield each of the sums `begun` with each of the terms that explain most beside it, inner constants fitted.
+    """Yield each of the sums `begun` with each of the additional terms that explain most, inner constants fitted.
 
-    A shape may come with several constants: those that explain more than their neighbours in its grid.
+    A shape may have several constants: local maxima of the explained variance in its grid.
     """
     besides = [Beside(rows, atoms) for atoms in begun]
     ranked: list[list[tuple[float, int, float]]] = [[] for _ in begun]
@@ -390,7 +390,7 @@ def _short_sum(equation: Equation) -> Sum | None:
 def _with_functions(equation: Equation, best: Sum | None, sizes: Sequence[tuple[list[Product], bool]]) -> Sum | None:
     """Return the shortest sum with up to two products with functions more, inner constants fitted.
 
-    They are compared on the decisive rows, beside the best sum, a constant, and a polynomial of the first degree. The
+    They are compared on the decisive rows, added to the best sum, a constant, and a polynomial of the first degree. The
     best are terms of a library with all products of the highest degree.
     """
     rows = equation.rows
@@ -431,7 +431,7 @@ def _searched(
 ) -> Sum | None:
     """Return the shortest sum of the products of a library and the functions of `begun`, inner constants fitted.
 
-    Searches begin with these functions beside the products of `begun`, and beside those of the library up to each
+    Searches begin with these functions added to the products of `begun`, and to the products of the library up to each
     degree; they are repeated as long as fitted inner constants make the description shorter.
     """
     weights, best = 1.0 / rows.side_errors, None

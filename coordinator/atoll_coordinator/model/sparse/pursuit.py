@@ -1,6 +1,6 @@
 """Candidates that are sums of a polynomial and of products with functions, by matching pursuit with a beam.
 
-To a polynomial, the products with functions are added that leave the smallest residuals (orthogonal matching pursuit,
+The products with functions that give the smallest residuals are added to a polynomial (orthogonal matching pursuit,
 Pati et al. 1993), all constants of the best sums are fitted, inner ones too, and the best go on; then the least
 significant terms are removed one after another. With the polynomial there from the beginning, the gain of another term
 does not decide which function is taken. A search that changes one place of an equation at a time reaches such laws only
@@ -37,7 +37,7 @@ _NEARLY_ALIKE: Final = 1e-8
 _RANKED_PAIRS: Final = 2000
 """Pairs that are sorted: one pair of terms has dozens, which differ in inner constants."""
 _MOST_PAIRED: Final = 4000
-"""With more atoms no pairs are tried: a matrix of gains takes 128 MB for so many, as twenty states have."""
+"""With more atoms no pairs are tried: a matrix of gains takes 128 MB for this many, as with twenty states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def pursue(
         columns: indices of the variables that may be used.
         operators: codes of the operators that may be used.
         needed: codes, one of which each sum has; any sum will do without.
-        most: sums with more nats, for all terms with their constants, are not wanted.
+        most: sums with more nats, for all terms with their constants, are dropped.
     """
     if not {ADD, MULTIPLY} <= set(operators) or not columns:
         return []
@@ -151,7 +151,7 @@ class _Pursuit:
         return least if self._needed else 0.0
 
     def _is_short(self, terms: Sequence[int]) -> bool:
-        """Tell whether a sum may be wanted after elimination has removed one of its terms."""
+        """Tell whether a sum may be short enough after elimination of one of its terms."""
         return float(self._prices[list(terms)].sum()) <= self._most + self._least
 
     def _is_needed(self, shape: Shape) -> bool:
@@ -204,7 +204,7 @@ class _Pursuit:
                     yield polynomial
 
     def _grown(self, beginning: _Sum) -> Iterator[_Sum]:
-        """Yield the best sums with no, one, two ... terms more than the beginning, until little is left to explain."""
+        """Yield the best sums with no, one, two ... terms more than the beginning, until the residuals are small."""
         beam = [beginning]
         for _ in range(SETTINGS.sparse.pursued_functions + (not beginning.terms)):
             yield from beam if beam[0].terms else ()
@@ -216,7 +216,7 @@ class _Pursuit:
         yield from beam
 
     def _extended(self, beam: Sequence[_Sum], beginning: _Sum | None) -> list[_Sum]:
-        """Return the best sums with one term more than those of the beam, or with two more than the `beginning`."""
+        """Return the best sums with one term more than the sums of the beam, or with two more than the `beginning`."""
         width = 2 * SETTINGS.effort.beam
         chosen = _best((self._promises(parent) for parent in beam), width)
         are_few = len(self._atoms) <= _MOST_PAIRED
@@ -270,7 +270,8 @@ class _Pursuit:
                     return
 
     def _beside(self, parent: _Sum) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the residuals of a sum, the atoms beside its terms as unit columns (A, R), and their sizes before."""
+        """Return the residuals of a sum, the atoms orthogonal to its terms as unit columns (A, R), and their sizes
+        before."""
         left, rest = self._target, self._columns
         if parent.terms:
             columns = self._values(parent.terms, parent.constants)
@@ -293,7 +294,7 @@ class _Pursuit:
         return 0.5 * len(self._target) * math.log(self._counted(candidate))
 
     def _counted(self, candidate: _Sum) -> float:
-        """Return the sum of squared residuals, at least that of the target's uncertainty."""
+        """Return the sum of squared residuals, at least the sum by the target's uncertainty."""
         return max(candidate.square, self._limit, 1e-300)
 
     def _without_least(self, candidate: _Sum) -> _Sum | None:

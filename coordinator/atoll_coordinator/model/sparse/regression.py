@@ -1,9 +1,9 @@
-"""The one engine of sparse regression: which short sum of terms describes the equation of one state.
+"""The engine of sparse regression: which short sum of terms describes the equation of one state.
 
-What it takes. A builder of rows (`rows`) gives left sides, columns of terms, and the covariance of the errors of both.
+Input. A builder of rows (`rows`) gives left sides, columns of terms, and the covariance of the errors of both.
 A list of atoms (`atoms`) gives the terms that a sum may have.
 
-What it minimises. The length of a description in nats: the misfit of the residuals by their own errors, as the rows
+Criterion. The length of a description in nats: the misfit of the residuals by their own errors, as the rows
 assess it, and the price of each term (its structure, and 1/2 ln N for each constant). While terms are removed, weights
 of rows are held, and the misfit is n/2 ln(sum of weighted squares): that is computed for all sums on the way at once.
 
@@ -15,9 +15,9 @@ sum before: fit and weights by turns.
 
 How it searches. Backward elimination from a full library (Wald's test): with everything there from the beginning, the
 gain of another term does not decide which one is taken. Elimination may lose a term early for others that it nearly
-depends on; so single terms are added again, and the sum is eliminated anew, as long as the description gets shorter by
-more than the best of so many tries does by chance. At last terms are removed one by one by the weights of the rest.
-Functions with a constant inside are terms as all others; `many_variables` says which are tried.
+depends on; so single terms are added again, and the sum is eliminated again, as long as the description gets shorter by
+more than the best of as many tries does by chance. At last terms are removed one by one by the weights of the rest.
+Functions with a constant inside are terms like all others; `many_variables` says which are tried.
 
 Doubts. Weights of a wrong sum favour that sum. The first-order variances are too small where noise is as large as the
 curvature of a term. Rates count as a fixed number of independent numbers, which is a guess; it only has to be few.
@@ -52,7 +52,7 @@ class Elimination:
     """The sums on the way from all columns (K, N) to none, by least squares (Wald's test).
 
     `order` (K,) are the columns in the order of their removal, `squares` (K + 1,) the sums of squared residuals with
-    the last K, K - 1, ... 0 of these, `coefficients` (K, K) those at each step.
+    the last K, K - 1, ... 0 of these, `coefficients` (K, K) the coefficients at each step.
     """
 
     order: list[int]
@@ -122,7 +122,7 @@ def _dots(columns: FloatArray, vector: FloatArray) -> FloatArray:
 class Sum:
     """A fitted sum of the terms `kept` (places) of a regression, with its `coefficients` and `nats`.
 
-    `assessment` is None of a sum on the way, whose nats are by the weights of the rows then.
+    `assessment` is None for an intermediate sum, whose nats follow from the weights of its rows.
     """
 
     regression: "Regression"
@@ -151,7 +151,7 @@ class Sum:
 
 
 def shortest(sums: Iterable[Sum | None]) -> Sum | None:
-    """Return the sum of the shortest description, the first of equal ones; None where there is none."""
+    """Return the sum with the shortest description, the first of equal ones; None without sums."""
     return min((fit for fit in sums if fit is not None), key=lambda fit: fit.nats, default=None)
 
 
@@ -193,9 +193,9 @@ class Regression:
     def search(self, begun: Sequence[int], weights: FloatArray | None = None) -> Sum | None:
         """Return the sum at which a search from the terms `begun` (places) ends; None where there is none.
 
-        Weights begin with equal ones, or with those to which a fit of all the terms leads from the `weights` given.
-        They are then those of the sum before, which may be a wrong one that they favour: so at last terms are removed
-        as long as the description by the weights of the rest is shorter.
+        Weights are equal at first, or come from a fit of all terms that begins with `weights`. Later they come from the
+        sum before, and favour it even if it is wrong: so at last terms are removed as long as the description by the
+        weights of the remaining sum is shorter.
         """
         if not self.is_solvable:
             return None

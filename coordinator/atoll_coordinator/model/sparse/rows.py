@@ -1,6 +1,6 @@
 """Builders of rows: left sides, columns of terms, and the covariance of their errors, of the equation of one state.
 
-- `Rows` as they stand have columns without errors: targets, bins of the steps of a process.
+- `Rows` have columns without errors: targets, bins of the steps of a process.
 - `RateRows` are estimated derivatives with a standard error for each row. These errors are systematic: however many
   rows there are, they count as `systematic_numbers` numbers, and a few are a hundred times as large as the estimate.
 - `WeakRows` are integrals over windows of the trajectories, so that nothing is differentiated. With a test function b
@@ -64,11 +64,11 @@ class Assessment:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """What a sum of terms is fitted to; as it stands, columns have no errors, and the variance of residuals is fitted.
+    """Rows to which a sum of terms is fitted. Columns have no errors, and the variance of residuals is fitted.
 
-    `inputs` (V, R) are the variables where atoms have values, `sides` (N,) the left sides. A sum is fitted and rows are
-    weighted by turns, `turns` times at most. The residuals of a law are at most `largest_excess` times as large as
-    their errors; where rows are `is_precise`, those of other sums are many times as large.
+    `inputs` (V, R) are the variables where atoms have values, `sides` (N,) the left sides. Fit and weights alternate,
+    at most `turns` times. The residuals of a law are at most `largest_excess` times as large as their errors; if rows
+    are `is_precise`, residuals of other sums are many times as large.
     """
 
     inputs: FloatArray
@@ -167,7 +167,7 @@ def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> Rate
     """Return the derivatives of `variable`, a state; `names` (V,) are symbols of states, rates and inputs.
 
     None where derivatives were not kept, or all are alike. Errors are at least those of a solver. More rows than
-    `RowSettings.most` are thinned, as those of the search are.
+    `RowSettings.most` are thinned, like the rows of the search.
     """
     parts = [trajectory for trajectory in recording.trajectories if not trajectory.held_out]
     symbols = (*recording.state_symbols, *recording.velocity_symbols, *recording.input_symbols)
@@ -355,7 +355,7 @@ class WeakRows(Rows):
         return products, cross
 
     def _row_weights(self, weights: FloatArray) -> Errors:
-        """Return how much errors of the thinned rows (T,) count in products of integrals, and in those with left sides.
+        """Return the weights of errors of thinned rows (T,) in products of integrals, and with left sides.
 
         Windows have these `weights` (W,).
         """
@@ -394,10 +394,11 @@ class WeakRows(Rows):
     def by_squares(self, residuals: FloatArray, variances: FloatArray, fitted: int) -> Assessment:
         """Return minus the log-likelihood of the residuals, each counted by its share in a new one.
 
-        The likelihood is that of the nearest true states for which the equation holds, to first order: half the square
-        over its variance. The variance depends on the equation, the density of the measurements about these states does
-        not: with its logarithm, sums that vary little with the states would be preferred (errors in variables,
-        functional case: Fuller 1987, section 2.3). Of the degrees of freedom, fitted coefficients are subtracted.
+        The likelihood is the likelihood of the nearest true states for which the equation holds, to first order: half
+        the square over its variance. The variance depends on the equation, the density of the measurements about these
+        states does not: with its logarithm, sums that vary little with the states would be preferred (errors in
+        variables, functional case: Fuller 1987, section 2.3). Of the degrees of freedom, fitted coefficients are
+        subtracted.
         """
         from scipy import special
 
@@ -479,8 +480,8 @@ def half_width(measured: Measured, smoothing: Smoothing, variables: int) -> int:
     """Return the rows of half a window: half of the smoother's span, as far as windows suffice for the largest library.
 
     In longer windows, errors of terms that nearly depend on each other are larger compared with their differences; in
-    shorter ones errors of the trapezoidal rule, of which the noise should be ten times as large: those of the left side
-    fall as h^-(p + 1) with the width h (p: `smoothness`), those of noise as h^-1.5.
+    shorter ones errors of the trapezoidal rule, of which the noise should be ten times as large: errors of the left
+    side fall as h^-(p + 1) with the width h (p: `smoothness`), errors by noise as h^-1.5.
     """
     terms = min(math.comb(variables + SETTINGS.sparse.degree, variables), SETTINGS.sparse.largest_library)
     most = int(len(measured.times) / (SETTINGS.sparse.rows_per_term * terms + 2 * len(measured.ranges) + 1))

@@ -3,8 +3,8 @@
 - `likelihood`: of all steps, also with errors of measurement; constants fitted, their information
 - `regression`: candidates for one equation, the others as they are
 - `process_choice`: equations exchanged one after another, the shortest description
-- `path_ensembles`: ensembles and the stationary density, beside the measurements
-- `conclusion`: errors of constants, verdicts, what is reported
+- `path_ensembles`: ensembles and the stationary density, compared with the measurements
+- `conclusion`: errors of constants, verdicts, the reported model
 
 `pipeline` calls `process_choice` and `conclusion`. The moments of a step and the paths of a process are in
 `atoll_coordinator.stochastic`. The reasons and figures: ADR 0044.

@@ -1,6 +1,6 @@
-"""From the chosen law of a process to what is reported: constants with errors, rivals, verdicts, ensembles.
+"""From the chosen law of a process to the reported model: constants with errors, alternatives, verdicts, ensembles.
 
-Of a right law the whitened steps are independent, normal and of variance one, whatever the state. Each is tested:
+For the right law the whitened steps are independent, normal and of variance one in every state. Each is tested:
 neighbours (Ljung & Box 1978), means and squares in bins of the states (chi-square), the fourth moment, products with
 other states, and squares of states that have no noise of their own.
 """
@@ -53,7 +53,7 @@ _STOPPED: Final = "the time limit stopped the choice of the equations: give more
 
 @dataclass(frozen=True, eq=False)
 class _Equation:
-    """One equation as it is shown: what is known of its constants."""
+    """One equation as it is shown, with the estimates of its constants."""
 
     program: Program
     known: Known
@@ -135,7 +135,7 @@ def _written(chosen: ChosenProcess) -> tuple[FittedProcess, list[ExplicitCoeffic
 def _covariance(
     chosen: ChosenProcess, fitted: FittedProcess, coefficients: Sequence[ExplicitCoefficients]
 ) -> Covariance:
-    """Return the joint covariance of all constants, those of noise left out."""
+    """Return the joint covariance of all constants except the noise."""
     places = [
         Place(variable=chosen.variables[number], constant=origin)
         for number in chosen.free
@@ -169,7 +169,7 @@ def _described(
     coefficients: Sequence[ExplicitCoefficients],
     programs: Sequence[Program],
 ) -> list[Known]:
-    """Return what is known of the constants of `programs`, as they are written."""
+    """Return the estimates of the constants of `programs`, as they are written."""
     errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
     values, places = fitted.model.parameters(chosen.free), _slices(chosen, fitted.model)
     quantile = student_95(float(len(chosen.likelihood.steps.lengths) - len(values)))
@@ -185,7 +185,7 @@ def _described(
 
 
 def _rounded(program: Program, values: FloatArray, covariance: FloatArray) -> Program:
-    """Return `program` with its constants as far as their standard errors leave them digits."""
+    """Return `program` with its constants rounded by their standard errors."""
     places = constant_places(program)
     if not places:
         return program
@@ -207,7 +207,7 @@ def _alternatives(
 
 
 def _origin(program: Program, candidates: CandidateSet) -> Origin:
-    """Return where an equation comes from, whatever its constants and factors are."""
+    """Return the source of an equation, regardless of its constants and factors."""
     sources: dict[Origin, Sequence[Program]] = {
         "front": [member.program for member in candidates.front],
         "runner-up": candidates.runners_up,
@@ -269,10 +269,10 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
 
 
 def _has_noise(chosen: ChosenProcess, model: ProcessModel) -> bool:
-    """Tell whether a state has noise that counts as such: of less, steps are those of a motion without any.
+    """Tell whether a state has noise that counts: with less, the process counts as deterministic.
 
-    The output of a numerical method and what repeats itself after a few rows follow a law exactly, and no noise is
-    there to speak for or against it.
+    The output of a numerical method, or a table that repeats after a few rows, follows a law exactly, and there is no
+    noise to test it.
     """
     steps = chosen.likelihood.steps
     covariance = model.moments(steps.points, steps.lengths).covariance
@@ -305,14 +305,14 @@ def _drift_checks(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDAr
             "the steps show no pattern over the states",
         ),
         _check(
-            "serial correlation", serial, limit, f"steps go together with those before them (p = {serial:.1g})",
-            "steps are independent of those before them",
+            "serial correlation", serial, limit, f"steps are correlated with the steps before them (p = {serial:.1g})",
+            "steps are independent of the steps before them",
         ),
     ]  # fmt: skip
 
 
 def joint_checks(residuals: FloatArray, state: int, names: Sequence[str], *, has_noise: bool) -> list[Check]:
-    """Return the checks of one state beside the others, from the whitened steps of all (S, N).
+    """Return the checks of one state against the others, from the whitened steps of all (S, N).
 
     They are independent of each other, and of variance one also where no diffusion of the state's own was fitted to it.
     """
@@ -322,7 +322,7 @@ def joint_checks(residuals: FloatArray, state: int, names: Sequence[str], *, has
         checks.append(
             _check(
                 "size of steps", chance, limit,
-                f"its steps are {size:.3g} times what noise of other states makes of them (p = {chance:.1g})",
+                f"its steps are {size:.3g} times as large as the noise of other states makes them (p = {chance:.1g})",
                 "its steps are as large as the noise of other states makes them",
             )
         )  # fmt: skip
@@ -334,15 +334,15 @@ def joint_checks(residuals: FloatArray, state: int, names: Sequence[str], *, has
         checks.append(
             _check(
                 "correlation of states", chances[least], limit / len(chances),
-                f"the residual steps go together with those of {names[least]} (p = {chances[least]:.1g})",
-                "its steps are independent of those of other states",
+                f"the residual steps are correlated with the steps of {names[least]} (p = {chances[least]:.1g})",
+                "its steps are independent of the steps of other states",
             )
         )  # fmt: skip
     return checks
 
 
 def _chance(values: FloatArray) -> float:
-    """Return the probability of a mean as far from zero as that of independent `values` (N,) if theirs is zero."""
+    """Return the probability of a mean as far from zero as the mean of independent `values` (N,) if theirs is zero."""
     from scipy import special
 
     error = float(values.std()) / math.sqrt(len(values))
@@ -369,8 +369,8 @@ def _diffusion_checks(first: FloatArray, second: FloatArray, bins: Sequence[Rows
         checks.append(
             _check(
                 "normal steps", chance, limit,
-                f"steps are larger now and then than normal ones (excess kurtosis {kurtosis:.2g})",
-                "the sizes of the steps are normal",
+                f"the steps have heavier tails than a normal distribution (excess kurtosis {kurtosis:.2g})",
+                "the steps are normally distributed",
             )
         )  # fmt: skip
     return checks
@@ -382,13 +382,13 @@ def _pattern(parts: Sequence[FloatArray]) -> float:
 
     variance = float(np.var(np.concatenate(parts)))
     if not variance > 0.0:
-        return 1.0  # all the same, as what exact steps leave: there is no pattern, whatever the mean
+        return 1.0  # all equal, as residuals of exact steps: there is no pattern, regardless of the mean
     squares = [len(part) * float(np.mean(part)) ** 2 / variance for part in parts if len(part)]
     return float(special.chdtrc(len(squares), math.fsum(squares)))
 
 
 def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> list[Check]:
-    """Return the checks of an equation beside its residuals: constants, and rivals that say something else."""
+    """Return the checks of an equation other than residuals: its constants, and alternative equations."""
     checks, written = [], equation.known.written
     if len(written) > 1:
         is_loose = any(not constant.identifiable for constant in written)
@@ -410,7 +410,7 @@ def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> li
 
 
 def _process(chosen: ChosenProcess, fitted: FittedProcess, shown: ProcessModel, seed: int) -> Process:
-    """Return what is known of the process as a whole."""
+    """Return the findings on the process as a whole."""
     process, steps = chosen.process, chosen.likelihood.steps
     errors = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
     noisy = [state for state, variance in zip(process.states, shown.noise, strict=True) if variance > 0.0]

@@ -141,7 +141,7 @@ class ProcessLikelihood:
         """Return the mean log-likelihood of a step in nats, by its density in the units of the states.
 
         Args:
-            misfit: of all steps, as `Whitened` and `fit` have it.
+            misfit: of all steps, as in `Whitened` and `fit`.
         """
         states, count = len(self.steps.increments), len(self.steps.lengths)
         return -misfit / count - 0.5 * states * math.log(2.0 * math.pi)
@@ -157,7 +157,7 @@ class ProcessLikelihood:
         return _independent(self.steps.increments - moments.mean, covariance)
 
     def _with_least_noise(self, covariance: FloatArray) -> FloatArray:
-        """Return covariances (S, S, N) with variances of at least what does not count as noise.
+        """Return covariances (S, S, N) with variances of at least the smallest noise that counts.
 
         By the method of Euler and Maruyama a state without noise of its own has no variance: its residuals are rounding
         errors.

@@ -20,7 +20,7 @@ _MOST_POINTS: Final = 101
 def simulate_ensemble(simulator: Simulator, process: ProcessRecording) -> PathEnsemble | None:
     """Return an ensemble from the initial state of the first trajectory, at its times and with its inputs.
 
-    None when hardly a path has finite states to the end. Times are those of the user's file.
+    None if very few paths have finite states to the end. Times are those of the user's file.
     """
     path = next(path for path in process.paths if not path.held_out)
     rows = min(len(path.times), _STEPS + 1)

@@ -1,4 +1,4 @@
-"""Which equations together are the law of a process: one after another is exchanged, the shortest description wins.
+"""Which equations together are the law of a process: one is exchanged at a time, the shortest description wins.
 
 The description length is the one of systems along trajectories (`criteria.system_length`): minus the log-likelihood of
 all steps, the prices of the programs, and half the logarithm of the number of steps for each constant. Candidates come
@@ -35,7 +35,7 @@ from atoll_core.expression.writing.expansion import form_of
 _ZERO: Final = b"zero"
 """Key of the alternative that is zero."""
 _MARGIN: Final = 2.0 * SETTINGS.inference.distinct_nats
-"""Programs are reduced whose description is longer than the best by at most so many nats (odds of 400)."""
+"""Programs are reduced whose description is longer than the best by at most this many nats (odds of 400)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +51,9 @@ class ChosenProcess:
     """The law of a process: `fitted`, all constants free except in known equations.
 
     `variables` are the names of the equations in their order; `sought` are the numbers of the equations that were
-    sought, `free` of those with constants to fit: a covariance of noises may be zero. Each equation has its
-    alternatives (`rivals`) and keeps to its `restrictions`. With the other discretisation the description is longer by
-    `discretisation_nats`. The choice `is_stopped` where a limit of time ended it.
+    sought, `free` the numbers of equations with constants to fit: a covariance of noises may be zero. Each equation has
+    its alternatives (`rivals`) and keeps to its `restrictions`. With the other discretisation the description is longer
+    by `discretisation_nats`. The choice `is_stopped` if the time limit ended it.
     """
 
     process: ProcessRecording
@@ -137,8 +137,8 @@ class ProcessChoice:
     def _as_euler_maruyama(self, model: ProcessModel) -> FittedProcess:
         """Return the same equations, fitted to rows as steps of Euler and Maruyama's method.
 
-        By this method a state without noise of its own is moved by the drift alone, whatever variance the model has for
-        it.
+        By this method a state without noise of its own is moved by the drift alone, regardless of its variance in the
+        model.
         """
         model = replace(model, discretisation="Euler-Maruyama")
         for place, (i, j) in enumerate(model.pairs, start=len(model.drift)):
@@ -150,11 +150,11 @@ class ProcessChoice:
         return self._likelihood.fit(model, self._free(model))
 
     def _free(self, model: ProcessModel) -> tuple[int, ...]:
-        """Return the numbers of the equations whose constants are fitted: those that are sought and not zero."""
+        """Return the numbers of the equations whose constants are fitted: sought equations that are not zero."""
         return tuple(number for number in self._sought if not is_zero(model.programs[number]))
 
     def _first_model(self) -> ProcessModel:
-        """Return the model of Brownian motion: no equation depends on anything, but for known ones."""
+        """Return the model of Brownian motion: no equation depends on a variable, except known ones."""
         time = float(self._steps.lengths.sum())
         states = len(self._process.states)
         drift = [_constant(float(increments.sum()) / time) for increments in self._steps.increments]
@@ -171,7 +171,7 @@ class ProcessChoice:
         )
 
     def _with_first_diffusion(self, model: ProcessModel) -> ProcessModel:
-        """Return the model with the diffusion that high differences of paths show whatever the drift is.
+        """Return the model with the diffusion from high differences of paths, which do not depend on the drift.
 
         Without it all steps would have the same weight, and the largest steps would decide the drift.
         """
@@ -275,7 +275,7 @@ class ProcessChoice:
     def _compared(
         self, rivals: dict[bytes, Rival], model: ProcessModel, number: int, programs: Sequence[Program]
     ) -> dict[bytes, tuple[ProcessModel, float]]:
-        """Return the model, and those with the first candidates for one equation that are possible, by structure."""
+        """Return the model, and the models with the first possible candidates for one equation, by structure."""
         models = {structure(model.programs[number]): self._taken_in(rivals, model, number)}
         for program in programs:
             if sum(math.isfinite(length) for _, length in models.values()) > SETTINGS.process.compared:

@@ -1,13 +1,12 @@
 """Candidates for one equation of a process, by weighted regression on bins of steps. Pure.
 
 A step is linear in the drift, and the product of residuals in the diffusion, apart from the higher terms of the moments
-of a step, which are those of the model so far:
+of a step, which come from the model so far:
 
     drift       (increment - (mean - h f)) / h              variance B_ii / h
     diffusion   (r_i r_j - (covariance_ij - h B_ij)) / h    variance in proportion to B_ii B_jj
 
-so that, equation by equation, regression maximises the likelihood. Letters: V variables, N
-steps, M bins.
+so that, equation by equation, regression maximises the likelihood. Letters: V variables, N steps, M bins.
 """
 
 import math
@@ -80,12 +79,12 @@ class CandidateFinder:
         """Return the most promising programs for one equation, factors of one as constants, the best first.
 
         Args:
-            number: of the equation among those of `model`.
+            number: number of the equation in `model`.
             model: the other equations, by which the higher terms of moments are computed.
             begun: programs of the search.
             looks_around: whether neighbours of the best programs are tried as well.
-            by_differences: whether products of high differences stand for a component of the diffusion, whatever the
-                drift is.
+            by_differences: whether products of high differences estimate a component of the diffusion, independently of
+                the drift.
         """
         sides = (
             _sides_by_differences(number, model, self.steps) if by_differences else _sides(number, model, self.steps)

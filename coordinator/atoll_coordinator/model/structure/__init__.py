@@ -1,4 +1,4 @@
-"""Programs as algebra: what is the same, what lies one step beside, what is made of terms. No data, no fits.
+"""Programs as algebra: equal programs, programs one step away, sums of terms. No data, no fits.
 
 - `moves`: programs one structural move away: reductions, neighbours, extensions
 - `one_sided`: intervals of constants that lie on a bound

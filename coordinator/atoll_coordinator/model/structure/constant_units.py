@@ -1,4 +1,4 @@
-"""Units of the constants of an equation, from those of the columns."""
+"""Units of the constants of an equation, from the units of the columns."""
 
 from atoll_coordinator.dimensions import EquationUnits, units_of
 from atoll_coordinator.units import NO_UNIT, Unit, parse_unit
@@ -11,7 +11,7 @@ _VELOCITY = "_dot"
 
 
 def equation_units(dataset: Dataset, config: JobConfig, variable: str, program: Program) -> EquationUnits | None:
-    """Return what units say of the equation of `variable`; None where no unit is known.
+    """Return the findings on the units of the equation of `variable`; None if no unit is known.
 
     Args:
         dataset: names the columns and the left-hand side.
@@ -38,7 +38,7 @@ def equation_units(dataset: Dataset, config: JobConfig, variable: str, program: 
 
 
 def _units_of_columns(config: JobConfig) -> dict[str, Unit]:
-    """Return the units of columns; what is no unit, as a header may hold anything, is not known."""
+    """Return the units of columns; header text that is not a unit counts as unknown."""
     units = {}
     for column, text in config.data.units.items():
         try:

@@ -1,4 +1,4 @@
-"""What is known of a constant that lies on a bound: a one-sided interval. Pure."""
+"""One-sided intervals of constants that lie on a bound. Pure."""
 
 import math
 
@@ -15,8 +15,8 @@ def one_sided_reaches(
 ) -> dict[int, float]:
     """Return for each constant on a bound, by number, how far from it 95 % of its distribution reach.
 
-    Near the bound the likelihood is that of a normal distribution whose centre lies beyond it, by the Newton step that
-    the gradient asks for; what is left of it on the near side is the distribution of the constant.
+    Near the bound the likelihood is a normal distribution whose centre lies beyond it, by the Newton step that
+    the gradient asks for; its part on the near side is the distribution of the constant.
 
     Args:
         information: the curvature (P, P) of minus the log-likelihood.

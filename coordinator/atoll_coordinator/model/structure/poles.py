@@ -1,7 +1,7 @@
 """Poles: where an equation has no finite value within the region that points visit.
 
-That region is sampled by the lines between points, each with another drawn once: what changes its sign along one of
-them is zero somewhere on it. Where the equation stays bounded there, as sin(x)/x at 0, it has no pole.
+That region is sampled by the lines between points, each with another drawn once: a denominator that changes its sign
+along a line is zero somewhere on it. Where the equation stays bounded there, as sin(x)/x at 0, it has no pole.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Programs with one more part, next to nothing at first: what a fit near a given program can grow into."""
+"""Programs with one more part, which is small at first and may grow in a fit."""
 
 import math
 from collections.abc import Collection, Iterator, Sequence
@@ -28,9 +28,9 @@ def extensions(program: Program, scales: Sequence[float], operators: Collection[
     """Yield programs that differ from `program` by a small part at one node, collected; each structure once.
 
     A node n becomes n + c, n + c v, n + c v w, n + c/v, n + c sin v, n (1 + c v) or n/(1 + c v) with variables v and w
-    and a constant c that makes the new part small beside n, whatever the units; or, which is no small change, n sin v
-    or n/sin v; cosines likewise. Only the `operators` (codes) that are allowed are brought in. Constants wait for a
-    fit.
+    and a constant c that makes the new part small compared with n, in any units; or, which is no small change, n sin v
+    or n/sin v; cosines likewise. Only the `operators` (codes) that are allowed are brought in. Constants are not
+    fitted yet.
 
     Args:
         program: over as many variables as there are `scales`.
@@ -46,7 +46,7 @@ def further_terms(program: Program, scales: Sequence[float], operators: Collecti
     """Yield the sums of `program` and one more term, collected; each structure once, linear terms first.
 
     With variables v and w and a constant c, a term is c v, then c, then c v w. The constant makes it small next to the
-    program, whatever the units.
+    program, in any units.
 
     Args:
         program: over as many variables as there are `scales`.
@@ -71,7 +71,7 @@ def _terms(node: int, scales: Sequence[float], size: float) -> Iterator[Expressi
 
 
 def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
-    """Yield the few programs that take more steps of a fit to show what they are worth, collected; each structure once.
+    """Yield the few programs, collected, that need more fit steps than others to show their worth; each structure once.
 
     A variable becomes its sine or cosine; a sine or cosine the beginning of its Taylor series, with constants of its
     own. Only the `operators` (codes) that are allowed are brought in.
@@ -81,7 +81,7 @@ def leaps(program: Program, operators: Collection[int]) -> Iterator[Program]:
 
 
 def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Expression]:
-    """Yield what a node of that size may become."""
+    """Yield the expressions that may replace a node of that size."""
     little = SETTINGS.common.negligible * size
     yield (ADD, node, little)
     for v, scale in enumerate(scales):
@@ -108,7 +108,7 @@ def _joined(node: int, scales: Sequence[float], size: float) -> Iterator[Express
 
 
 def _sizes(nodes: Sequence[Node], scales: Sequence[float]) -> list[float]:
-    """Return about how large each node is, sums being as large as their larger part; 1 where that cannot be told."""
+    """Return about how large each node is, sums being as large as their larger part; 1 where that is not known."""
     sizes: list[float] = []
     for code, left, right, value in nodes:
         if code == VARIABLE:

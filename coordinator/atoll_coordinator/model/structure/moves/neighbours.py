@@ -1,4 +1,4 @@
-"""Programs one step away from a given one: what a search that stops near the best description may have missed."""
+"""Programs one step away from a given one: a search that stops near the best description may have missed them."""
 
 from collections.abc import Collection, Iterator
 from typing import Final

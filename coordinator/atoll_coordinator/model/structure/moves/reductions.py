@@ -1,4 +1,4 @@
-"""Smaller programs: what is left of a program when a part of it is left out."""
+"""Smaller programs: a program with one part removed."""
 
 from collections.abc import Iterator
 from itertools import chain
@@ -31,12 +31,12 @@ def reductions(program: Program) -> Iterator[Program]:
 
 
 def _weight(program: Program) -> tuple[int, int]:
-    """Return the number of nodes and that of their uses."""
+    """Return the number of nodes and the number of their uses."""
     return len(program), sum(ARITY[code] for code in program.operators.tolist())
 
 
 def _reduced_at(nodes: list[Node], index: int) -> Iterator[Expression]:
-    """Yield what may take the place of node `index`."""
+    """Yield the expressions that may replace node `index`."""
     code, left, right, _ = nodes[index]
     if code == CONSTANT:
         yield from _NEUTRAL
@@ -79,9 +79,9 @@ def multiply_out(program: Program, constant: int) -> Iterator[Program]:
 
 
 def _saturating(nodes: list[Node]) -> Iterator[dict[int, Expression]]:
-    """Yield what makes a sum with a constant k and a quotient a/(b + u) one with k u/(b + u) alone, likewise a/(b - u).
+    """Yield replacements that make a sum with a constant k and a quotient a/(b + u) into k u/(b + u).
 
-    They are the same where k b = -a.
+    Likewise for a/(b - u). They are equal if k b = -a.
     """
     added = [
         place

@@ -38,7 +38,7 @@ def replace_each(
         program: the one to be changed, which is not yielded itself.
         nodes: its nodes.
         operators: codes; nothing else is brought in.
-        replacements: by the index of a node, what may take its place, see `replace_node`.
+        replacements: by the index of a node, the expressions that may replace it, see `replace_node`.
     """
     known = {structure(program)}
     for index in range(len(nodes)):
@@ -52,7 +52,7 @@ def replace_each(
 
 
 def cofunctions(code: int, argument: Node) -> Iterator[Expression]:
-    """Yield what the sine or cosine of a sum or a product may be: its cofunction, its negative, or a square.
+    """Yield replacements of the sine or cosine of a sum or a product: its cofunction, its negative, or a square.
 
     For sin(u + pi/2) = cos u, sin(u + pi) = -sin u, and cos 2u = 2 cos^2 u - 1.
     """

@@ -279,7 +279,7 @@ def test_what_one_trajectory_cannot_tell_is_said():
         x, y = equation.prediction.measure_from.values()
         assert abs(x - y) > 0.05
         assert equation.reason.startswith("Another equation describes the data about as well (Δ description length 0")
-        assert "measure from x = " in equation.reason
+        assert "easure from x = " in equation.reason
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])

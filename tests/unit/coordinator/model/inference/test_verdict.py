@@ -173,7 +173,7 @@ def test_an_equation_that_others_agree_with_on_the_curve_alone_is_not_exact() ->
     assert judge(replace(CLEAN, rivals=0.0049)).grade == "exact"
     unsure = judge(replace(CLEAN, rivals=0.0052, rivals_agree=True))
     assert unsure.grade == "good"
-    assert "measure from x = 1, y = 2" in unsure.reason
+    assert "easure from x = 1, y = 2" in unsure.reason
     doubted = judge(replace(CLEAN, rivals=1.0, rivals_agree=True, alternative=0.0))
     assert doubted.grade == "doubtful"
 

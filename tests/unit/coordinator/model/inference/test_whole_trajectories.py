@@ -70,7 +70,7 @@ def test_a_model_that_describes_whole_trajectories_is_said_to_be_tested_on_them(
     pool = {"x": ("y",), "y": ("-2*x - 0.3*y",)}
     refinement = refined(SWING, [[4.0, 0.0]], pool, times=0.05 * np.arange(700.0), noise=0.05, config=NOTHING_ELSE)
     assert {equation.grade for equation in refinement.equations.values()} == {"good"}
-    assert any("the model describes whole ones, too" in warning for warning in refinement.warnings)
+    assert any("the model describes them, too" in warning for warning in refinement.warnings)
 
 
 @pytest.mark.slow

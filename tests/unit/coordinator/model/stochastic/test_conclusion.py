@@ -33,14 +33,14 @@ def test_steps_that_go_together_with_those_of_another_state_are_objected_to() ->
     residuals[2] = np.sqrt(0.99) * residuals[2] - 0.1 * residuals[1]
     (check,) = joint_checks(residuals, 1, NAMES, has_noise=True)
     assert check.outcome == "failed"
-    assert check.reason.startswith("the residual steps go together with those of w")
+    assert check.reason.startswith("the residual steps are correlated with the steps of w")
 
 
 def test_steps_that_are_too_small_for_the_noise_of_others_are_objected_to() -> None:
     residuals = 0.5 * np.random.default_rng(2).standard_normal((3, 4000))
     size, correlation = joint_checks(residuals, 2, NAMES, has_noise=False)
     assert (size.outcome, correlation.outcome) == ("failed", "passed")
-    assert size.reason.startswith("its steps are 0.508 times what noise of other states makes of them")
+    assert size.reason.startswith("its steps are 0.508 times as large as the noise of other states makes them")
     assert {check.outcome for check in joint_checks(residuals, 2, NAMES, has_noise=True)} == {"passed"}
 
 
