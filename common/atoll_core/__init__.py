@@ -13,5 +13,5 @@ VERSION = "0.1.0"
 PROTOCOL_VERSION = 13
 """Raised whenever a message on the wire changes its shape or meaning."""
 
-ENGINE_REVISION = 12
+ENGINE_REVISION = 13
 """Raised whenever the same seed may give other bits: a change of kernels, of variation or of seeding."""
