@@ -1,5 +1,5 @@
-"""Stored pools of searches, refined and judged again: what a change of refining gains and loses, in minutes.
+"""Stored pools of searches, refined and judged again: they show the effect of a change of refining in minutes.
 
-`stored` keeps what a search hands on in files of JSON, `cases` draws the tables of these and judges results, `outcomes`
-compares what was found with the reference; ``make judge`` runs all of it.
+`stored` keeps the outcome of a search in files of JSON, `cases` generates their tables and judges results, `outcomes`
+compares the equations found with the reference; ``make judge`` runs all of it.
 """

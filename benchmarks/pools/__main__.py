@@ -1,11 +1,12 @@
-"""About a hundred stored pools refined again, beside the reference: ``python -m benchmarks.pools judge``, `make judge`.
+"""About a hundred stored pools refined again, next to the reference: ``python -m benchmarks.pools judge``, `make
+judge`.
 
-Each pool of ``pools/`` is refined alone (its table is prepared, the equations are chosen, fitted and judged; nothing is
-searched), and forms, grades and processor seconds are printed beside those of ``reference.json``, with each equation
-that changed and the probability of as large a difference by chance. ``--accept`` writes the reference anew. Tables of
-listed cases and of real measurements are read from folders (``--cases``, ``--real``); pools without their table are
-named and not judged. ``keep`` searches the pools that are missing: of the titles of ``titles.txt``, one a line.
-Exit code 1: fewer right equations or more false grades than chance allows (p below 0.05), or a pool failed.
+Each pool of ``pools/`` is refined (its table is prepared, the equations are chosen, fitted and judged, without a
+search), and forms, grades and processor seconds are printed next to the values of ``reference.json``, with each
+equation that changed and the probability of as large a difference by chance. ``--accept`` writes a new reference.
+Tables of listed cases and of real measurements are read from folders (``--cases``, ``--real``); pools without their
+table are named and not judged. ``keep`` searches the missing pools: one for each line of ``titles.txt``. Exit code 1:
+fewer right equations or more false grades than chance allows (p below 0.05), or a pool failed.
 """
 
 import os
@@ -52,10 +53,10 @@ FOLDERS: Final = (
     verbs(
         verb(
             "judge", "refine stored pools and compare", *FOLDERS, workers(),
-            option("--accept", action="store_true", help="write what is found as the new reference"),
+            option("--accept", action="store_true", help="write the outcomes as the new reference"),
         ),
         verb(
-            "settings", "halve and double each setting, and count what changes", workers(),
+            "settings", "halve and double each setting, and count the changes", workers(),
             option("--stages", nargs="+", default=[], metavar="STAGE", help="such as selection; default: all"),
             option("--pools", type=whole, default=12, help="drawn pools, the quickest of each kind (%(default)d)"),
             option("--out", type=Path, metavar="FILE", help="file of lines, gone on with if it exists"),
@@ -67,7 +68,7 @@ FOLDERS: Final = (
     ),
 )  # fmt: skip
 def main(options: Namespace) -> int:
-    """Do what the options ask for."""
+    """Run the command of the options."""
     if options.verb == "settings":
         return _try_settings(options)
     folders = Folders(options.cases, options.real)

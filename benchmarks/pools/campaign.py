@@ -1,4 +1,4 @@
-"""All stored pools: their titles, and what refining and judging one of them gives."""
+"""All stored pools: their titles, and refining and judging one of them."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ def judge_pool(title: str, folders: Folders) -> PoolOutcome:
 
 
 def requests(wanted: list[str], folders: Folders, max_time: float) -> dict[str, Request]:
-    """Return what draws the table of each job, with a search that ends after `max_time` seconds."""
+    """Return the generators of the tables, with a search that ends after `max_time` seconds."""
 
     def request(title: str) -> tuple[Table, JobConfig]:
         job = job_of(title, folders)

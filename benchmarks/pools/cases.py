@@ -1,7 +1,7 @@
 """The jobs whose pools are stored: their tables by name, and how a result of each is judged.
 
-A title is a kind and words, such as ``corpus random 2 4 even noise-0.01 1605``: what draws the table, or reads it from
-a folder that is named on the command line, and what judges are those of the benchmark of that kind.
+A title is a kind and words, such as ``corpus random 2 4 even noise-0.01 1605``. The benchmark of that kind generates
+the table, or reads it from a folder that is named on the command line, and judges the result.
 """
 
 import shlex
@@ -46,7 +46,7 @@ REAL_VARIABLE: Final = "ATOLL_REAL_DATA"
 class Judged:
     """One equation of a result: whether it has the form of the law (None: no law is known), and its grade.
 
-    `is_false`: the grade promises what does not hold, by the rules of the benchmark that the table is of.
+    `is_false`: the grade is too good, by the rules of the table's benchmark.
     """
 
     variable: str
@@ -58,7 +58,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Folders:
-    """Folders of tables that are read: one with cases.json, one of real measurements; None where not given."""
+    """Folders of tables: one with cases.json, one with real measurements; None where not given."""
 
     listed: Path | None = None
     real: Path | None = None
@@ -69,7 +69,7 @@ Result = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """The table and configuration of a stored pool, and what judges the result of refining it."""
+    """The table and configuration of a stored pool, and the judge of its refined result."""
 
     table: Table
     config: JobConfig
@@ -85,7 +85,7 @@ def job_of(title: str, folders: Folders) -> Job:
     """
     kind, *words = shlex.split(title)
     if kind not in KINDS:
-        raise UsageError(f"{kind!r} is no kind of pool; expected one of {', '.join(KINDS)}")
+        raise UsageError(f"{kind!r} is not a kind of pool; expected one of {', '.join(KINDS)}")
     return KINDS[kind](words, folders)
 
 

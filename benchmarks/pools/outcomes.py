@@ -1,4 +1,4 @@
-"""What refining the stored pools found, beside the reference: forms, grades, processor seconds, each change."""
+"""Outcomes of the refined pools next to the reference: forms, grades, processor seconds, each change."""
 
 import json
 import math
@@ -23,7 +23,7 @@ LONGEST: Final = 90
 
 @dataclass(frozen=True)
 class PoolOutcome:
-    """What came of one pool: its equations, and the processor seconds of preparing and refining; or a failure."""
+    """The outcome of one pool: its equations, and the processor seconds of preparing and refining; or a failure."""
 
     title: str
     equations: tuple[Judged, ...]
@@ -55,7 +55,7 @@ def seconds_of(outcome: PoolOutcome | None) -> float:
 
 
 def read_reference(path: Path) -> dict[str, PoolOutcome]:
-    """Return the outcomes of the reference by title, none where there is no file yet."""
+    """Return the outcomes of the reference by title, empty where there is no file yet."""
     if not path.exists():
         return {}
     listed = json.loads(path.read_text("utf-8"))
@@ -66,7 +66,7 @@ def read_reference(path: Path) -> dict[str, PoolOutcome]:
 
 
 def write_reference(path: Path, outcomes: Iterable[PoolOutcome]) -> None:
-    """Write outcomes as the reference; those of other titles stay."""
+    """Write outcomes as the reference; outcomes of other titles stay."""
     merged = {**read_reference(path), **{one.title: _rounded(one) for one in outcomes if one.failure is None}}
     lines = ",\n".join(json.dumps(asdict(merged[title])) for title in sorted(merged))
     path.write_text(f"[\n{lines}\n]\n", "utf-8")
@@ -101,7 +101,7 @@ def report(outcomes: Sequence[PoolOutcome], reference: Mapping[str, PoolOutcome]
 
 
 def effect(outcomes: Sequence[PoolOutcome], reference: Mapping[str, PoolOutcome]) -> tuple[str, ...]:
-    """Return in cells what a change does: forms gained and lost, grades changed, false ones, ratio of seconds."""
+    """Return the effects of a change as cells: forms gained and lost, grades changed, false ones, ratio of seconds."""
     pairs = [pair for one in outcomes if one.failure is None for pair in _pairs(one, reference[one.title])]
     right = _test([(bool(now.is_right), bool(before.is_right)) for now, before in pairs])
     grades = sum(now.grade != before.grade for now, before in pairs)

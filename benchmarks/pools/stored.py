@@ -1,7 +1,7 @@
-"""What searches handed on to refining, in files: refining is repeated from there alone, by any revision.
+"""The outcomes of searches, in files: refining can be repeated from them by any revision.
 
 A pool is kept by a coordinator of `benchmarks.harness.service` that writes the fronts and runners-up into a file
-where it would have refined them. Tables are not kept: they are drawn, or read, again.
+where it would have refined them. Tables are not kept: they are generated or read again.
 """
 
 import base64
@@ -125,7 +125,7 @@ def refine_stored(title: str, table: Table, config: JobConfig, pools: Pools, max
 
 
 def keep_pools(requests: Mapping[str, Request], folder: Path, workers: int) -> None:
-    """Search the jobs, by title, of which `folder` has no pool, and keep what the searches hand on."""
+    """Search the jobs, by title, of which `folder` has no pool, and keep the outcomes of the searches."""
     folder.mkdir(parents=True, exist_ok=True)
     last = folder.absolute() / "last.pool"
     os.environ[FILE] = str(last)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import polars
 
 MOST_STATES: Final = 12
-"""The Lorenz 96 model with so many states takes 8 s of one core, near the 10 s that an analysis may take."""
+"""The Lorenz 96 model with 12 states takes 8 s of one core, near the 10 s that an analysis may take."""
 
 _MARGIN: Final = 0.5
 """Widths of the measured range by which the default box is larger on either side. It decides where the analysis
@@ -41,7 +41,7 @@ class Analysis:
     """The dynamics of `field` in `box` with the inputs held at `inputs` (U,).
 
     `nullclines` has the polylines (n, 2) for each of two states, and is empty for others. `lyapunov` belongs to
-    trajectories that no fixed point or cycle explains, None where there are none. Trajectories `not_compared` have
+    trajectories that no fixed point or cycle explains, None if all are explained. Trajectories `not_compared` have
     inputs that are not known. `branches` (of fixed points) and `cycle_branches` follow the `continuation_parameter`,
     one of `coefficients`. `caveat` names the equations with the verdict `no model`, "" where there are none.
     """
@@ -103,7 +103,7 @@ def analyse(
     measured: Sequence[MeasuredTrajectory] = (),
     vary: tuple[str, tuple[float, float]] | None = None,
 ) -> Analysis:
-    """Return the dynamics of `field` in `box`; every part is bounded in steps and reports what was searched.
+    """Return the dynamics of `field` in `box`; every part is bounded in steps and reports its extent.
 
     The `inputs` (U,) are held, by default at 0; the model is compared with `measured` trajectories; `vary` is the name
     of a parameter, as `Coefficients.find` takes it, and its range. Raises UsageError for more than `MOST_STATES` states
@@ -215,6 +215,6 @@ def box_of(
             raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")
         low, high = known[name]
         if not (np.isfinite([low, high]).all() and low < high):
-            raise UsageError(f"the bounds {low:g} and {high:g} of '{name}' are no interval; give the lower one first")
+            raise UsageError(f"the bounds {low:g} and {high:g} of '{name}' are not an interval; give the lower first")
     lower, upper = np.array([known[name] for name in field.states], dtype=np.float64).T.copy()
     return Box(lower, upper)

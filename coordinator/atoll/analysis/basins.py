@@ -72,7 +72,7 @@ def basins(flow: Flow, box: Box, attractors: Sequence[Attractor], *, grid: int =
 def destinations(
     flow: Flow, box: Box, attractors: Sequence[Attractor], starts: FloatArray, duration: float
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """Return what each of `starts` (N, D) reaches within `duration`, (N,) as in `Basins`, and its last state, (N, D).
+    """Return the attractor reached from each of `starts` (N, D) within `duration`, as in `Basins`, and the last states.
 
     States that have nearly come to rest by then are followed for longer.
     """

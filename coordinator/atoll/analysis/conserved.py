@@ -1,10 +1,10 @@
 """Hints of conserved quantities: combinations of simple functions that do not change along the flow.
 
 The Lie derivatives of the functions are taken at points all over the box, and in boxes 1e6 and 1e12 times as small and
-as large. Within one narrow box some polynomial is always conserved to any accuracy, since every combination that hardly
-varies there is; a law of the formulas holds wherever the formulas do. A combination whose Lie derivative vanishes at
-every point is a vector of the null space of these derivatives (singular values). It is reported if, in every one of the
-boxes, its derivative along the flow is negligible next to its gradient.
+as large. Within one narrow box some polynomial is always conserved to any accuracy, because every combination that
+hardly varies there seems conserved; a law of the formulas holds in boxes of any size. A combination whose Lie
+derivative vanishes at every point is a vector of the null space of these derivatives (singular values). It is reported
+if, in every one of the boxes, its derivative along the flow is negligible next to its gradient.
 
 This is a hint only: estimated constants make no combination vanish exactly, and functions outside of the dictionary are
 not found. Letters: D states, F functions, N points.
@@ -46,7 +46,7 @@ _FACTORS: Final = (2.0**-40, 2.0**-20, 1.0, 2.0**20, 2.0**40)
 `TOLERANCE` is far less."""
 
 _LEAST_SHARE: Final = 1e-7
-"""Smallest coefficient, next to the largest one over the box: elimination leaves smaller numbers in place of 0."""
+"""Smallest coefficient, next to the largest one over the box: elimination yields smaller numbers instead of 0."""
 
 _Functions = Sequence[tuple[str, str]]
 """Functions by displayed text and exact text."""
@@ -101,7 +101,7 @@ def is_volume_preserving(flow: Flow, box: Box) -> bool:
 def _dictionaries(flow: Flow, box: Box) -> list[_Functions]:
     """Return the functions that are added to the dictionary, step by step.
 
-    Sines and cosines have the arguments that they have in the model: the sine of a state that is no angle means
+    Sines and cosines have the arguments that they have in the model: the sine of a state that is not an angle means
     nothing.
     """
     states = flow.field.states
@@ -147,7 +147,7 @@ def _angles(flow: Flow, box: Box) -> list[FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class _LieDerivatives:
-    """Of F functions at N points of one box: `along` the flow (N, F), and the `sizes` of the summed terms (N, F)."""
+    """For F functions at N points of one box: `along` the flow (N, F), and the `sizes` of the summed terms (N, F)."""
 
     along: FloatArray
     sizes: FloatArray

@@ -201,7 +201,7 @@ class Coefficients:
 
 
 def _separate_uses(program: Program, origins: Sequence[int | None]) -> tuple[Program, tuple[int | None, ...]]:
-    """Return a program in which each use of a constant is a constant of its own, and their origins in node order."""
+    """Return a program in which each use of a constant is a separate constant, and their origins in node order."""
     nodes, builder = program.nodes(), ProgramBuilder()
     numbers = dict(zip(constant_places(program), origins, strict=True))
     used: dict[int, int | None] = {}
@@ -261,7 +261,7 @@ class Curve(Protocol[PointT]):
         """Return the point `z` with its tests; its tangent continues in the direction of `before`."""
 
     def end(self, last: PointT, after: PointT) -> str | None:
-        """Return why the curve is not followed to `after`; None where it is."""
+        """Return why the curve is not followed to `after`; None where it is followed."""
 
     def adapt(self, point: PointT) -> PointT:
         """Return a point in the coordinates in which the curve is followed from there."""
@@ -270,7 +270,7 @@ class Curve(Protocol[PointT]):
 
 @dataclass(frozen=True, eq=False)
 class CurveSide(Generic[PointT]):
-    """One side of a curve: its `points` from the first one, the special ones in order with their kinds, its end."""
+    """One side of a curve: its `points` from the first one, the special points in order with their kinds, its end."""
 
     points: list[PointT]
     special: list[tuple[str, PointT]]
@@ -324,7 +324,7 @@ def _length(step: FloatArray) -> float:
 def _special_between(curve: Curve[PointT], first: PointT, second: PointT) -> list[tuple[str, PointT]]:
     """Return the special points between two points, where a test changes its sign, each with its kind.
 
-    At a branch point the tangent may turn as well; that is no fold.
+    At a branch point the tangent may turn as well; that is not a fold.
     """
     kinds = [kind for kind in first.tests if first.tests[kind] * second.tests[kind] < 0.0]
     if BRANCH_POINT in kinds and FOLD in kinds:

@@ -201,7 +201,7 @@ def _adapted_mesh(orbit: Orbit) -> FloatArray:
 
 
 def _even_mesh(mesh: FloatArray, weight: FloatArray, intervals: int) -> FloatArray:
-    """Return a mesh of so many intervals with equal shares of `weight` (n,), given on the intervals of another mesh."""
+    """Return a mesh of intervals with equal shares of `weight` (n,), given on the intervals of another mesh."""
     total = np.append(0.0, np.cumsum(weight))
     even = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, mesh)
     even[0], even[-1] = 0.0, 1.0

@@ -1,8 +1,8 @@
 """Fixed points in a box: isolated ones, and the curves and surfaces that they may form; their kinds and stability.
 
 Steps of Levenberg and Marquardt begin at hundreds of points of the box; they also converge to points with a singular
-Jacobian. The search is no proof: a fixed point is missed if no start lies in its catchment, so the result says how many
-starts there were.
+Jacobian. The search is not a proof: a fixed point is missed if no start lies in its catchment, so the result has the
+number of starts.
 
 Where the Jacobian is singular, the point may belong to a curve or a surface of fixed points. To find out, Newton steps
 begin a little away from it, in each direction in which rates hardly change. From an isolated point they return to it;
@@ -10,8 +10,8 @@ on a curve they end about as far away as they began, and the curve is then follo
 
 The kind is read from the eigenvalues. An eigenvalue counts as 0 only within its own numerical uncertainty: the rounding
 errors of the Jacobian and of the point, carried to first order by the left and right eigenvectors (Golub and Van Loan
-2013, section 7.2). Where that does not decide, simulations from nearby states do; they see only what happens within
-their length. Letters: D states, N starts, n points.
+2013, section 7.2). If this is not enough, simulations from nearby states decide; they see only the dynamics within
+their duration. Letters: D states, N starts, n points.
 """
 
 from collections.abc import Iterator
@@ -46,13 +46,13 @@ _SINGULAR: Final = 1e-4
 """Smallest singular value of a Jacobian, as a share of the largest, below which it counts as singular."""
 
 MOST_POINTS: Final = 100
-"""Distinct points that are examined: more are a curve or a surface, for which so many are enough."""
+"""Distinct points that are examined: more points form a curve or a surface, for which this number is enough."""
 
 _APART: Final = 1e-5
 """Points nearer than this, in widths of the box, are one."""
 
 _APART_DEGENERATE: Final = 1e-3
-"""The same where the Jacobian is singular: Newton steps approach such points slowly."""
+"""The same for a singular Jacobian, where Newton steps converge slowly."""
 
 NON_HYPERBOLIC: Final = "non-hyperbolic"
 
@@ -66,7 +66,7 @@ _ROUNDING: Final = 10.0 * float(np.finfo(np.float64).eps)
 """Relative error of an entry of a Jacobian: sums and products of a few terms."""
 
 _SHIFTS: Final = 10.0 ** np.arange(-12.0, -1.0)
-"""Widths by which a point is moved to see how precisely rounding leaves it known."""
+"""Widths by which a point is moved to estimate its rounding error."""
 
 _START_WIDTH: Final = 0.05
 """Widths from a point within which the simulations begin that tell whether it attracts."""
@@ -182,7 +182,7 @@ class FixedSet:
 
 @dataclass(frozen=True, eq=False)
 class FixedPoints:
-    """The result of a search from so many `starts`, of which `converged` ended in a fixed point.
+    """The result of a search from a number of `starts`, of which `converged` ended in a fixed point.
 
     `points` are isolated; `sets` are curves and surfaces of other fixed points.
     """
@@ -210,7 +210,7 @@ def fixed_points(flow: Flow, box: Box) -> FixedPoints:
 
 
 def distinct_points(flow: Flow, points: FloatArray, box: Box) -> FloatArray:
-    """Return one of each group of fixed points (n, D) that lie together, in order of their coordinates."""
+    """Return one point for each cluster of fixed points (n, D), in order of their coordinates."""
     singular = np.linalg.svd(_scaled_jacobian(flow, points, box, rate_scale(flow, box)), compute_uv=False)
     apart = np.where(singular[:, -1] < _SINGULAR * singular[:, 0], _APART_DEGENERATE, _APART)
     kept: list[FloatArray] = []
@@ -247,8 +247,8 @@ def newton_steps(flow: Flow, box: Box, starts: FloatArray) -> tuple[FloatArray, 
         size = np.abs(values).max(axis=1)
         is_root = (size < 1e-10) & ((last < TOLERANCE) | (size < _EXACT) | (damping < 1e8))
     rows = np.flatnonzero(is_root)
-    # Rates that only become small, as exp(-x) does, leave a long Newton step. Rates that come near 0 and grow again
-    # leave a singular Jacobian and values above rounding.
+    # Rates that only become small, as exp(-x), give a long Newton step. Rates that come near 0 and grow again
+    # give a singular Jacobian and values above rounding.
     matrix = _scaled_jacobian(flow, points[rows], box, scale)
     singular = np.linalg.svd(matrix, compute_uv=False)
     newton = np.einsum("nij,nj->ni", np.linalg.pinv(matrix, rcond=1e-10), values[rows])

@@ -3,8 +3,8 @@
 One initial state is integrated by LSODA, which handles stiffness (Petzold 1983). Many initial states are integrated
 together by the pair of Dormand and Prince (1980) of order 5, each with its own step. Where stability and not accuracy
 limits the step of one of them, it continues with a Rosenbrock method (RODAS3 of Sandu et al. 1997, Atmospheric
-Environment 31:3459: order 3, four stages, L-stable). scipy has no integrator of many initial states with separate
-steps; one LSODA for each of 1,600 grid points would take a hundred times as long.
+Environment 31:3459: order 3, four stages, L-stable). scipy has no integrator for many initial states with separate
+steps; LSODA for each of 1,600 grid points would take a hundred times as long.
 
 All integrations are bounded in steps. A trajectory that leaves every bound or reaches a point where a rate is undefined
 ends there: this is a result and not an error. Letters: D states, N initial states.
@@ -30,11 +30,11 @@ SETTLING: Final = 60.0
 decayed to exp(-6), a quarter of a percent."""
 
 LONGER: Final = (1e2, 1e4, 1e6)
-"""Factors by which initial states that have nearly come to rest are followed longer: they move in a slow direction."""
+"""Factors by which the duration is extended for initial states nearly at rest, which move in a slow direction."""
 
 _RESTING: Final = 0.02
-"""A state counts as nearly at rest when it moves less than so many widths of the box in the time that it would take
-through the box."""
+"""A state is nearly at rest when it moves less than this number of box widths within the time needed to cross
+the box."""
 
 UNBOUNDED: Final = 1e3
 """Widths of the box from its middle beyond which a state counts as diverged."""

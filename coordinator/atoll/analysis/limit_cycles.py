@@ -47,7 +47,7 @@ MOST_CYCLES: Final = 10
 """Cycles that are reported; each costs up to a second."""
 
 _MOST_FAILURES: Final = 2
-"""Ends of simulations that lead to no stable cycle; after so many the rest counts as unsettled."""
+"""Number of simulations that may end without a stable cycle; then the other ones count as unsettled."""
 
 SAMPLES: Final = 400
 """Points of a cycle that are kept: the extent of a harmonic one is known to (pi/400)**2/2, 3e-5 of itself."""

@@ -1,7 +1,7 @@
 """Nullclines of a system of two states: polylines on which one of the rates is 0.
 
 They are followed from cell to cell of a grid (marching squares). Crossings of grid lines are refined by bisection;
-where the rate grows there instead of vanishing it has a pole, which is no crossing.
+where the rate grows there instead of vanishing it has a pole, which is not a crossing.
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""An analysis as sentences and tables, which text and report draw each in its own way, and as plain data.
+"""An analysis as sentences and tables, rendered by text and report, and as plain data.
 
 ``analyse --json`` prints the plain data.
 """
@@ -42,7 +42,7 @@ class TextRow:
 
 @dataclass(frozen=True)
 class TextTable:
-    """Rows under a `title`, with a cell for each of `heads`; without a heading the lines stand for themselves."""
+    """Rows under a `title`, with a cell for each of `heads`; without a heading only the lines are printed."""
 
     title: str
     heads: tuple[str, ...]

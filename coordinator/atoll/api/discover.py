@@ -103,7 +103,7 @@ class LocalService:
         return str(json.loads(lines[-1]).get("error", "")) if lines else ""
 
     def close(self) -> None:
-        """End it and wait, within a limit, until it and its workers are gone."""
+        """End it and wait, within a limit, until it and its workers have ended."""
         if self.owner != os.getpid():
             return
         for pipe in (self._process.stdin, self._process.stdout):
@@ -274,8 +274,8 @@ def discover(
         workers: processes on this machine; None: one for each core.
         progress: whether to show the progress on stderr; None: on a terminal and in a notebook.
         priority: -10 to 10; each step doubles the job's share of the workers, and the job starts sooner.
-        options: those of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value may
-            be a number, a list, or True for a switch.
+        options: options of ``coordinator run``, such as ``time="year"``, ``seed=3``, ``known={"dy": "-x"}``; a value
+            may be a number, a list, or True for a switch.
 
     Returns:
         The model; after Ctrl-C, the best model so far.

@@ -21,7 +21,7 @@ _TIME = "t"
 
 
 class Discoverer:
-    """Finds the equations of motion of measured states. Options are those of `atoll.discover`.
+    """Finds the equations of motion of measured states. It has the options of `atoll.discover`.
 
     After `fit`: `model_` is the `atoll.Model`, `equations_` its right-hand sides by state, `front_` by state the best
     expressions of each size with their errors, `feature_names_in_` the names of states and inputs, `n_features_in_` the
@@ -29,7 +29,7 @@ class Discoverer:
     """
 
     def __init__(self, **options: object) -> None:
-        """Take the options of `atoll.discover`, such as ``seed``, ``operators``, ``connect``, ``progress``."""
+        """Set the options of `atoll.discover`, such as ``seed``, ``operators``, ``connect``, ``progress``."""
         self._options = dict(options)
         self.model_: Model | None = None
 
@@ -62,7 +62,7 @@ class Discoverer:
             t: times (N,), the time between rows, or a list like `x`.
             u: inputs (N, U), or a list like `x`.
             x_dot: measured derivatives, like `x`.
-            feature_names: names of states, then inputs; None: those of frames, else x0, x1, … and u0, u1, ….
+            feature_names: names of states, then inputs; None: the columns of frames, else x0, x1, … and u0, u1, ….
 
         Raises:
             DataError: the arrays do not match, or cannot be used.

@@ -1,4 +1,4 @@
-"""What `atoll.Model` asks of fits: identifiability of constants, and the next experiment."""
+"""Methods of `atoll.Model` that fit again: identifiability of constants, and the next experiment."""
 
 from atoll.api.tables import python_words, table_of
 from atoll.experiments.comparison import Comparison, compare

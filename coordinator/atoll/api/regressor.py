@@ -29,8 +29,8 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
     """Finds y = f(X) as an expression.
 
     After `fit`: `model_` is the `atoll.Model`, `equation_` its right-hand side, `n_features_in_`, and for frames
-    `feature_names_in_`. Features are called x0, x1, … in expressions, those of frames by their names; the target is y.
-    `bound`, `require` and `unit` say what is known: ``bound="c > 0"``, ``require={"y": ["x0"]}``, ``unit={"x0": "m"}``.
+    `feature_names_in_`. Expressions name features x0, x1, …, or by the columns of a frame; the target is y.
+    Prior knowledge: `bound`, `require`, `unit`, as ``bound="c > 0"``, ``require={"y": ["x0"]}``, ``unit={"x0": "m"}``.
     """
 
     def __init__(  # noqa: PLR0913  scikit-learn wants every parameter by name
@@ -99,5 +99,5 @@ class Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-
 
 
 def _unmasked(given: object) -> object:
-    """Return masked arrays with NaN for what is masked, which is refused as NaN is; anything else as it is."""
+    """Return masked arrays with NaN for masked values, which is refused like other NaN; other objects unchanged."""
     return plain_array(given) if isinstance(given, np.ma.MaskedArray) else given

@@ -1,7 +1,7 @@
-"""Tables from what Python users hold: files, frames of pandas or polars, data sets of xarray, arrays by name, records.
+"""Tables from objects of Python: files, frames of pandas or polars, data sets of xarray, arrays by name, records.
 
-All but files become the cells of a `RawTable`, which are read as those of files are: by the same rules for decimal
-commas, dates, names of trajectories, long tables, and for what is left out.
+All except files become the cells of a `RawTable`, which are read like the cells of files: by the same rules for decimal
+commas, dates, names of trajectories, long tables, and columns that are left out.
 """
 
 import contextlib
@@ -61,9 +61,9 @@ def python_words() -> Iterator[None]:
 
 
 _UNNAMED: Final = re.compile(r"Unnamed: \d+")
-"""What pandas calls a column without a name."""
+"""The name that pandas gives a column without a name."""
 NAME = "data"
-"""What messages call a table that was not read from a file."""
+"""The name in messages of a table that was not read from a file."""
 
 
 class _Frame(Protocol):
@@ -81,7 +81,7 @@ _Columns = Mapping[str, object] | _Frame
 def table_of(data: object, config: DataConfig) -> Table:
     """Return the table of files, of columns by name, of records, or of a list of these, one for each trajectory.
 
-    Raises DataError where it is none of these, or its columns do not fit together.
+    Raises DataError where it has another type, or its columns do not fit together.
     """
     if isinstance(data, Table):
         return data
@@ -106,7 +106,7 @@ def table_of(data: object, config: DataConfig) -> Table:
 
 
 def files_of(data: object) -> list[Path]:
-    """Return the files among what was given."""
+    """Return the files among the given data."""
     given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
     return [Path(part) for part in given if isinstance(part, (str, Path))]
 
@@ -153,7 +153,7 @@ def _has_header_among_rows(columns: Mapping[str, AnyArray]) -> bool:
 
 
 def _with_header_of_rows(columns: Mapping[str, AnyArray], kind: str) -> RawTable:
-    """Return the table below what pandas took for a header, such as a title or names of groups."""
+    """Return the table below rows that pandas treated as a header, such as a title or names of groups."""
     first = ["" if _UNNAMED.fullmatch(name) else name for name in columns]
     cells = [[*map(cell_of, values.tolist())] for values in columns.values()]
     rows = [first, *map(list, zip(*cells, strict=True))]
@@ -166,7 +166,7 @@ def _is_frame(value: object) -> bool:
 
 
 def _kind(part: _Columns) -> str:
-    """Return what a part is called where it is said how data were read."""
+    """Return the name of a part in the description of how data were read."""
     if isinstance(part, np.ndarray):
         return "a NumPy array"
     if isinstance(part, Mapping) and type(part).__module__ == "builtins":
@@ -192,7 +192,7 @@ def _named_arrays(part: _Columns) -> dict[str, AnyArray]:
 
 
 def _names(labels: Sequence[object]) -> list[str]:
-    """Return labels of columns as names; of those with several levels the last one, with all where that is repeated."""
+    """Return labels of columns as names: for several levels the last one, or all levels where the last is repeated."""
     levels = [[str(level) for level in label if str(level)] if isinstance(label, tuple) else [str(label)]
               for label in labels]  # fmt: skip
     counts = Counter(parts[-1] for parts in levels if parts)
@@ -202,7 +202,7 @@ def _names(labels: Sequence[object]) -> list[str]:
 def _index(part: _Columns) -> dict[str, AnyArray]:
     """Return the levels of the index of a pandas frame that have a name, or hold more than whole numbers.
 
-    One without a name is the time where it holds dates or durations; else its name is blank, and so it is left out.
+    A level without a name is the time if it has dates or durations; otherwise its name is blank, and it is ignored.
     """
     index = getattr(part, "index", None)
     if index is None or callable(index):
@@ -237,8 +237,8 @@ def _array(values: object, name: str) -> AnyArray:
 def numbers_of(given: object, name: str) -> FloatArray:
     """Return an array as numbers, durations in seconds, NaN where it is masked or None.
 
-    Texts are read as those of files are, each column in one way. `name` is for messages. Raises DataError where it
-    holds dates, complex numbers, or text that is no number.
+    Texts are read like the cells of files, each column in one way. `name` is for messages. Raises DataError where it
+    has dates, complex numbers, or text that is not a number.
     """
     values = _array(given, name)
     if values.dtype.kind == "m":

@@ -1,8 +1,8 @@
-"""Templates of batch systems: how a job with workers is submitted, listed, taken back and drained.
+"""Templates of batch systems: how a job with workers is submitted, listed, withdrawn and drained.
 
-Words may have ``{name}`` of the jobs, ``{job}`` the id of one, ``{cores}`` of each and ``{user}``; scripts have
-``{worker}``, the command of a job's workers. To add a system, add a template here and the variable of its job ids to
-`atoll_core.machine`.
+Commands may contain ``{name}``, the common name of the jobs, ``{job}``, a job's id, ``{cores}``, the cores of a job,
+and ``{user}``; scripts contain ``{worker}``, the command of a job's workers. To add a system, add a template here and
+the variable of its job ids to `atoll_core.machine`.
 """
 
 import argparse
@@ -34,7 +34,7 @@ from atoll_core.wire.addresses import Destination
 from atoll_core.wire.messages.views import WorkerView
 
 DRAIN_S: Final = 60
-"""How long before its time limit a job is told to end (Slurm may do so a minute sooner): handing over islands
+"""How long before its time limit a job is signalled to end (Slurm may do so a minute sooner): handing over islands
 takes half a minute at most (`island-worker --grace`)."""
 
 Pairs = list[tuple[str, str]]
@@ -58,11 +58,11 @@ class Listing:
 
 @dataclass(frozen=True)
 class BatchSystem:
-    """A batch system: `title` is what sentences call it, `programs` those that have to be there.
+    """A batch system: `title` is its name in messages, `programs` are required.
 
     `submit` takes the script on stdin, and `number` finds the job's id in its answer; `parallel` is added for more than
-    one core unless the user's options have its first word. `states` are by what listings say, a state that is not there
-    is pending. What fails with a text like `nothing` has listed no job.
+    one core unless the user's options have its first word. `states` maps words of listings to states; other words mean
+    pending. A listing that fails with a text like `nothing` has no jobs.
     """
 
     title: str
@@ -81,8 +81,8 @@ class BatchSystem:
 
 _SIGNALLED: Final = """\
 #!/bin/sh
-# The system may signal every process of the job, and to a second SIGTERM workers end at once: so a shell beside them
-# waits for another signal and tells their parent alone.
+# The system may signal every process of the job, and workers end at once on a second SIGTERM: so a shell next to them
+# waits for another signal, and then sends SIGTERM to their parent only.
 workers= told=
 trap 'told=yes; [ -z "$workers" ] || kill -TERM "$workers" 2>/dev/null' USR1 USR2
 (trap '' USR1 USR2; exec {worker}) &
@@ -113,7 +113,7 @@ def _of_pbs(states: str, state: BatchState) -> Listing:
     return Listing(("qselect", "-u", "{user}", "-N", "{name}", "-s", states), state)
 
 
-# A job's script becomes the parent of its workers. So what Slurm signals to the batch shell alone (`scancel --batch`,
+# A job's script becomes the parent of its workers. So a signal of Slurm to the batch shell only (`scancel --batch`,
 # and `--signal=B:` when the time limit is near) reaches that parent once, which passes it on.
 _SLURM: Final = BatchSystem(
     title="Slurm",
@@ -264,7 +264,7 @@ class BatchJobs:
             if self._system.nothing.search(done.stderr):
                 return ""
             lines = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()
-            said = lines[-2] if lines[-1] == "Exiting." and len(lines) > 1 else lines[-1]  # so ends Grid Engine
+            said = lines[-2] if lines[-1] == "Exiting." and len(lines) > 1 else lines[-1]  # of Grid Engine
             raise BatchError(f"{words[0]} failed ({said}); the command was: {shlex.join(words)}")
         return done.stdout
 
@@ -348,7 +348,7 @@ class Adapting:
             self._has_submitted = True
             _LOG.info("submitted", extra=fields(batch_job=job, workers_wanted=need.workers))
         self._end(decision.take_back, self._batch.take_back, "taken back", need)
-        self._end(decision.drain, self._batch.drain, "told to drain", need)
+        self._end(decision.drain, self._batch.drain, "asked to drain", need)
 
     def _end(self, jobs: Sequence[str], end: Callable[[str], None], done: str, need: Need) -> None:
         """End each of these jobs. A job that fails has usually just ended; otherwise the next poll tries again."""

@@ -12,7 +12,7 @@ from typing import Final, Literal
 from atoll_core.errors import AtollError
 
 MOST_FAILURES: Final = 3
-"""Jobs in a row that may end before a worker of theirs has joined: one or two may get a bad node."""
+"""Consecutive jobs that may end before one of their workers has joined: one or two may get a bad node."""
 
 BatchState = Literal["pending", "running", "ending", "failed"]
 """`failed`: the system could not start the job and keeps it until it is deleted, as Grid Engine does."""
@@ -41,7 +41,7 @@ class BatchJob:
 class Need:
     """The coordinator's need: workers that would have work, and workers of other origin.
 
-    `islands`: number of islands by id, of those of our jobs of which a worker has joined.
+    `islands`: number of islands by job id, for our jobs from which a worker has joined.
     """
 
     workers: int
@@ -59,7 +59,7 @@ class AdaptDecision:
 
 
 class AdaptPolicy:
-    """Decides at each look. It remembers what was needed lately, which jobs it has told to end, in which state they
+    """Decides at each poll. It remembers the recent needs, which jobs it has asked to end, in which state they
     were, and which have joined.
     """
 
@@ -72,10 +72,10 @@ class AdaptPolicy:
         self._failures = 0
 
     def decide(self, now: float, need: Need, jobs: Sequence[BatchJob]) -> AdaptDecision:
-        """Take in a look at `now`, in seconds that only rise; return what is to be done.
+        """Process one poll at `now`, in seconds that only increase; return the jobs to submit and to end.
 
         Raises:
-            AtollError: job after job ends without that a worker has joined.
+            AtollError: jobs keep ending before one of their workers has joined.
         """
         self._watch(need.islands.keys(), jobs)
         target = self._target(now, self._needed(need))
@@ -100,7 +100,7 @@ class AdaptPolicy:
         return min(max(jobs, self._limits.minimum), self._limits.maximum)
 
     def _target(self, now: float, needed: int) -> "_Target":
-        """Return the range of the number of jobs: at least what is needed now, at most what was needed recently."""
+        """Return the range of the number of jobs: at least the current need, at most the largest recent need."""
         if self._began_at is None:
             self._began_at = now
         self._needs = [(at, count) for at, count in self._needs if now - at < self._limits.idle_s]
@@ -110,7 +110,7 @@ class AdaptPolicy:
         return _Target(needed, most)
 
     def _order(self, job: BatchJob, need: Need) -> tuple[bool, int, int]:
-        """Sort by the cost of ending: first pending jobs, the last one first, then those with the fewest islands.
+        """Sort by the cost of ending: pending jobs, the last one first; then running jobs, fewest islands first.
 
         Of equal jobs the oldest ends: its time limit is the next anyway.
         """
@@ -138,7 +138,7 @@ class AdaptPolicy:
         if self._failures >= MOST_FAILURES:
             raise AtollError(
                 f"{self._failures} jobs one after the other ended before a worker of theirs had joined, the last of "
-                f"them {', '.join(sorted(gone))}; see what they have written, and try their command by hand"
+                f"them {', '.join(sorted(gone))}; read their output, and try their command by hand"
             )
 
 

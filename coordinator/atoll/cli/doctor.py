@@ -1,4 +1,4 @@
-"""What ``coordinator doctor`` finds: one thing looked at, how it is, and what to do about it."""
+"""The checks of ``coordinator doctor``: each has a subject, a finding and, if needed, an advice."""
 
 import argparse
 import contextlib
@@ -31,7 +31,7 @@ _MARKS: Final[dict[Grade, str]] = {"fine": "ok     ", "warning": "warning", "pro
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """`found` is what was found of `subject`; `advice` what to do, "" where nothing needs to be done."""
+    """The finding `found` about `subject`, with an `advice`, "" where no action is needed."""
 
     subject: str
     grade: Grade
@@ -45,7 +45,7 @@ def fine(subject: str, fact: str) -> Diagnosis:
 
 
 def problem(subject: str, error: AtollError) -> Diagnosis:
-    """Return a finding from an error, whose text tells what was found and, after a semicolon, what to do."""
+    """Return a finding from an error, whose text has the finding and, after a semicolon, the advice."""
     fact, _, advice = error.on_command_line.partition("; ")
     return Diagnosis(subject, "problem", fact, advice)
 
@@ -272,7 +272,7 @@ def certificate_finding(files: Credentials, now: float) -> Diagnosis:
 
 
 def _shown(options: argparse.Namespace) -> Credentials | Diagnosis | None:
-    """Return our credentials, or what is wrong with them."""
+    """Return our credentials, or the problem with them."""
     try:
         return credentials_of(vars(options), os.environ, "serve" if options.listen else "connect")
     except AtollError as error:
@@ -336,7 +336,7 @@ def clock_findings(clock: str, now: datetime) -> Iterator[Diagnosis]:
 
 
 def worker_findings(workers: "Sequence[WorkerView]", address: str) -> Iterator[Diagnosis]:
-    """Report the workers, and those that are silent or not ready."""
+    """Report the workers, and which of them are silent or not ready."""
     here = [worker for worker in workers if worker.state != "lost"]
     if not here:
         yield Diagnosis("workers", "warning", "none is there", f"start one: island-worker --connect {address}")

@@ -18,7 +18,7 @@ _MAY_BE_EDITED: Final = "; if the result file was edited, use the original file"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line (None: that of the process) and return its exit code."""
+    """Run one command line (None: the arguments of the process) and return its exit code."""
     words = sys.argv[1:] if argv is None else argv
     try:
         return exit_code_of(lambda: _dispatch(words), _complain)

@@ -1,5 +1,5 @@
 """The command line: every verb with its module, help and arguments in one table (`VERBS`), its parser, and the reading
-of values that argparse leaves as text.
+of values that argparse does not convert.
 
 Only light imports, because ``--help`` must be instant. The options of a job are declared in `atoll.client.options`.
 """
@@ -56,7 +56,7 @@ def natural_number(text: str, option: str) -> int:
 
 
 def if_given(read: Callable[[str, str], T], text: str | None, option: str) -> T | None:
-    """Return what `read` makes of the text of an option; None where it was not given."""
+    """Return the text of an option as parsed by `read`; None where it was not given."""
     return None if text is None else read(text, option)
 
 
@@ -150,7 +150,7 @@ def _job_options(heading: str) -> Add:
 
 
 def _host_and_port(text: str) -> tuple[str, int]:
-    """Return host and port of ``127.0.0.1:9464``, or of ``:9464`` on this machine alone."""
+    """Return host and port of ``127.0.0.1:9464``, or of ``:9464`` on this machine only."""
     host, colon, port = text.strip().rpartition(":")
     if not (colon and re.fullmatch("[0-9]{1,5}", port) and 0 < int(port) < 65536):
         raise argparse.ArgumentTypeError(f"HOST:PORT such as 127.0.0.1:9464 was expected, but {text!r} was given")
@@ -203,7 +203,7 @@ _JOB: Final = (
     _value("--name", "NAME", "a label for lists (default: the first file's name)"),
     _value("--id", "ID", "the job's id (default: random)"),
     _value("--config", "job.toml", "the same settings as a file; options override it"),
-    _switch("--dry-run", "show how the data are read and what would be searched; start nothing"),
+    _switch("--dry-run", "show how the data are read and the plan of the search; start nothing"),
     *(_job_options(heading) for heading in GROUPS),
 )
 
@@ -321,7 +321,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _value(
             "--worker", "COMMAND",
             "how a job starts its workers, such as 'apptainer exec atoll.sif island-worker' (default: the "
-            "island-worker beside this program)",
+            "island-worker next to this program)",
         ),
         _value(
             "--idle", "TIME", type=duration, default=300.0,
@@ -426,9 +426,9 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _repeatable("--hold", "u=1", "value of an input (default: as measured)"),
         _value(
             "--paths", "N",
-            "of a stochastic process: draw N paths; writes mean, median and bounds that leave 5 %% outside",
+            "for a stochastic process: draw N paths; write mean, median, 5 %% and 95 %% quantiles",
         ),
-        _value("--seed", "S", "of the paths (default: 0)"),
+        _value("--seed", "S", "random seed of the paths (default: 0)"),
         _switch("--each-path", "write every path, in rows with a column trajectory, instead of bounds"),
         _OUTPUT,
         _switch("--json", "write JSON: status, message, columns"),
@@ -443,17 +443,17 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _DATA,
         _value(
             "--parameter", "c1",
-            "what to vary: a constant, several in a fixed ratio (c1,c2), a coefficient (y:x*y in dy/dt), an input",
+            "parameter to vary: a constant, several in a fixed ratio (c1,c2), a coefficient (y:x*y in dy/dt), an input",
         ),
         _value("--range", "A:B", "range of --parameter"),
         _OUTPUT,
         _switch("--json", "write JSON, with all curves"),
     )),
-    "report": ("verbs.results", "a result as one HTML page that needs neither network nor script", (
+    "report": ("verbs.results", "a result as one HTML page without scripts or external resources", (
         _value("result", "RESULT", "PATH/result.json, its folder, or the id of a job; one or several", nargs="+"),
         *_CONNECT,
         _GROUP,
-        _output("the page (default: report.html beside the result)"),
+        _output("the page (default: report.html next to the result)"),
         _value("--pictures", "DIR", "also write every picture as an SVG file"),
     )),
     "suggest": ("verbs.results", "propose the next experiment: where the candidates of a result differ most", (
@@ -467,7 +467,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _value("--samples", "N", "measurements of each state (default: of the median trajectory)"),
         _value(
             "--cost", "trajectory|duration|samples", default="trajectory",
-            text="what an experiment costs: the same for all, its duration, its samples (default: trajectory)",
+            text="cost of an experiment: the same for all, its duration, its samples (default: trajectory)",
         ),
         _value("--count", "N", "how many experiments (default: 3)", default="3"),
         _repeatable(
@@ -492,7 +492,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _RESULT,
         *_CONNECT,
         _GROUP,
-        _value("--format", None, "what to write; see docs/export.md", required=True, choices=EXPORT_FORMATS),
+        _value("--format", None, "output format; see docs/export.md", required=True, choices=EXPORT_FORMATS),
         _output("write to this file (default: stdout); for petab, to this folder"),
         _PICK,
         _value(
@@ -506,7 +506,7 @@ VERBS: Final[Mapping[str, tuple[str, str, Sequence[Add]]]] = {
         _HOLD,
         _DATA,
     )),
-    "doctor": ("doctor", "check this machine, a coordinator and data files, and say what to do; 1: problems", (
+    "doctor": ("doctor", "check this machine, a coordinator and data files, and print advice; 1: problems", (
         _value("data", "DATA", "data files to read in the same way as submit", nargs="*"),
         _value("--connect", "tcp/HOST:PORT", "the coordinator to check (default: $ATOLL_CONNECT, if set)"),
         _value("--listen", "tcp/HOST:PORT", "check that a coordinator could listen at this address"),

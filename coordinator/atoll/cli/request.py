@@ -56,7 +56,7 @@ class JobRequest:
         return table
 
     def rehearse(self) -> int:
-        """Print how the data are read and what would be searched; return the exit code."""
+        """Print how the data are read and the plan of the search; return the exit code."""
         from atoll_coordinator.data.outline import outline
 
         plan = outline(self.read(), self.config)
@@ -138,7 +138,7 @@ def load_result(name: str) -> "Result":
     from atoll_coordinator.result.result import Result
 
     if is_id(name) and not Path(name).exists():
-        found_nothing = f"{name} is no saved result, and no coordinator was named to look for such a job"
+        found_nothing = f"{name} is not a saved result, and no coordinator was given to ask for a job of that name"
         raise UsageError(f"{found_nothing}; give PATH/result.json, or --connect tcp/HOST:PORT")
     return Result.load(name)
 
@@ -147,7 +147,7 @@ def result_of(name: str, options: argparse.Namespace) -> "Result":
     """Return a saved result, or the result of a coordinator's job; of a running job, the best so far.
 
     Raises:
-        UsageError: there is no such file, or it holds no result.
+        UsageError: there is no such file, or it is not a result.
         RefusedError: there is no such job, or it has no result yet.
         UnreachableError: no coordinator answers.
     """

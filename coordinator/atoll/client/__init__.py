@@ -1,7 +1,6 @@
-"""What every user of a service stands on, be it the command line, Python or another program.
+"""Clients of a service: used by the command line, by Python and by other programs.
 
-``client`` asks a coordinator over the bus, ``subscription`` hears of changes, ``follower`` follows a job to its end.
-``options`` is the table of what a job may be told, ``configure`` makes a configuration of values for them.
-``local_coordinator`` and ``local_workers`` are a service on this machine: router and coordinator in a thread, workers
-in processes.
+``client`` asks a coordinator over the bus, ``follower`` subscribes to changes and follows a job to its end.
+``options`` is the table of a job's options, ``configure`` builds a configuration from their values.
+``over_http`` is a bus over the web service, ``local_processes`` starts the processes of a search on this machine.
 """

@@ -1,7 +1,7 @@
 """A client of a coordinator: all requests of the command line and of Python, over any bus.
 
 One owner thread. Every request may be repeated without harm, so a lost one is repeated. Every wait has a limit, and the
-error at its end tells what was waited for.
+error at its end says which answer is missing.
 """
 
 import hashlib
@@ -49,7 +49,7 @@ ANSWER_LIMIT_S: Final = 10.0
 """How long any other request may remain without an answer."""
 
 IDLE_LIMIT_S: Final = 3600.0
-"""How long to wait until a worker begins an analysis: tasks that were leased before it have ended by then."""
+"""How long to wait until a worker begins an analysis: tasks that were leased earlier have ended by then."""
 
 CANCEL_LIMIT_S: Final = 60.0
 """How long to wait for a job that was cancelled: its result takes seconds, even with a million rows."""
@@ -78,7 +78,7 @@ _Question = (
 
 
 class Line(Protocol):
-    """What a client needs of a bus, see `atoll_core.wire.bus.interface.Bus`."""
+    """The interface of a bus for clients, see `atoll_core.wire.bus.interface.Bus`."""
 
     def subscribe(self, key_expression: str) -> None: ...
 
@@ -195,7 +195,7 @@ class Client:
         self, prefix: str = "", *, is_open: bool = False, state: JobState | None = None, before: int | None = None,
         limit: int = MAX_PAGE_JOBS,
     ) -> messages.JobList:  # fmt: skip
-        """Return one page of `jobs`: those submitted before the job of that number; None: the last page.
+        """Return one page of `jobs`: jobs submitted before the job with the number `before`; None: the last page.
 
         With a `state`, only jobs in that state, which the coordinator finds without reading others.
         """
@@ -239,7 +239,7 @@ class Client:
         return self._ask(body, messages.EventList, "the log of events").events
 
     def follow(self, job: str | None, after: int | None, sequence: int) -> messages.Following:
-        """Subscribe to changes for a while, see `atoll.client.follower`; return those that we do not have yet."""
+        """Subscribe to changes for a while, see `atoll.client.follower`; return the changes that we do not have yet."""
         if self._changes is None:
             self._changes = deque(maxlen=MAX_CHANGES)
             self._bus.subscribe(topics.client(self._cluster or self.greet(), self._name, "changes"))
@@ -276,8 +276,8 @@ class Client:
             job: a job that has ended.
             function: the kind of question.
             question: the encoded question.
-            table: measurements in place of those in the result.
-            say: called with what the answer waits for, whenever that changes.
+            table: measurements to use instead of the measurements in the result.
+            say: called with the reason for waiting, when it changes.
 
         Raises:
             UnreachableError: no worker has started it within `IDLE_LIMIT_S`.
@@ -311,7 +311,7 @@ class Client:
     def analysis(
         self, job: str, function: AnalysisFunction, question: bytes, table: str | None = None
     ) -> tuple[str | None, bytes | None]:
-        """Ask a question; return what the answer waits for, in words, and the answer once it exists.
+        """Ask a question; return the reason for waiting, in words, and the answer once it exists.
 
         Until then it must be asked again, otherwise the task is dropped. Raises like `analyse`; `table` is the digest
         of an uploaded table.
@@ -327,7 +327,7 @@ class Client:
                 return None, _whole(parts, answer.digest)
 
     def table(self, job: str) -> bytes:
-        """Return the table that `job` was submitted with, as it was uploaded; raises RefusedError if it is gone."""
+        """Return the uploaded table of `job`; raises RefusedError if it was deleted."""
         parts: list[bytes] = []
         while True:
             body = messages.GetTable(job=job, index=len(parts))

@@ -72,7 +72,7 @@ def _read_job_file(file: object) -> dict[str, object]:
 
 
 def _refusal(error: ValidationError, given: Mapping[str, object], file: object) -> UsageError:
-    """Turn pydantic's first error into a sentence: which option, what is allowed, what was found."""
+    """Turn pydantic's first error into a sentence: the option, the allowed and the found value."""
     complaint = error.errors()[0]
     path = [str(part) for part in complaint["loc"] if isinstance(part, str) and part != "[key]"]
     place = _place(path, given, file)

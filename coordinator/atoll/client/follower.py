@@ -16,7 +16,7 @@ from atoll_core.wire.messages.clients import JobChange
 from atoll_core.wire.messages.views import FINAL_STATES, JobView, Workforce
 
 QUIET_S: Final = 2.0
-"""Seconds without a change after which we ask again: a change may have been lost, or the coordinator may be gone."""
+"""Seconds without a change after which we ask again: a change may have been lost, or the coordinator may have ended."""
 
 RENEWED_AT: Final = 1.0 / 3.0
 """Share of a lease after which it is renewed; two renewals may be lost."""
@@ -100,7 +100,7 @@ class Display:
         """Show the latest state, observed at monotonic second `now`."""
 
     def print_note(self, sentence: str) -> None:
-        """Show a sentence that stays."""
+        """Print a permanent line."""
 
 
 class Follower:
@@ -160,13 +160,13 @@ class Follower:
         self._display.show(self._aged(self._view, now), self._workforce, now)
 
     def _aged(self, view: JobView, now: float) -> JobView:
-        """Return the view with the time that has passed since it came: nothing is told for that alone."""
+        """Return the view with the time since it arrived added: no message is sent only for the time."""
         if view.state in FINAL_STATES or now == self._changed_at:
             return view
         return view.model_copy(update={"elapsed": view.elapsed + now - self._changed_at})
 
     def _tolerate_silence(self, error: UnreachableError) -> None:
-        """Take in that the coordinator is silent; raise UnreachableError when it is so for too long."""
+        """Note that the coordinator is silent; raise UnreachableError when it is silent for too long."""
         now = self._client.now()
         if self._silent_since is None:
             self._silent_since = now
@@ -176,7 +176,7 @@ class Follower:
 
 
 def phase(view: JobView, workforce: Workforce) -> str:
-    """Return what the time goes into: starting, compiling or loading kernels, preparing, searching, refining."""
+    """Return the current phase: starting, compiling or loading kernels, preparing, searching, refining."""
     if view.state == "refining":
         return "refining"
     if any(variable.epoch for variable in view.variables):

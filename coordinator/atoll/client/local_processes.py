@@ -1,8 +1,9 @@
 """The worker processes of a local run: started first of all, since loading takes them a second.
 
-One process, ``island-worker --supervise``, loads everything once, forks them where the system allows it, starts again
-those that die, and ends them with itself (ADR 0062). They connect as soon as the router listens; their log is one file.
-Whatever happens, the workers end: that process is told to, then killed, and it watches this one, should that be killed.
+One process, ``island-worker --supervise``, loads everything once, forks the workers where the system allows it,
+restarts workers that die, and ends them with itself (ADR 0062). Workers connect as soon as the router listens; they
+share one log file. The workers always end: the supervising process gets a signal and is then killed; it also watches
+this process, in case this process is killed.
 """
 
 import contextlib
@@ -30,9 +31,9 @@ _SPEAKER: Final = b"island-worker: "
 def start_apart(
     command: Sequence[str], given: Mapping[str, str] = MappingProxyType({}), **streams: Any
 ) -> "subprocess.Popen[bytes]":
-    """Start a program in a session of its own, since a Ctrl-C on the terminal is ours alone to handle.
+    """Start a program in a new session, since only this process should handle Ctrl-C on the terminal.
 
-    Its environment is ours without certificates, since on this machine alone nothing is encrypted, and what is `given`.
+    Its environment is ours with `given` and without certificates: traffic within this machine is not encrypted.
     """
     certificates = {variable for variable, _ in TLS_OPTIONS.values()}
     environment = {name: value for name, value in os.environ.items() if name not in certificates}

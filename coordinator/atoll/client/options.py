@@ -147,7 +147,7 @@ def angles(value: object, field: Field) -> list[dict[str, str | bool]]:
 
 
 def by_equation(value: object, field: Field, *, example: str, noun: str = "the equation") -> dict[str, object]:
-    """Return what stands right by left-hand side, of a mapping or of ``dy=-x``, given once for each side."""
+    """Return right-hand sides by left-hand side, from a mapping or from ``dy=-x``; each side is given once."""
     sides: dict[str, object] = {}
     for side, right in _pairs(value, field, example):
         if side in sides:
@@ -170,7 +170,7 @@ def guesses(value: object, field: Field) -> dict[str, tuple[str, ...]]:
 
 
 def operators(value: object, field: Field) -> tuple[tuple[str, ...] | None, dict[str, tuple[str, ...]] | None]:
-    """Return the operators of all equations and those of some: of ``+,-``, a list, ``x=+,*`` or a mapping."""
+    """Return the operators of all equations and of single ones, from ``+,-``, a list, ``x=+,*`` or a mapping."""
     example, noun = "x=+,-,*", "operator"
     lists: Sequence[object] = [] if isinstance(value, Mapping) else value if isinstance(value, Repeated) else [value]
     general = [part for part in lists if not (isinstance(part, str) and "=" in part)]
@@ -244,7 +244,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         Option("missing", "data.missing", text, "refuse|drop", "what to do with NaN and infinity (default: refuse)"),
         Option(
             "missing_value", "data.missing_values", several_numbers, "-9999",
-            "a number that stands for a missing value, which is dropped", is_repeatable=True,
+            "a number that means a missing value, which is dropped", is_repeatable=True,
         ),
         Option("robust", "data.robust", switch, None, "smooth robustly: outliers get little weight"),
         Option(
@@ -282,7 +282,7 @@ GROUPS: Final[Mapping[str, tuple[Option, ...]]] = {
         ),
         Option(
             "bound", "prior.bounds", bounds, '"[x:] c > 0"',
-            "bounds on constants: c all, |c| all magnitudes, inner those inside terms, x*y the coefficient of "
+            "bounds on constants: c all, |c| all magnitudes, inner constants inside terms, x*y the coefficient of "
             "that term, as in 'x: -2 < x*y < 0'", is_repeatable=True,
         ),
         Option(

@@ -109,7 +109,7 @@ class HttpLine:
         """Do nothing: followers poll."""
 
     def get(self, key: str, payload: bytes = b"", timeout_s: float = 5.0) -> int:
-        """Send a request to the web process, which asks the coordinator under its own name."""
+        """Send a request to the web process, which asks the coordinator under the name of the web process."""
         self._token += 1
         answer = self._post(payload, timeout_s) if key != topics.HELLO else None
         self._replies.append(Reply(self._token, answer))

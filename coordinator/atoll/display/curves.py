@@ -42,7 +42,7 @@ def residuals(measured: Curve, simulated: Curve) -> list[float | None]:
 
 
 def front(members: Sequence[Member], *, is_selected: bool = False) -> tuple[list[int], list[float | None]]:
-    """Return complexity and error of the members of a front that have an error, or of the selected ones alone."""
+    """Return complexity and error of the members of a front that have an error, or only of the selected ones."""
     shown = [member for member in members if member.normalized_error and (member.selected or not is_selected)]
     return [member.complexity or 0 for member in shown], [member.normalized_error for member in shown]
 
@@ -52,7 +52,7 @@ TOLERANCE: Final = 5e-4
 MOST_POINTS: Final = 4_000
 """Largest number of points of a curve: several for each pixel."""
 SHOWN: Final = 6
-"""Largest number of trajectories in a picture, each in its own colour."""
+"""Largest number of trajectories in a picture, each in a different colour."""
 _GRIDS: Final = (2_000, 8_000, 32_000)
 """Points of a simulation; more if the curve bends between them."""
 _AGREEMENT: Final = TOLERANCE

@@ -1,8 +1,8 @@
 """Alternative systems of equations for the same data, fitted and weighted.
 
 Weights are Akaike's (Burnham & Anderson 2002, section 2.9), exp(-(misfit + k + k (k + 1)/(n - k - 1))) for k numbers
-fitted to n (Hurvich & Tsai 1989). They count the fit alone: an experiment should decide what the price of structure has
-decided so far.
+fitted to n (Hurvich & Tsai 1989). They count only the fit: an experiment should decide between models that differ so
+far only in description length.
 """
 
 import math
@@ -40,7 +40,7 @@ _WANTED: Final = ("shown", "given")
 
 @dataclass(frozen=True, eq=False)
 class WeightedSystem:
-    """A system fitted to the data: `nats` is ln of the best weight over its own; weights sum to 1.
+    """A system fitted to the data: `nats` is ln of the best weight over its weight; weights sum to 1.
 
     `length` is the description length in nats, by which results choose equations.
     """
@@ -55,7 +55,7 @@ class WeightedSystem:
 def alternatives_of(
     result: Result, shown: FittedEquations, given: Sequence[Mapping[str, str]]
 ) -> tuple[WeightedSystem, ...]:
-    """Return the displayed system and those that fit about as well, the best first.
+    """Return the displayed system and the systems that fit about as well, the best first.
 
     Candidates of the result replace equations of `shown` one at a time and in pairs; systems `given` are right-hand
     sides by state. Raises UsageError for a state without an equation, and for a system that cannot be read or
@@ -150,7 +150,7 @@ def _systems(result: Result, measured: FitData, shown: EquationSet) -> Iterator[
 
 
 def without_poles(program: Program, equations: EquationSet, measured: FitData) -> Iterator[Program]:
-    """Yield the program with another denominator: for n/d n/(d + c) and n d/(d**2 + c), for n/(d + c) the latter alone.
+    """Yield the program with another denominator: for n/d n/(d + c) and n d/(d**2 + c), for n/(d + c) only the latter.
 
     Where d is never near 0 in the data, these fit as well as n/d, and they have no pole.
     """
@@ -168,7 +168,7 @@ def without_poles(program: Program, equations: EquationSet, measured: FitData) -
 
 
 def _without_constant(nodes: Sequence[Node], node: int) -> int:
-    """Return the other operand of a sum with a constant; the node itself where it is no such sum."""
+    """Return the other operand of a sum with a constant; the node itself otherwise."""
     code, left, right, _ = nodes[node]
     if code == ADD and nodes[left][0] == CONSTANT:
         return right

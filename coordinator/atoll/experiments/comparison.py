@@ -47,8 +47,8 @@ class ComparedModel:
 class OnData:
     """Both models on the same data, named by `source`.
 
-    `nats` is the logarithm of the odds for A, by the fit alone; `longer` is the description length of B less that of A
-    in nats, equations included (None for equations without time).
+    `nats` is the logarithm of the odds for A, by the fit alone; `longer` is the description length of B minus the
+    description length of A in nats, equations included (None for equations without time).
     """
 
     source: str
@@ -183,7 +183,7 @@ def _difference(first: Sequence[Parameter], second: Sequence[Parameter]) -> str:
 
 
 def most_errors(count: int) -> float:
-    """Return the standard errors that the largest of so many normal differences does not exceed at `_LEVEL` (Šidák)."""
+    """Return the standard errors that the largest of several normal differences stays within at `_LEVEL` (Šidák)."""
     from scipy.special import ndtri
 
     return float(ndtri(0.5 + 0.5 * _LEVEL ** (1.0 / max(count, 1))))
@@ -230,7 +230,7 @@ def _side(result: Result, fitted: FittedEquations) -> ComparedModel:
 
 
 def _regressions(holder: Result, other: Result, letter: str, table: Table | None) -> OnData:
-    """Compare two equations y = f(X) over the rows that a result lists, their constants as they are."""
+    """Compare two equations y = f(X) over the rows listed in a result, without fitting constants again."""
     rows = holder.regression
     if table is not None:
         raise UsageError("equations without time are compared on the rows of their results; leave the data out")

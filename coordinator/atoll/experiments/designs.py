@@ -2,15 +2,15 @@
 
 An experiment is one trajectory from an initial state, measured at given times with errors like those of the data. The
 prediction of a candidate is Gaussian to first order: its simulation, with the errors of its constants. Initial states
-are fitted, so a difference that a shift of them within their bounds explains is worth nothing.
+are fitted, so a difference has no value if a shift of them within their bounds explains it.
 
 With the differences d of two candidates i and j in standard errors of the measurements, and the covariances S of both
 predictions, the discrepancy is d' (S_i + S_j)^-1 d (Buzzi-Ferraris & Forzatti 1983, Chem. Eng. Sci. 38:225); a quarter
 of it is the Bhattacharyya distance B_ij. The expected information about the right candidate is at least
 -sum_i w_i ln sum_j w_j exp(-B_ij) (Kolchinsky & Tracey 2017, Entropy 19:361), in nats, and at most the entropy of the
 weights w. The expected evidence for the right candidate, sum_i w_i sum_j w_j/(1 - w_i) 4 B_ij nats, agrees with Box and
-Hill (1967) where spreads are equal; Hunter & Reiner (1965) have it without errors of constants. Experiments are ranked
-by this evidence, for each pair of candidates as much as decides.
+Hill (1967) where spreads are equal; the formula of Hunter & Reiner (1965) has no errors of constants. Experiments are
+ranked by this evidence, limited for each pair of candidates to the amount that decides.
 
 The best experiments are examined without the first-order approximation: the prediction of candidate i is added to the
 data, and candidate j is fitted to all of it. The increase in deviance of j then replaces the discrepancy, with 8 B_ij
@@ -309,8 +309,8 @@ class DesignRequest:
     """A request for suggestions.
 
     `bounds` of initial states and inputs by name (by default the ranges of the data); `duration` and `samples` of an
-    experiment (None: as the median measured trajectory); its `cost`; the `count` of suggestions; `rivals`: further
-    systems, as right-hand sides by state.
+    experiment (None: as the median measured trajectory); its `cost`; the `count` of suggestions; `rivals`: alternative
+    models, as right-hand sides by state.
     """
 
     bounds: Mapping[str, tuple[float, float]]
@@ -438,7 +438,7 @@ def space_of(result: Result, measured: FitData, request: DesignRequest) -> Desig
         if name not in names:
             raise UsageError(f"there is no '{name}' to bound; an experiment has {', '.join(names)}")
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are no interval; give LOWER:UPPER")
+            raise UsageError(f"the bounds {low:g}:{high:g} of '{name}' are not an interval; give LOWER:UPPER")
     values = np.concatenate([measurements.smoothed, measurements.inputs[free]])
     measured_box = Box(values.min(axis=1), values.max(axis=1))
     ranges = zip(names, measured_box.lower.tolist(), measured_box.upper.tolist(), strict=True)

@@ -64,7 +64,7 @@ class FitData:
         return int(np.diff(self.measurements.bounds, axis=1).max())
 
     def shortened(self, piece: int) -> "FitData":
-        """Return the same with at most so many rows simulated from one initial state."""
+        """Return the same trajectories with a limit on the rows simulated from one initial state."""
         return replace(self, measurements=measurements_of(self.recording, self.modelled, piece=piece))
 
 
@@ -231,7 +231,7 @@ def _rows_of_group(table: Table, column: str, group: str, trajectory: str | None
 
 
 def _trajectory_of_group(recording: Recording, group: str) -> Recording:
-    """Return the trajectory that is the group; a single trajectory is taken as it is."""
+    """Return the trajectory of the group; a single trajectory is returned unchanged."""
     names = [trajectory.name for trajectory in recording.trajectories]
     if len(names) == 1:
         return recording
@@ -386,7 +386,7 @@ class FittedEquations:
 
     @cached_property
     def bounded_covariance(self) -> FloatArray:
-        """The covariance (P, P) of the constants, with large variances where the data leave constants open."""
+        """The covariance (P, P) of the constants, with large variances for constants that the data do not determine."""
         return bounded_covariance(self.fit)
 
     def deviance(self, fit: TrajectoryFit) -> float:

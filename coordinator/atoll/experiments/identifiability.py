@@ -48,8 +48,8 @@ class Direction:
     """A direction in the space of constants.
 
     `error` is the standard error along it, over the sizes of the constants (infinite: not determined at all); `weights`
-    (P,) are its components, of length 1; `is_sloppy`: the data leave it open; `words` says which combination of the
-    constants is determined, "" where it is not sloppy.
+    (P,) are its components, of length 1; `is_sloppy`: the data do not determine it; `words` says which combination of
+    the constants is determined, "" where it is not sloppy.
     """
 
     error: float
@@ -120,7 +120,7 @@ class Identifiability:
 
     @property
     def sloppy(self) -> tuple[Direction, ...]:
-        """The directions that the data leave open."""
+        """The directions that the data do not determine."""
         return tuple(direction for direction in self.directions if direction.is_sloppy)
 
     def __str__(self) -> str:
@@ -174,7 +174,7 @@ class Identifiability:
 MOST_STEPS: Final = 40
 """Values on each side of the best one."""
 FARTHEST: Final = 1e3
-"""A constant is followed until it has changed by so many times its size."""
+"""A constant is followed until it has changed by this multiple of its size."""
 _STEPS_INSIDE: Final = 5
 _GROWTH: Final = 3.0
 _HALVINGS: Final = 5
@@ -213,7 +213,7 @@ class ConstantProfile:
 
     @property
     def is_open(self) -> tuple[bool, bool]:
-        """Whether the interval has no lower, and no upper end; an end at 0 is none, since the logarithm has none."""
+        """Whether the lower and the upper end are open; an end at 0 is open, since the logarithm is unbounded there."""
         return math.isinf(self.lower) or self.lower == 0.0, math.isinf(self.upper) or self.upper == 0.0
 
 
@@ -384,7 +384,7 @@ def _words(vector: FloatArray, profiles: Sequence[ConstantProfile], names: Seque
 
 
 def relation_of(path: FloatArray, names: tuple[str, str]) -> str | None:
-    """Return the combination of two constants that stays the same along a path (n, 2): ``a*b``, ``a + b``; or None.
+    """Return the combination of two constants that is constant along a path (n, 2): ``a*b``, ``a + b``; or None.
 
     Products of powers up to cubes are tried, and sums. A sum with a factor other than 1 is reported only if no product
     stays the same, since along a short path every relation is nearly such a sum.
@@ -515,7 +515,7 @@ def _reading_order(constant: FreeConstant, fitted: FittedEquations) -> tuple[int
 
 @dataclass(frozen=True)
 class _Parts:
-    """A `_Profiler` as it is sent to workers: its result as JSON, the bytes of its table, and the rest."""
+    """A `_Profiler` in the form sent to workers: its result as JSON, the bytes of its table, and the rest."""
 
     result: str
     table: bytes | None
@@ -549,7 +549,7 @@ class _Profiler:
         return profile(self.fitted, index, self.quantile)
 
     def from_values(self, values: FloatArray) -> "_Profiler | None":
-        """Return the profiler of the fit from other values of the constants; None where it is no better."""
+        """Return the profiler of the fit from other values of the constants; None if the fit does not improve."""
         fit = self.fitted.again(self.fitted.fit.system.with_values(values), self.fitted.fit.starts)
         if fit is None or self.fitted.deviance(fit) >= 0.0:
             return None

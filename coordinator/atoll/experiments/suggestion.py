@@ -1,8 +1,8 @@
-"""The next experiments: those that are worth most for their cost, and how they are presented.
+"""The next experiments, by worth for their cost, and their presentation.
 
-Experiments are tried all over the bounds, the best are improved one number after the other, and the best of those that
-differ are kept. Where candidates predict different outcomes, an experiment is worth the evidence that it is expected to
-give about the right one; otherwise, or with only one candidate, the information about its constants.
+Experiments are tried all over the bounds, the best are improved one number after the other, and the best distinct
+experiments are kept. Where candidates predict different outcomes, an experiment is worth the evidence that it is
+expected to give about the right one; otherwise, or with only one candidate, the information about its constants.
 
 Candidates are weighted by the fit alone (Akaike), while a result also counts the length of equations: an experiment
 should overrule simplicity. So the displayed equations may have a small weight where few rows decide.
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 SCHEMA: Final = 1
 
 Purpose = Literal["discrimination", "precision"]
-"""To tell candidates apart, or to determine the constants of the only one."""
+"""To distinguish candidates, or to determine the constants of the only candidate."""
 
 UNDECIDED: Final = 3.0
 DECIDED: Final = 20.0
@@ -62,18 +62,18 @@ and odds of 20 and more strong.
 _MOST_ODDS: Final = 1e6
 _SUREST: Final = 0.999
 _NOTHING: Final = 0.01
-"""Nats that are no difference."""
+"""Differences in nats that count as none."""
 _SURE: Final = 0.95
-"""Probability from which an experiment counts as telling two candidates apart."""
+"""Probability from which an experiment is said to distinguish two candidates."""
 _WEIGHTS: Final = "weights count the fit to the data alone (Akaike); the result also counts the length of equations"
 _IMPROVED: Final = 6
-"""Experiments that are improved and examined closely: the best of those that differ."""
+"""Number of experiments, the best distinct ones, that are improved and examined closely."""
 _ROUNDS: Final = (0.1, 0.1, 0.03, 0.03)
 """Steps of an improvement, over the widths of the bounds."""
 _REFITTED: Final = 5
 """Number of candidates, with the largest weights, that are fitted to predicted outcomes of the best experiments."""
 _TOO_MANY: Final = 10
-"""If so many experiments of a kind would not decide between candidates, another purpose serves better."""
+"""If this number of equal experiments would not decide between candidates, the purpose becomes precision."""
 
 
 # ---------------------------------------------------------------------------------------------------------------- odds
@@ -147,11 +147,12 @@ class Suggestion:
     """An experiment: a trajectory from the `initial` state with constant `inputs`, measured at `times`.
 
     `information` in nats is expected about the right candidate, or about the constants; `evidence` is the expected
-    Δ log-likelihood for the right candidate, 2,000 at most. `worth`, over `cost`, ranks experiments: the evidence, for
-    each pair of candidates as much as decides, or the information about constants. `worst` is the constant of largest
-    relative error, with that error before and after (None where candidates are told apart). `certainties` are lower
-    bounds of the probability to tell the first candidate from each other one correctly, if one of the two is right;
-    empty where constants are determined. `remark` names initial values outside of the measured range, "" without.
+    Δ log-likelihood for the right candidate, 2,000 at most. `worth`, over `cost`, ranks experiments: the evidence,
+    limited for each pair of candidates to the amount that decides, or the information about constants. `worst` is the
+    constant of largest relative error, with that error before and after (None where candidates are distinguished).
+    `certainties` are lower bounds of the probability to tell the first candidate from each other one correctly, if one
+    of the two is right; empty where constants are determined. `remark` names initial values outside of the measured
+    range, "" without.
     """
 
     initial: Mapping[str, float]
@@ -167,7 +168,7 @@ class Suggestion:
 
     @property
     def certainty_text(self) -> str:
-        """The candidates that are told apart, with the certainty; "" where constants are determined."""
+        """The distinguished candidates, with the certainty; "" where constants are determined."""
         if not self.certainties:
             return ""
         if len(self.certainties) == 1:
@@ -210,11 +211,11 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class Suggestions:
-    """Experiments by falling worth per cost.
+    """Experiments in descending order of worth per cost.
 
     `purpose` and `reason` say what they are for and why; `entropy` in nats measures how undecided the candidates are:
     the most that an experiment can tell about them. `bounds` are the searched ranges of initial states and inputs;
-    those in `measured` are ranges of the smoothed data. `source` names the data.
+    for the names in `measured` they are ranges of the smoothed data. `source` names the data.
     """
 
     purpose: Purpose
@@ -343,14 +344,14 @@ class _Tried:
 
 @dataclass(frozen=True)
 class _DesignSearch:
-    """Finds the experiments of largest worth by the `value` of each; the best are examined again by `examined`."""
+    """Finds the experiments of largest worth, computed by `value`; `examined` evaluates the best ones again."""
 
     space: DesignSpace
     value: Callable[[Design], Gain]
     examined: Callable[[_Tried], _Tried] = lambda tried: tried
 
     def best(self, count: int, seed: int) -> list[_Tried]:
-        """Return `count` experiments that differ, the best first; fewer where others are worth nothing."""
+        """Return `count` distinct experiments, the best first; fewer where other experiments have no worth."""
         space, most = self.space, max(_IMPROVED, count)
         points = space.points(seed)
         tried = [self._tried(space.design(point, share)) for share in space.shares for point in points]
@@ -417,7 +418,7 @@ class _Suggester:
         return self._written("precision", chosen, reason)
 
     def _reason(self, chosen: Sequence[_Tried]) -> str | None:
-        """Return why experiments cannot tell candidates apart; None where they can."""
+        """Return why experiments cannot distinguish candidates; None where they can."""
         if len(self._systems) < 2:
             return "there is only one candidate"
         if sum(weight > 0.0 for weight in self._weights) < 2:

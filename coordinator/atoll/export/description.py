@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 Times = npt.ArrayLike | None
-"""Ascending times, the last time alone, or the measured times."""
+"""Ascending times, only the last time, or the measured times."""
 HeldInputs = Mapping[str, npt.ArrayLike | InputCurve] | None
 """By name numbers, arrays at the times, or curves."""
 
@@ -74,7 +74,7 @@ class ExportedInput:
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """A model as it is exported.
+    """The content of an exported model.
 
     `symbols` are the variables of all formulas. The `states` go from `begin` to `end` in `steps` equal steps, with
     velocities after the positions for order 2. `covariance` has the entries of g g' of a process dx = f dt + g dW by

@@ -201,7 +201,7 @@ class Language:
 
     @property
     def without_tables(self) -> str:
-        """The name of a language without tables, "" of others."""
+        """The name of a language without tables, "" for others."""
         return "" if self.has_tables else self.name
 
     def write(self, model: Description) -> str:
@@ -226,7 +226,7 @@ class Wording:
         places = range(len(model.states) if model.covariance else 0)
         noise = [f"{kind}{i + 1}_{j + 1}" for kind in ("b", "g") for i in places for j in range(i + 1)]
         noise += [f"w{place + 1}" for place in places]
-        # Keys with a blank are no names of variables.
+        # Keys with a blank are not names of variables.
         wanted = {variable.name: variable.name for variable in model.variables}
         wanted |= {f"constant {constant.name}": constant.name for constant in model.constants}
         wanted |= {f"noise {name}": name for name in noise}

@@ -192,7 +192,7 @@ _C_MACROS: Final = (
     "TMP_MAX WCONTINUED WEXITED WNOHANG WNOWAIT WSTOPPED WUNTRACED math_errhandling linux unix DOMAIN OVERFLOW PLOSS "
     "SING TLOSS UNDERFLOW X_TLOSS"
 )
-"""Of the headers that the program includes, in the usual dialects: a column called so would be something else."""
+"""Names in the headers that the program includes: a column of this name would clash with them."""
 
 C: Final = Language(
     name="C",

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from atoll.model.model import Model
 
 _REACH: Final = 10.0
-"""Bounds of a constant: so many standard errors on either side, or multiples of its size where no error is known."""
+"""Bounds of a constant: standard errors on either side, or multiples of its size where no error is known."""
 _PROBLEM: Final = """\
 format_version: 1
 parameter_file: parameters.tsv

@@ -1,7 +1,7 @@
 """Arguments that users give: numbers, columns of a table, initial states, times and inputs of a simulation.
 
-What users leave out is taken from the measurements of the result. Values that do not fit are refused in one sentence
-with the found and the expected value. Letters: D states, U inputs, N rows or times.
+Missing arguments default to the measurements of the result. Invalid values raise a UsageError with the found and the
+expected value. Letters: D states, U inputs, N rows or times.
 """
 
 import math
@@ -57,7 +57,7 @@ def numbers(given: object, what: str, expected: str = "numbers") -> FloatArray:
         plain = plain_array(given)
         if given is not None and plain.dtype.kind in "biufO":
             return np.asarray(plain, dtype=np.float64)
-    except (TypeError, ValueError):  # rows of different lengths, or objects that are no numbers
+    except (TypeError, ValueError):  # rows of different lengths, or objects that are not numbers
         pass
     raise UsageError(f"{what} must be {expected}, but {shown(given)} was given")
 
@@ -71,7 +71,7 @@ def number(given: object, what: str) -> float:
 
 
 def interval(given: object, what: str) -> tuple[float, float]:
-    """Return a lower and an upper bound; raises UsageError where they are no finite interval."""
+    """Return a lower and an upper bound; raises UsageError where they are not a finite interval."""
     bounds = numbers(given, what, "two numbers")
     if bounds.shape != (2,):
         raise UsageError(f"{what} must be two numbers, such as (0.0, 1.0), but {shown(given)} was given")
@@ -229,7 +229,7 @@ class InitialConditions:
 
 
 def initial_conditions(model: "Model") -> InitialConditions:
-    """Return those of the first simulated trajectory, otherwise of a process or of the first measured trajectory."""
+    """Return the initial conditions of the first simulated trajectory, else of a process or measured trajectory."""
     result = model.result
     for part in result.simulated:
         if part.start:
@@ -347,7 +347,7 @@ def input_curves(result: Result, part: Recorded) -> dict[str, InputCurve]:
 
 
 def require_inputs(model: "Model", names: Iterable[str]) -> None:
-    """Raise UsageError where one of `names`, symbols or columns, is no input."""
+    """Raise UsageError where one of `names`, symbols or columns, is not an input."""
     symbols = model.result.symbols
     unknown = next((name for name in names if symbols.get(name, name) not in model.inputs), None)
     if unknown is not None:
@@ -361,7 +361,7 @@ def inputs_along(
     """Return all inputs as one function of time, by default the `recorded` ones; None for a model without inputs.
 
     Raises:
-        UsageError: a name is no input, an input is not known, or a number of values does not fit.
+        UsageError: a name is not an input, an input is not known, or a number of values does not fit.
     """
     if isinstance(u, Mapping):
         require_inputs(model, u)

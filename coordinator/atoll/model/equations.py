@@ -87,7 +87,7 @@ class Parameter:
 
     `name` is c1, c2, … over all equations, `variable` the state of its equation; `stderr` is its standard error,
     `interval` the 95 % interval, None where they are not known; `identifiable`: the data determine it. `unit` is "1"
-    for a pure number, None where units do not tell; `bounds` are set by the user, None on an open side.
+    for a pure number, None where it is not known; `bounds` are set by the user, None on an open side.
     """
 
     name: str
@@ -100,7 +100,7 @@ class Parameter:
     bounds: tuple[float | None, float | None] | None = None
 
     def interval_at(self, level: float, freedom: float | None) -> tuple[float, float] | None:
-        """Return the interval at `level`, by Student's t with so many degrees of freedom (None: infinitely many).
+        """Return the interval at `level`, by Student's t with `freedom` degrees of freedom (None: infinitely many).
 
         None where no interval is known, or only the 95 % interval, as for a constant at its bound.
         """
@@ -203,7 +203,7 @@ def _parameter(name: str, variable: str, value: float, constant: Constant | None
 class ConstantWords:
     """A constant as it is displayed: a number, such as ``2.981 ± 0.018``, `notes` on it, and its `unit`.
 
-    `unit` is "1" for a pure number, None where units do not tell.
+    `unit` is "1" for a pure number, None where it is not known.
     """
 
     number: str
@@ -212,7 +212,7 @@ class ConstantWords:
 
 
 def constant_words(constants: Sequence[Constant]) -> list[ConstantWords]:
-    """Return the displayed constants of an equation; none where no error is known, or all are rounding errors."""
+    """Return the displayed constants of an equation; empty where no error is known, or all are rounding errors."""
     known = with_errors(constants)
     is_rounding = (
         (constant.std_error or 0.0) <= _EXACT_SHARE * abs(constant.value or 0.0)
@@ -257,7 +257,7 @@ def plus_minus(value: float, error: float) -> str:
 
 
 def number_text(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits; ``?`` for None."""
+    """Return a number with `digits` significant digits; ``?`` for None."""
     return "?" if value is None else f"{value:.{digits}g}"
 
 
@@ -269,7 +269,7 @@ def r2_text(value: float | None) -> str:
 
 
 def unit_text(unit: str | None) -> str:
-    """Return a unit as it stands after a number; "" for a pure number and where units do not tell."""
+    """Return a unit as printed after a number; "" for a pure number or an unknown unit."""
     return f" {unit}" if unit not in (None, "1") else ""
 
 
@@ -287,7 +287,7 @@ def interval_text(bounds: Sequence[float | None] | None) -> str:
 
 
 def differing_groups(result: Result) -> tuple[str, ...]:
-    """Return the groups of trajectories of a result; none where no constant differs between them."""
+    """Return the groups of trajectories of a result; empty where no constant differs between them."""
     for equation in result.equations:
         # shared constants are compared by this flag, since the mean of equal numbers may have another last bit
         are_shared = equation.constants and all(constant.shared for constant in equation.constants)

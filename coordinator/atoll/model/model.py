@@ -81,7 +81,7 @@ class Model(Shortcuts):
             raise UsageError("the result has not found every equation, so there is no model; look at its verdicts")
 
     def __reduce__(self) -> tuple[type["Model"], tuple[Result]]:
-        """Pickle the result alone: compiled functions are compiled again in the other process."""
+        """Pickle only the result: functions are compiled again in the other process."""
         return type(self), (self._result,)
 
     @classmethod
@@ -128,7 +128,7 @@ class Model(Shortcuts):
         return self._result.names if self.is_regression else self.field.inputs
 
     def input_kind(self, name: str) -> InputKind | None:
-        """Return the interpolation of an input between rows of the data, None where it is not known or no input."""
+        """Return the interpolation of an input between rows of the data, None where it is not known or not an input."""
         return self._result.columns.input_kinds.get(self._result.columns_by_symbol.get(name, name))
 
     @cached_property
@@ -151,7 +151,7 @@ class Model(Shortcuts):
     ) -> dict[str, tuple[float, float] | None]:
         """Return the confidence interval of each constant at `level`, None where it is not known.
 
-        From its standard error, or from its `profile`; then an end that the data leave open is infinite.
+        It follows from the standard error, or from the `profile`: then an end that the data do not bound is infinite.
         """
         if not 0.0 < number(level, "a level") < 1.0:
             raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
@@ -187,7 +187,7 @@ class Model(Shortcuts):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The groups of trajectories that differ in constants; none where there is one set of constants."""
+        """The groups of trajectories that differ in constants; empty where there is one set of constants."""
         return differing_groups(self._result)
 
     def of_group(self, group: object) -> "Model":
@@ -215,7 +215,7 @@ class Model(Shortcuts):
         return remark_on_groups(self._result)
 
     def __eq__(self, other: object) -> bool:
-        """Models with equal results are equal, such as a saved and a loaded one."""
+        """Models with equal results are equal, such as a saved and a loaded model."""
         return self._result == other._result if isinstance(other, Model) else NotImplemented
 
     def __hash__(self) -> int:
@@ -429,7 +429,7 @@ _OF_THE_SEARCH = (
 
 
 def _with_candidate(result: Result, place: int, other: Candidate) -> Result:
-    """Return the result with a candidate in place of an equation, without errors, verdicts and shared terms."""
+    """Return the result with a candidate instead of an equation, without errors, verdicts and shared terms."""
     # constants of candidates, and of equations without their groups, belong to all groups together
     equations = [
         equation.model_copy(update={"groups": (), "is_of_all_groups": bool(equation.groups)})

@@ -100,18 +100,18 @@ class Shortcuts:
         seed: int = 0,
         data: object = None,
     ) -> "Suggestions":
-        """Return the next experiments: those with the most information about the right candidate, for their cost.
+        """Return the next experiments: the most information about the right candidate for their cost.
 
-        Where candidates do not differ, or there is only one, the experiments that determine its constants best.
+        If candidates do not differ, or there is only one, experiments are chosen that determine its constants best.
 
         Args:
-            bounds: of initial states and constant inputs, by name; None: the range of the data.
-            duration: of an experiment; None: as the median measured trajectory.
+            bounds: bounds of initial states and constant inputs, by name; None: the range of the data.
+            duration: duration of an experiment; None: as the median measured trajectory.
             samples: measurements of each state; None: as the median measured trajectory.
-            cost: ``"trajectory"`` (all the same), ``"duration"`` or ``"samples"``: then shorter ones are tried as well.
+            cost: ``"trajectory"`` (all the same), ``"duration"`` or ``"samples"``: then also for shorter ones.
             count: the number of suggestions.
-            rivals: further systems to distinguish, as right-hand sides by state; their constants are fitted.
-            seed: of the experiments that are tried.
+            rivals: alternative models to distinguish, as right-hand sides by state; their constants are fitted.
+            seed: random seed of the experiments that are tried.
             data: as for `identifiability`.
 
         Raises:
@@ -133,9 +133,9 @@ class Shortcuts:
         return suggestions(self.itself, data, request)
 
     def compare(self, other: "Model", data: object = None) -> "Comparison":
-        """Compare this model, A, with another one, B, such as one of its `candidates`, on the same data.
+        """Compare this model, A, with another model, B, such as one of its `candidates`, on the same data.
 
-        The result says which one fits better and with what odds, and which equations have the same form.
+        The result has the better model, its odds, and the equations that have the same form.
 
         Args:
             other: a model of the same states or target.
@@ -180,7 +180,7 @@ class Shortcuts:
         return mathml(self.itself)
 
     def report(self, path: str | Path = "report.html") -> Path:
-        """Write the result as one HTML page that needs neither network nor script; return its path.
+        """Write the result as one HTML page without scripts or external resources; return its path.
 
         An existing file is replaced. The analysis of the model takes a second or two for two states.
 
@@ -256,7 +256,7 @@ class Shortcuts:
         return written(self.itself, format, x0, t, u)
 
     def to_python(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
-        """Return a Python module that needs numpy alone and integrates by itself."""
+        """Return a Python module that needs only numpy and has its own integrator."""
         return self.export("python", x0, t, u)
 
     def to_c(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:

@@ -150,7 +150,7 @@ class Simulation:
         return stream.getvalue()
 
     def as_dict(self) -> dict[str, object]:
-        """Return everything as plain lists and texts, for JSON; numbers that are not finite are None."""
+        """Return lists and texts for JSON; numbers that are not finite are None."""
         columns = {
             name: [value if math.isfinite(value) else None for value in values.tolist()]
             for name, values in self.columns().items()
@@ -198,7 +198,7 @@ def followed_sizes(
 
 
 def check_times(field: VectorField, x0: FloatArray, t: FloatArray, paths: int = 1) -> None:
-    """Raise UsageError for an invalid initial state, invalid times, or too many numbers on so many paths."""
+    """Raise UsageError for an invalid initial state, invalid times, or too many numbers on `paths` paths."""
     if x0.shape != (len(field.states),) or not np.isfinite(x0).all():
         raise UsageError(f"an initial state has a finite number for each of {', '.join(field.states)}; correct it")
     if t.ndim != 1 or len(t) < 1 or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
@@ -452,7 +452,7 @@ def _comes_back(states: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def _positive(sizes: FloatArray) -> FloatArray:
-    """Return sizes with 1 in place of 0: a state that is always 0 has no errors."""
+    """Return sizes with 1 instead of 0: a state that is always 0 has no errors."""
     return np.where(sizes > 0.0, sizes, 1.0)
 
 

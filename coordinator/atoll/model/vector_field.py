@@ -1,7 +1,7 @@
 """The right-hand sides of a model as functions of numbers, with their derivatives, and the joint errors of constants.
 
-Values agree with the search up to rounding: functions here are those of the C library, and sine and cosine also have
-values for large arguments. Letters: D states, U inputs, P parameters of a field, K constants with known joint
+Values agree with the search up to rounding: this module uses the functions of the C library, and sine and cosine also
+have values for large arguments. Letters: D states, U inputs, P parameters of a field, K constants with known joint
 covariance, N points.
 """
 
@@ -115,7 +115,7 @@ class VectorField:
         Args:
             x: states.
             u: inputs, (U,) for all points or (N, U); None where there are none.
-            p: parameters (P,); None: those of the model.
+            p: parameters (P,); None: the parameters of the model.
         """
         return self._evaluated(self._rates, x, u, p)
 

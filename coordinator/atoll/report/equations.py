@@ -1,4 +1,4 @@
-"""Sections on the equations: what was found, constants, candidates, fronts, searches, and how to repeat the run."""
+"""Sections on the equations: verdicts, constants, candidates, fronts, searches, and how to repeat the run."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ MEANINGS: Final = {
 
 
 def overview(findings: Findings) -> Element:
-    """Return the section: equations with verdicts, then what was asked."""
+    """Return the section: equations with verdicts, then data and options."""
     result = findings.result
     equations = [_equation(equation, findings) for equation in result.equations]
     warned = _list("Warnings", result.proper_warnings)
@@ -128,7 +128,7 @@ def _facts(findings: Findings) -> list[tuple[str, str]]:
 
 
 def constants(findings: Findings) -> list[Element]:
-    """Return the section, none where no equation has a constant."""
+    """Return the section, empty where no equation has a constant."""
     names = constant_names(findings.result)
     rows = [row for equation in findings.result.equations for row in _rows(equation, names[equation.variable])]
     if not rows:
@@ -163,7 +163,7 @@ def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Elem
         for group in equation.groups
         for constant in group.constants[place : place + 1]
     ]
-    return [table("Constants that differ between groups; those above are means", heads, rows)]
+    return [table("Constants that differ between groups; the table above has their means", heads, rows)]
 
 
 def _profiles(identifiability: "Identifiability") -> list[Element]:
@@ -174,7 +174,7 @@ def _profiles(identifiability: "Identifiability") -> list[Element]:
     listed = [element("li", f"{constant.name} = {constant.sentence}") for constant in identifiability.constants]
     listed += [element("li", direction.words) for direction in identifiability.sloppy]
     drawn = [_profile(constant, identifiability.quantile**2) for constant in identifiability.constants]
-    return [element("h3", "What the data determine"), text, element("ul", *listed), pictures(drawn)]
+    return [element("h3", "Identifiability"), text, element("ul", *listed), pictures(drawn)]
 
 
 def _profile(constant: "ProfiledConstant", most: float) -> Element:
@@ -212,7 +212,7 @@ def _simple(simple: SimpleNumber | None) -> str:
 
 
 def _together(equation: Equation, names: Sequence[str]) -> list[str]:
-    """Return a sentence on simple numbers for several constants together; none where others are more probable."""
+    """Return a sentence on simple numbers for several constants together; empty if other numbers are more probable."""
     together = equation.simple_together
     if not together or together.odds is None:
         return []

@@ -74,7 +74,7 @@ def count_constants(result: Result) -> int:
 
 
 def _found(find: Callable[[], Found]) -> Found | None:
-    """Return the value of a computation; None where the result lacks the measurements for it."""
+    """Return the value of a computation; None where the result has no measurements for it."""
     try:
         return find()
     except (UsageError, DataError):

@@ -1,6 +1,6 @@
 """Elements of HTML, SVG and MathML, and charts of curves, points and bands as SVG. Pure.
 
-Texts and attributes are escaped when a page is written, whatever they contain.
+All texts and attributes are escaped when a page is written.
 """
 
 import math
@@ -20,7 +20,7 @@ _MATHML: Final = "{http://www.w3.org/1998/Math/MathML}"
 
 
 def element(tag: str, *children: Child, **attributes: str | float) -> Element:
-    """Return an element; ``class_`` stands for the attribute ``class``, and ``stroke_width`` for ``stroke-width``."""
+    """Return an element; ``class_`` means the attribute ``class``, and ``stroke_width`` means ``stroke-width``."""
     built = Element(tag, {name.rstrip("_").replace("_", "-"): str(value) for name, value in attributes.items()})
     for child in children:
         if not isinstance(child, str):
@@ -98,12 +98,12 @@ def parse_mathml(text: str) -> Element:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Return a number as text with so many significant digits; "" of None."""
+    """Return a number as text with `digits` significant digits; "" for None."""
     return "" if value is None else f"{value:.{digits}g}"
 
 
 def r2_cell(value: float | None) -> str:
-    """Return R2 for a table, never rounded up to 1; "" of None."""
+    """Return R2 for a table, never rounded up to 1; "" for None."""
     return "" if value is None else r2_text(value)
 
 

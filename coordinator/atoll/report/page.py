@@ -12,7 +12,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core import VERSION
 
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""Nothing is loaded and no script runs, whatever a name in the data contains."""
+"""No resource is loaded and no script runs, regardless of the names in the data."""
 
 
 def as_html(result: Result) -> str:
@@ -49,7 +49,7 @@ def build_page(result: Result) -> Element:
 
 
 def pictures(page: Element) -> dict[str, str]:
-    """Return the pictures of a page as SVG files of their own, by name: the section and a number, ``fit-1.svg``."""
+    """Return the pictures of a page as separate SVG files, by name: the section and a number, ``fit-1.svg``."""
     pictures_by_name: dict[str, str] = {}
     for part in page.iter("section"):
         name, drawn = part.get("id"), [picture for picture in part.iter("svg") if picture.get("role") == "img"]

@@ -129,7 +129,7 @@ def _fit(state: str, findings: Findings) -> Element:
 
 
 def _curves(part: Simulated, state: str) -> list[Curve]:
-    """Return times, measured and simulated values and bounds; missing curves are None everywhere."""
+    """Return times, measured and simulated values and bounds; missing curves have None at all times."""
     curves = [(known or {}).get(state) for known in (part.measured, part.values, part.lower, part.upper)]
     return [part.times, *(curve or (None,) * len(part.times) for curve in curves)]
 

@@ -95,7 +95,7 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
     Args:
         result: the result of a job.
         question: of a kind in `FUNCTIONS`.
-        table: measurements in place of those in the result, for profiles and suggestions.
+        table: measurements to use instead of the measurements in the result, for profiles and suggestions.
         spread: distributes the work of profiles.
 
     Raises:
@@ -124,7 +124,7 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
 
             page = build_page(result if question.group is None else _model(result, question).result)
             return Analysed(as_text(page), pictures(page) if question.pictures else {})
-    raise TypeError(f"{type(question).__name__} is no question about a result")
+    raise TypeError(f"{type(question).__name__} is not a question about a result")
 
 
 def analyse(

@@ -1,4 +1,4 @@
-"""The functions of tasks by name: what each needs to load, and how it is called."""
+"""The functions of tasks by name: the modules and kernels that each needs, and its call."""
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ Call = Callable[[Sequence[bytes], float | None, "Team"], bytes]
 
 @dataclass(frozen=True, slots=True)
 class TaskHandler:
-    """`call` runs it; `load` loads what it needs; `ready` also compiles kernels, for tasks with a time limit."""
+    """`call` runs it; `load` loads modules and kernels; `ready` also compiles kernels, for tasks with a time limit."""
 
     load: Callable[[], None]
     ready: Callable[[], None]
@@ -27,12 +27,12 @@ class TaskHandler:
 
 
 def load_preparation() -> None:
-    """Load what preparing needs; its kernels are loaded as they are needed."""
+    """Load the modules for preparing; its kernels are loaded as they are needed."""
     import atoll_core.data.table  # noqa: F401
 
 
 def load_refinement() -> None:
-    """Load what refining needs, compiling its kernels if need be; an error is logged, since refining meets it too."""
+    """Load modules and kernels for refining, compiled if needed; errors are logged: refining will raise them too."""
     try:
         import scipy.special  # noqa: F401
 
@@ -45,7 +45,7 @@ def load_refinement() -> None:
 
 
 def ready_preparation() -> None:
-    """Load what preparing needs, compiling its kernels if need be; an error is logged, since preparing meets it too."""
+    """Load modules and kernels for preparing, compiled if needed; errors are logged: preparing will raise them too."""
     try:
         load_preparation()
         import atoll_coordinator.model.sparse.laws  # noqa: F401
@@ -74,7 +74,7 @@ def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> byt
 
 
 def load_analyses() -> None:
-    """Load what all analyses need; kernels are loaded as they are needed."""
+    """Load the modules of all analyses; kernels are loaded as they are needed."""
     import atoll.tasks.analyses  # noqa: F401
 
 

@@ -1,7 +1,7 @@
 """The program of a task process: runs tasks one after another until its worker closes the pipe.
 
-Light to import. One thread runs tasks; another reads what the worker says, so that the end of the worker, however it
-came, ends this process in the middle of a task.
+Light to import. One thread runs tasks; another reads the messages of the worker, so that this process ends with the
+worker, even in the middle of a task.
 """
 
 import contextlib
@@ -214,7 +214,7 @@ class Team:
         self._send(Give(question.token, batch))
 
     def _batch(self, question: Ask) -> TaskBatch | None:
-        """Return a batch for a helper: the last of the call with most waiting items; the first one stays here."""
+        """Return a batch for a helper: the last of the call with most waiting items; its first batch stays here."""
         fit = [call for call in self._calls if len(call.waiting) > 1 and _size(call) <= MAX_BATCH]
         if not fit:
             return None

@@ -1,1 +1,1 @@
-"""What people read on a terminal: ``output`` has lines, tables and numbers, ``progress`` the displays of a job."""
+"""Output on a terminal: ``output`` has lines, tables and numbers, ``progress`` the displays of a job."""

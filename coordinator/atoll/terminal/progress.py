@@ -37,7 +37,7 @@ def is_screen() -> bool:
 
 
 def headline(view: JobView, workforce: Workforce, connect_hint: str) -> str:
-    """Return one line about the whole job: state, time, workers, speed, and what it waits for."""
+    """Return one line about the whole job: state, time, workers, speed, and why it waits."""
     number = view.workers or workforce.alive
     parts = [f"job {view.job} {view.state}", duration(view.elapsed), "1 worker" if number == 1 else f"{number} workers"]
     if view.point_evaluations:
@@ -52,7 +52,7 @@ def headline(view: JobView, workforce: Workforce, connect_hint: str) -> str:
 
 
 def waiting(view: JobView, workforce: Workforce, connect_hint: str) -> str:
-    """Return what an unfinished job waits for, or why it makes no progress, if so."""
+    """Return why an unfinished job waits or makes no progress, if so."""
     if view.state in FINAL_STATES:
         return ""
     if not workforce.alive:

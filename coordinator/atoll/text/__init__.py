@@ -1,5 +1,5 @@
 """A result as text for people.
 
-`render` has the whole, `tables` its tables, `process` what is said of a process, `conclusion` what it comes to in plain
-words.
+`render` writes the whole text, `tables` its tables, `process` the part on a stochastic process, `conclusion` a summary
+in plain words.
 """

@@ -22,7 +22,7 @@ _CALENDAR: Final = ("second", "minute", "hour", "day", "week", "month", "quarter
 
 
 def conclusion(result: Result) -> str:
-    """Return one paragraph: what was searched in which data, what was found, and how far to trust it."""
+    """Return one paragraph: the data, the search, the equations found, and how far to trust them."""
     found = [equation for equation in result.equations if equation.expression is not None]
     if not found:
         return f"Atoll looked{_source(result)} for {_aim(result)}, and found none."

@@ -71,7 +71,7 @@ def percent(share: float | None) -> str:
 
 
 def checks_text(checks: Sequence[Check]) -> str:
-    """Return how many of the applicable checks have passed, and which have not."""
+    """Return the number of passed checks among the applicable ones, and the checks that failed."""
     passed = sum(check.outcome == "passed" for check in checks)
     parts = [f"{passed} of {sum(check.outcome != 'not applicable' for check in checks)} passed"]
     for outcome in ("failed", "not made"):
@@ -102,7 +102,7 @@ def _words_text(words: ConstantWords) -> str:
 
 
 def constants_table(constants: Sequence[Constant]) -> list[str]:
-    """Return a table of the constants whose standard errors are known, or infinite; no lines if there are none."""
+    """Return a table of the constants whose standard errors are known, or infinite; no lines without such constants."""
     known = with_errors(constants)
     has_intervals = any(constant.interval is not None for constant in known)
     heads = ("constant", "fitted ± std error", *(("95 % interval",) if has_intervals else ()), "")
@@ -119,7 +119,7 @@ def constants_table(constants: Sequence[Constant]) -> list[str]:
 
 
 def _remark(constant: Constant) -> str:
-    """Return the odds of the simple number that is shown, or the distance of the nearest one; or why there is none."""
+    """Return the odds of the displayed simple number, the distance of the nearest one, or the reason for none."""
     simple = constant.simple
     if constant.at_bound:
         return "on its bound"
@@ -150,9 +150,9 @@ def units_line(units: Units | None) -> list[str]:
 
 
 def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return a line for each group of trajectories with the constants of its own; nothing where all share them.
+    """Return a line for each group of trajectories with its own constants; no lines where all groups share them.
 
-    `texts` are the expressions of the groups as they are shown, `names` those of the constants.
+    `texts` are the displayed expressions of the groups, `names` the names of the constants.
     """
     own = [place for place, constant in enumerate(equation.constants) if constant.shared is False]
     if not equation.groups or not own:
@@ -171,7 +171,7 @@ def groups_table(equation: Equation, texts: Sequence[str], names: Sequence[str])
 def candidates_table(
     candidates: Sequence[Candidate], display: Callable[[str], str], most: int | None = None
 ) -> list[str]:
-    """Return the candidates, the one shown first, with their Δ description length; nothing for one alone.
+    """Return the candidates, the displayed one first, with their Δ description length; no lines for a single candidate.
 
     At most `most` others are listed, and all guesses; of the rest their number.
     """
@@ -287,7 +287,7 @@ def _residual_texts(noise: Noise) -> list[str]:
 
 
 def _reasons(doubtful: Sequence[ExcludedRows]) -> str:
-    """Return how many rows are not used for each reason, such as ``8 near ends, 3 outliers``."""
+    """Return the number of unused rows for each reason, such as ``8 near ends, 3 outliers``."""
     counts = {reason: sum(len(rows.times) for rows in doubtful if rows.reason == reason) for reason in _PLACES}
     return ", ".join(f"{count} {_PLACES[reason]}" for reason, count in counts.items() if count)
 
@@ -531,7 +531,7 @@ def _equation_text(equation: Equation, names: Sequence[str], called: Sequence[st
 
 
 def _written_out(equation: Equation, names: Sequence[str]) -> list[str]:
-    """Return the expression with its constants where they are, if the display has other numbers, such as 1/4 for 4."""
+    """Return the expression with named constants, if the display has other numbers, such as 1/4 for 4."""
     text = equation.expression or ""
     program = from_infix(text, names)
     as_shown = replace(program, constants=np.array([float(f"{value:.{DIGITS}g}") for value in program.constants]))
@@ -545,7 +545,7 @@ def _standing(equation: Equation) -> str:
     if equation.why == "known":
         return f"known: error {number_text(equation.normalized_error)} of the target's standard deviation"
     outcome = "converged: " if equation.converged else "not converged: "
-    if equation.converged and equation.verdict == "no model":  # the derivative is met, the measurements not
+    if equation.converged and equation.verdict == "no model":  # the derivative is fitted, the measurements are not
         outcome = ""
     text = f"{outcome}error {number_text(equation.normalized_error)} of the target's standard deviation"
     text += f", size {equation.complexity}, epoch {equation.epoch}"
@@ -569,7 +569,7 @@ def _front_lines(front: Sequence[Member], names: Sequence[str]) -> list[str]:
 
 
 def _unseen(member: Member) -> float | None:
-    """Return the error on held-out rows, over the deviation of the target on the rows of the search."""
+    """Return the error on held-out rows over the standard deviation of the target on the rows of the search."""
     unseen, error, normalized = member.holdout_error, member.error, member.normalized_error
     return unseen * normalized / error if unseen is not None and error and normalized else None
 

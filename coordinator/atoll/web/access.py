@@ -1,8 +1,8 @@
 """Access to the web process: allowed hosts, origins of pages, bearer tokens. One ASGI middleware before all others.
 
 Requests about jobs need a token, unless programs of this machine may look (``--look-without-token``). Cookies are not
-used, so that no other page can act with a browser's credentials. Requests from pages of other sites are refused all
-the same, also those that change nothing, which may cost the coordinator seconds.
+used, so that no other page can act with a browser's credentials. Requests from pages of other sites are refused
+nevertheless, also read-only requests, which may take seconds of the coordinator.
 """
 
 import hashlib

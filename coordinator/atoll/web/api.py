@@ -83,7 +83,7 @@ _SOON: Final = {"retry-after": "1"}
 _REPORT: Final = (FUNCTIONS[Report], encode_value(Report()))
 _FILES: Final = ("application/octet-stream", "text/csv", TABLE)
 
-# ------------------------------------------------------------------------------------------ what is sent and answered
+# ----------------------------------------------------------------------------------------- requests and answers
 
 
 def _truth(value: object) -> object:
@@ -105,8 +105,8 @@ class JobsQuery(Query):
 
 
 class FileQuery(Query):
-    filename: list[str] = Field([], description="of each file; its ending says how it is read. All are one table")
-    bytes: list[str] = Field([], description="of each of several files, which follow each other in the body")
+    filename: list[str] = Field([], description="name of each file; its ending gives the format. They are one table")
+    bytes: list[str] = Field([], description="size of each file, if the body has several files one after the other")
     options: str = Field("", description=_OPTIONS)
     of: Id | None = Field(None, description="a job whose data are used in place of a body")
 
@@ -320,7 +320,7 @@ class Api:
         if feed is None:
             feed = self._feeds[gateway] = Feed(gateway, lambda job: self._results.pop((gateway, job), None))
         left = min(MAX_LISTENERS, most_connections() // 2) - sum(feed.listeners for feed in self._feeds.values())
-        if feed.listeners >= left:  # one user leaves the others as many as it has
+        if feed.listeners >= left:  # one user may hold at most half of the free places
             raise HTTPException(429, "too many pages listen already; ask for the status now and then instead")
         parts = feed.listen(None if "all" in query.jobs else query.jobs, after)
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
@@ -353,7 +353,7 @@ class Api:
             try:
                 question = decode(body, Question)
             except RemoteProtocolError as error:
-                raise HTTPException(422, f"this is no message of protocol {PROTOCOL_VERSION}: {error}") from error
+                raise HTTPException(422, f"this is not a message of protocol {PROTOCOL_VERSION}: {error}") from error
             answer = await gateway.ask(lambda client: client.exchange(question))
         else:
             require_same_version(hello.body)
@@ -392,7 +392,7 @@ class Api:
 
     @operation("POST", "/outline", sent=_FILES)
     async def outline(self, request: Request, query: FileQuery) -> Response:
-        """Return how files are read, and what would be searched."""
+        """Return how files are read, and the plan of the search."""
         async with self._read(request, query, "outline") as answer:
             return Response(answer.read_bytes(), media_type="application/json")
 
@@ -406,7 +406,7 @@ class Api:
     async def _read(
         self, request: Request, query: FileQuery, wanted: Literal["table", "outline", "preview"]
     ) -> AsyncIterator[Path]:
-        """Yield a file with what was `wanted` of the files and options that were sent: see `Readers.read`."""
+        """Yield a file with the `wanted` view of the uploaded files and options: see `Readers.read`."""
         gateway, sizes = gateway_of(request), sizes_by_name(query.filename, query.bytes)
         media_type = request.headers.get("content-type", "").partition(";")[0] if query.of is None else TABLE
         read_options(query.options)  # a mistake there is reported before the file has come
@@ -504,7 +504,7 @@ class Api:
 
     @operation("GET", "/jobs/{job}/progress", _304="it has not changed")
     async def progress(self, request: Request) -> Response:
-        """Return what pages draw of the best so far; 304 where that has not changed."""
+        """Return the charts of the best equations so far; 304 where they have not changed."""
         key, result = (gateway_of(request), _job(request)), await self._result(request, may_be_late=True)
         known = self._packed.get(key)
         if known is None or known[0] is not result:
@@ -560,8 +560,8 @@ class Api:
     async def _result(self, request: Request, *, may_be_late: bool = False) -> Result:
         """Return the result of a job, which is fetched once a second at most, for pages (`may_be_late`) more seldom.
 
-        Pages are told when the state of a job changes, and then fetch it anew. Whether the user may see the job is
-        asked each time.
+        Pages are notified when the state of a job changes, and then fetch it again. The user's right to see the job
+        is checked each time.
         """
         job, gateway = _job(request), gateway_of(request)
         key = (gateway, job)

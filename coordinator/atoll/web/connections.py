@@ -22,7 +22,7 @@ MOST: Final = 4_096
 """Connections at most: a browser opens six for a page."""
 
 _LATE: Final = Problem(408, f"the request did not come within {WAIT_S:.0f} s; send it at once", {"connection": "close"})
-_INVALID: Final = Problem(400, "this is no request of HTTP/1.1", {"connection": "close"})
+_INVALID: Final = Problem(400, "this is not a request of HTTP/1.1", {"connection": "close"})
 _FULL: Final = Problem(
     503, "too many connections are at work; come back later", {"connection": "close", "retry-after": "5"}
 )

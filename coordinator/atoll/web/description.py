@@ -1,4 +1,4 @@
-"""The API's description as OpenAPI 3.1 has it, made of the declared operations and their models.
+"""The API's description in OpenAPI 3.1, built from the declared operations and their models.
 
 ``python -m atoll.web.description`` writes ``openapi.json``; a test compares the two.
 """
@@ -28,7 +28,7 @@ _PROBLEM: Final[dict[str, Any]] = {
     "properties": {
         "type": _TEXT, "title": _TEXT, "status": {"type": "integer"}, "detail": _TEXT,
         "columns": {
-            "description": "of a file that was refused: its columns, for options that name one",
+            "description": "columns of a refused file, for options that name one",
             "type": "array",
             "items": {"type": "object"},
         },
@@ -47,7 +47,7 @@ def describe() -> dict[str, Any]:
         "info": {
             "title": "Atoll",
             "version": VERSION,
-            "description": "Jobs, results and workers of a coordinator. What changes something needs a token.",
+            "description": "Jobs, results and workers of a coordinator. Operations that change something need a token.",
             "license": {"name": "Apache-2.0", "identifier": "Apache-2.0"},
         },
         "servers": [{"url": "/api/v1"}],
@@ -94,7 +94,7 @@ def _responses(declared: Operation, answer: Any, schemas: dict[str, Any]) -> dic
         content = {} if status == 304 else {"content": {JSON: {"schema": _OBJECT}}}
         responses[str(status)] = {"description": text, **content}
     problem = {"application/problem+json": {"schema": {"$ref": _REF.format(model="Problem")}}}
-    return responses | {"default": {"description": "a sentence says what is wrong", "content": problem}}
+    return responses | {"default": {"description": "a sentence on the error", "content": problem}}
 
 
 def _schema(model: Any, schemas: dict[str, Any]) -> dict[str, Any]:

@@ -158,7 +158,7 @@ class Feed:
             self._looking = loop.create_task(self._look_regularly())
 
     def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Pass on what the subscription receives, until the process ends; in a thread of its own."""
+        """Pass on the subscription's events and changes until the process ends; runs in a separate thread."""
         while not self._stop.is_set():
             connection = Connection(self._gateway.destination)
             try:
@@ -271,7 +271,7 @@ class Feed:
 _NOTHING: Final = object()
 
 _AGEING: Final = {"elapsed", "point_evaluations_per_second"}
-"""Fields of a view that change by time alone."""
+"""Fields of a view that change only with time."""
 
 
 def _encode(value: object) -> str:

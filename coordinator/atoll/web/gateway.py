@@ -15,7 +15,7 @@ THREADS: Final = 4
 """Simultaneous requests: they take milliseconds, and an upload must not hold up others."""
 
 MAX_WAITING: Final = 256
-"""Requests that wait for a thread; more are refused, so that memory stays bounded."""
+"""Limit of requests that wait for a thread; more are refused, so that memory stays bounded."""
 
 A = TypeVar("A")
 
@@ -35,11 +35,11 @@ class Gateway:
         self._waiting = 0
 
     async def ask(self, question: Callable[[Client], A]) -> A:
-        """Return what `question` returns, which is called with a client in a thread.
+        """Return the result of `question`, which is called with a client in a thread.
 
         Raises:
-            BusyError: too many wait.
-            AtollError: as the client does.
+            BusyError: too many questions wait.
+            AtollError: from the client.
         """
         if self._waiting >= MAX_WAITING:
             raise BusyError
@@ -72,7 +72,7 @@ class Connection:
         self._client: Client | None = None
 
     def ask(self, question: Callable[[Client], A]) -> A:
-        """Return what `question` returns; raises as the client does."""
+        """Return the result of `question`; raises the errors of the client."""
         if self._client is None:
             self._client = self._stack.enter_context(connected(self._destination))
         try:

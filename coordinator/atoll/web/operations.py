@@ -1,8 +1,9 @@
-"""Operations of the API. One declaration of each gives its route, the checks of what is sent, and its description.
+"""Operations of the API. Each has one declaration, which gives its route, the validation of requests, and its
+description.
 
-`operation` marks a handler with method and path. The types in the handler's signature say the rest: `query` is a model
-of the query parameters, `body` a model of a JSON body, and the result a model of the JSON answer, or a `Response` that
-the handler makes itself. `description` writes OpenAPI from the same declarations.
+`operation` marks a handler with method and path. The types in the handler's signature declare the rest: `query` is a
+model of the query parameters, `body` a model of a JSON body, and the result a model of the JSON answer, or a `Response`
+that the handler makes itself. `description` writes OpenAPI from the same declarations.
 """
 
 import asyncio
@@ -43,7 +44,7 @@ class Body(BaseModel):
 
 @dataclass(frozen=True)
 class Operation:
-    """What is declared of a handler. `further` has schemas of answers with other statuses, None: without a body."""
+    """The declaration of a handler. `further` has schemas of answers with other statuses, None: without a body."""
 
     method: str
     path: str
@@ -102,7 +103,7 @@ def _validated(model: type[BaseModel], values: Any) -> Any:
 
 
 async def receive(request: Request, most: int, take: Callable[[bytes], object]) -> None:
-    """Receive a body of at most so many bytes within the time limits; raises HTTPException."""
+    """Receive a body of at most `most` bytes within the time limits; raises HTTPException."""
     announced = request.headers.get("content-length", "0")
     too_large = HTTPException(413, f"a body may have {most:,} bytes at most; use coordinator submit for larger files")
     if announced.isdecimal() and int(announced) > most:

@@ -80,7 +80,7 @@ def read_options(text: str) -> tuple[dict[str, Any], JobConfig]:
         raise UsageError('options must be a JSON object, such as {"seed": "3"}')
     for name, value in sent.items():
         if name not in OPTIONS:
-            raise UsageError("%s is no option of a job", name[:64])
+            raise UsageError("%s is not an option of a job", name[:64])
         texts = value if isinstance(value, list) else [value]
         if not all(isinstance(part, (str, bool, int, float)) for part in texts):
             raise UsageError("the option %s must be a text, true, or a list of texts", name)

@@ -1,4 +1,4 @@
-"""What pages draw of a result, of bounded size and pure: equations, fronts, convergence, simulated curves."""
+"""Charts of a result for pages, of bounded size; pure functions: equations, fronts, convergence, simulated curves."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,7 +32,7 @@ MOST_ROWS: Final = 1_000
 
 
 def some(number: int, most: int) -> list[int]:
-    """Return at most so many indices of a sequence, the first and the last among them."""
+    """Return at most `most` indices of a sequence, including the first and the last."""
     if number <= most:
         return list(range(number))
     return [int(index) for index in np.unique(np.linspace(0, number - 1, max(2, most)).round())]

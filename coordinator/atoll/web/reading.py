@@ -1,6 +1,6 @@
-"""Files that pages send: their temporary folders, and their reading in another process, within limits.
+"""Uploaded files: their temporary folders, and their reading in another process, within limits.
 
-See `reading_process`. A web process that is killed leaves its folders; the next one of the same user removes them.
+See `reading_process`. A web process that is killed leaves its folders; the user's next web process removes them.
 """
 
 import asyncio
@@ -42,7 +42,7 @@ REFUSED: Final = 3
 """Exit code of a reader whose answer is JSON: status, sentence and columns of an `UnreadableError`."""
 
 LATE: Final = -int(signal.SIGALRM)
-"""Stands for the exit code of a reader that took too long in all."""
+"""Exit code of a reader that exceeded the total time."""
 
 
 class Limits(BaseModel):
@@ -74,7 +74,7 @@ class Limits(BaseModel):
 
 
 class Reading(BaseModel):
-    """What a reader is to do: write what is `wanted` of files into the file `answer`.
+    """The task of a reader: write the `wanted` view of files into the file `answer`.
 
     `options` are JSON; `media_type` says whether the file is a table that has been read already.
     """
@@ -103,7 +103,7 @@ def locked(folder: Path) -> Iterator[None]:
 def remove_left() -> None:
     """Remove the folders of this user whose lock no process holds.
 
-    A folder without a lock is just being made; a process that is killed then leaves it, empty.
+    A folder without a lock is being created; if its process is killed then, the empty folder stays.
     """
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):
@@ -124,7 +124,7 @@ def split_files(body: Path, sizes: Mapping[str, int | None]) -> list[Path]:
     paths = [folder / name for name in sizes]
     lengths = [there if size is None else size for size in sizes.values()]
     if sum(lengths) != there:
-        sentence = f"the body has {there:,} bytes, but bytes says {sum(lengths):,}; give those of each file"
+        sentence = f"the body has {there:,} bytes, but bytes says {sum(lengths):,}; give the bytes of each file"
         raise HTTPException(422, sentence)
     if len(paths) == 1:
         return [body.rename(paths[0])]
@@ -151,7 +151,7 @@ class Readers:
     async def read(
         self, files: Sequence[Path], options: str, media_type: str, wanted: Literal["table", "outline", "preview"]
     ) -> Path:
-        """Return the file with what is `wanted` of files in one folder; it is next to that folder. See `Reading`.
+        """Return the file with the `wanted` view of files in one folder; it is next to that folder. See `Reading`.
 
         Raises HTTPException: a file or the options are refused, or reading exceeds its limits.
         """
@@ -208,7 +208,7 @@ class Readers:
             )
 
     def close(self) -> None:
-        """End the process, and with it what is being read."""
+        """End the process and its readers."""
         if self._control is not None:
             self._control.close()
         if self._process is not None:

@@ -1,7 +1,7 @@
-"""The process that reads and smooths files for the web process, each file in a fork of its own, within limits.
+"""The process that reads and smooths files for the web process, each file in a separate fork, within limits.
 
-``python -m atoll.web.reading_process SOCKET`` has everything loaded, so that a fork costs milliseconds. Through the
-socket it receives one descriptor for each file: a socket with a line of JSON, on which the exit code is answered.
+``python -m atoll.web.reading_process SOCKET`` loads everything once, so that a fork costs milliseconds. Through SOCKET
+it receives one descriptor for each file: a socket with a line of JSON, on which it answers with the exit code.
 Memory, time and crashes of one file's fork affect nothing else.
 """
 

@@ -40,7 +40,7 @@ _ENTRY: Final = {"token_sha256", "tls_ca", "tls_cert", "tls_key"}
 """Keys of each user in a file of users."""
 
 _OTHERS: Final = stat.S_IRWXO | stat.S_IWGRP
-"""File modes by which others could guess tokens or add one. A group may read the file, such as a service's."""
+"""File modes that let other users guess or add tokens. A group may read the file, such as the group of a service."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Listener:
 def access_of(
     listener: Listener, at: Destination, token: str, users: Path | None, *, look_without_token: bool = False
 ) -> Access:
-    """Return who may ask what; with `look_without_token` programs on this machine may look at all jobs.
+    """Return the access rules; with `look_without_token` programs on this machine may look at all jobs.
 
     Raises:
         UsageError: the file of users cannot be used, there is no certificate for connections from other machines, or
@@ -83,8 +83,8 @@ def access_of(
     is_own = listener.is_local and not listener.names and at.credentials is None and users is None
     if look_without_token and not is_own:
         raise UsageError(
-            "--look-without-token shows all jobs to whoever reaches the page: it needs a --listen on this machine, and "
-            "neither --allow-host, --users nor certificates of the bus; leave it out, and give people the token"
+            "--look-without-token shows all jobs to any user of the page: it needs a --listen on this machine, and "
+            "neither --allow-host, --users nor certificates of the bus; remove it, and give the token to users"
         )
     if not listener.is_local and listener.certificate is None:
         raise UsageError(
@@ -122,7 +122,7 @@ def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
     if mode & _OTHERS:
         raise UsageError(f"--users {file} can be read by everybody or changed by its group; run: chmod 600 {file}")
     if not table:
-        raise UsageError(f"--users {file} names nobody; add [NAME] with {', '.join(sorted(_ENTRY))}")
+        raise UsageError(f"--users {file} names no user; add [NAME] with {', '.join(sorted(_ENTRY))}")
     gateways: dict[str, Gateway] = {}
     for name, entry in table.items():
         if (
@@ -134,7 +134,7 @@ def _gateways(file: Path, at: Destination) -> dict[str, Gateway]:
         token = entry["token_sha256"].lower()
         if not re.fullmatch("[0-9a-f]{64}", token) or token == digest_of(""):
             raise UsageError(
-                f"--users {file}: token_sha256 of {name} is no SHA-256 of a token; printf %s TOKEN | sha256sum"
+                f"--users {file}: token_sha256 of {name} is not a SHA-256 of a token; printf %s TOKEN | sha256sum"
             )
         if token in gateways:
             raise UsageError(f"--users {file}: {name} has the token of another user; give each a token of its own")
@@ -158,7 +158,7 @@ def serve(listener: Listener, access: Access, say: Callable[[str], object]) -> N
     config = configure(build_application(access), listener)
     try:
         config.load()
-    except OSError as error:  # also what is no certificate
+    except OSError as error:  # also for a file that is not a certificate
         raise UsageError(
             f"--cert {listener.certificate} with --key {listener.key} cannot be used ({error.strerror or error}); "
             "give a certificate and its unencrypted key as PEM"
@@ -195,7 +195,7 @@ def build_application(access: Access, readers: Readers | None = None) -> Starlet
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         remove_left()
-        with contextlib.suppress(OSError):  # whoever sends a file gets the error
+        with contextlib.suppress(OSError):  # the sender of a file gets the error
             readers.start()
         yield
         await api.close()

@@ -39,7 +39,7 @@ class DaskIslandWorkers(WorkerPlugin):  # type: ignore[misc]  # Dask's classes h
         self._program = WorkerProgram(self._options, self._processes or worker.state.nthreads)
 
     async def teardown(self, worker: Worker) -> None:
-        """Hand the islands over; called when the Dask worker closes in order, or the plugin is removed."""
+        """Hand the islands over; called when the Dask worker closes regularly, or the plugin is removed."""
         if self._program is not None:
             await asyncio.to_thread(self._program.drain)
 

@@ -76,7 +76,7 @@ class RayHandle(Handle):
         return {node: _answer(reference) for node, reference in asked.items()}
 
     def close(self) -> None:
-        """End the programs, then the actors, also those that are not placed yet."""
+        """End the programs, then the actors, also actors that are not placed yet."""
         if self._is_over.is_set():
             return
         self._is_over.set()
@@ -96,7 +96,7 @@ class RayHandle(Handle):
                 self._follow_nodes()
 
     def _follow_nodes(self) -> None:
-        """Start an actor on new nodes, and forget nodes that have gone."""
+        """Start an actor on new nodes, and forget nodes that have left."""
         alive = {node["NodeID"]: int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]}
         for node in [*self._actors]:
             if node not in alive:

@@ -21,7 +21,7 @@ STOP_LIMIT_S: Final = 10.0
 """How long the program may take to end, in addition to the grace; it kills its workers after five seconds."""
 
 ENDS: Final = {
-    0: "the coordinator ended, or they were told to end",
+    0: "the coordinator ended, or the workers were asked to end",
     2: "bad options, or refused by the coordinator",
     3: "the coordinator could not be reached",
 }
@@ -33,7 +33,7 @@ class ProgramOptions:
     """Options of the program, as plain values.
 
     `connect` is the coordinator's address, `tls` has the certificate files by ``ca``, ``cert``, ``key``, with their
-    paths on the machines of the cluster. The coordinator may be away for `wait_s` seconds; when the program is told to
+    paths on the machines of the cluster. The coordinator may be away for `wait_s` seconds; when the program is asked to
     end, it hands islands over within `grace_s` seconds.
     """
 
@@ -44,12 +44,12 @@ class ProgramOptions:
 
 
 def drain_limit_s(options: ProgramOptions) -> float:
-    """Return the seconds after which a program that is told to end has ended, by force if need be."""
+    """Return the seconds after which a program that is asked to end has ended, killed if necessary."""
     return options.grace_s + STOP_LIMIT_S
 
 
 class WorkerProgram:
-    """So many worker processes: one program, which starts them again when they die, and ends with this process.
+    """Several worker processes: one program, which restarts processes that die, and ends with this process.
 
     Should this process be killed, they hand over their islands before they end, see ADR 0062.
     """
@@ -127,7 +127,7 @@ A = TypeVar("A")
 
 
 def limited(call: Callable[[], A], limit_s: float, what: str) -> A:
-    """Return what `call` does, or raise what it raises; UnreachableError with `what` when it takes longer.
+    """Return the result of `call`, or raise its error; UnreachableError with `what` when it takes longer.
 
     Then its thread goes on waiting, and ends with this process at the latest.
     """
@@ -160,7 +160,7 @@ MOST_PROCESSES: Final = 1024
 """As of ``island-worker --processes``."""
 
 Start = Callable[[Any, ProgramOptions, int | None], Handle]
-"""Starts workers on a cluster, given a client of it, what the program is told and how many processes a machine has."""
+"""Starts workers on a cluster, from a client, the options of the program and the number of processes a machine."""
 
 _LONGEST_S: Final = 1e9
 _TLS: Final = ("ca", "cert", "key")
@@ -179,8 +179,8 @@ def start_on(
     """Start island workers on the machines of a Dask or a Ray cluster, also on machines that join later.
 
     Each Dask worker or Ray node starts one program ``island-worker``, which ends with it. Atoll is installed there, in
-    the same version. Machines that leave the cluster in order have their islands handed over first; those that are
-    killed cost a second or two of their work, and no result.
+    the same version. Machines that leave the cluster regularly hand over their islands first; a killed machine
+    costs a second or two of its work, and no result.
 
     Args:
         client: a ``distributed.Client`` or a Dask scheduler's address such as ``tcp://host:8786``; or the module

@@ -254,7 +254,7 @@ def line(event: EventView) -> str:
 
 
 def workers(options: argparse.Namespace) -> int:
-    """List all workers, or those whose name begins with ``options.job``; or show the coordinator's own counters."""
+    """List all workers, or the workers whose name begins with ``options.job``; or show the coordinator's counters."""
     address = address_of(options)
     with connected(address, CONNECT_LIMIT_S) as client:
         views = client.workers(options.job or "")
@@ -285,7 +285,7 @@ def _worker_row(view: WorkerView) -> tuple[str, ...]:
 
 
 def coordinator_lines(view: CoordinatorView | None) -> str:
-    """Return the coordinator's own state, and its traffic by kind of message."""
+    """Return the coordinator's state, and its traffic by kind of message."""
     if view is None:
         return "the coordinator reports nothing about itself"
     counters, store = view.counters, view.store
@@ -314,7 +314,7 @@ def size(number_of_bytes: int) -> str:
 
 
 def trouble(counters: Counters) -> str:
-    """Return how many messages were refused, dropped or came twice; ``-`` when there are none."""
+    """Return the numbers of refused, dropped and duplicate messages; ``-`` if all are 0."""
     counts = (("refused", counters.refused), ("dropped", counters.dropped), ("twice", counters.duplicates))
     return ", ".join(f"{number} {name}" for name, number in counts if number) or "-"
 

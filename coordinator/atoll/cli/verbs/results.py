@@ -2,7 +2,7 @@
 ``suggest`` and ``export``.
 
 Analyses of a saved result run in this process; analyses of a coordinator's job run on a worker. Both go through `ask`.
-What only some verbs need is imported in these, because ``coordinator result`` should print at once.
+Modules that only some verbs need are imported in their functions, because ``coordinator result`` should print at once.
 """
 
 import argparse
@@ -127,7 +127,7 @@ def _held_inputs(model: Model, options: argparse.Namespace) -> dict[str, float]:
 def ask(options: argparse.Namespace, *questions: "Question", name: str | None = None) -> "list[Analysed]":
     """Return the answers to questions about the result `name` (None: `options.result`), in order.
 
-    With ``--data``, these measurements are used in place of those in the result.
+    With ``--data``, these measurements replace the measurements in the result.
     """
     from atoll.api.tables import table_of
     from atoll.experiments.fits import config_of

@@ -1,6 +1,6 @@
 """``coordinator run``: a search on this machine, through a real router, in the same way as on many machines.
 
-Workers are started first, and only then this process loads what it needs itself: each takes about half a second.
+Workers are started first, and only then this process loads its own modules: each takes about half a second.
 """
 
 import argparse

@@ -1,6 +1,6 @@
-"""``coordinator serve``, ``router``, ``backup`` and ``restore``: what runs until it is told to end, and its store.
+"""``coordinator serve``, ``router``, ``backup`` and ``restore``: services that run until they are stopped.
 
-``serve`` has a router, a coordinator and a store for workers and clients on any machine. ``router`` is a router alone:
+``serve`` has a router, a coordinator and a store for workers and clients on any machine. ``router`` is a router only:
 for a site whose workers should share one connection to the central router, or in front of a coordinator
 (`serve --router`), so that connections stay while the coordinator is restarted.
 """
@@ -61,7 +61,7 @@ def read_options(options: argparse.Namespace, router: str | None = None) -> tupl
 
 
 def warnings_of(at: Destination, role_bindings: RoleBindings | None) -> list[str]:
-    """Return warnings about what other users, or other machines, can do."""
+    """Return warnings about access by other users or other machines."""
     if at.address.is_socket:
         return ["every user who can open that socket can submit, read and cancel jobs, and join as a worker"]
     if at.credentials is None and not is_loopback(at.address.host):
@@ -89,7 +89,7 @@ def is_loopback(host: str) -> bool:
 
 
 def addresses_of(at: Destination, is_behind_router: bool = False) -> list[str]:
-    """Return the addresses to connect to, first those for other machines; with a certificate, the names in it."""
+    """Return the addresses to connect to, addresses for other machines first; with a certificate, the names in it."""
     address = at.address
     if is_behind_router or address.is_socket:
         return [str(address)]
@@ -288,7 +288,7 @@ ANOTHER_LIMIT_S: Final = 0.5
 """How long another coordinator behind the same router may take to answer."""
 
 LEAVING_LOOKS: Final = 10
-"""How often a coordinator that has taken over a store checks that its predecessor is gone: ten ticks of it."""
+"""Interval at which a coordinator that has taken over a store checks that its predecessor has ended: ten ticks."""
 
 
 def serve(options: argparse.Namespace) -> int:
@@ -300,7 +300,7 @@ def serve(options: argparse.Namespace) -> int:
     wanted, role_bindings = read_options(options, options.router)
     limits = _limits(options)
     if options.http is not None and role_bindings is not None and options.http_users is None:
-        raise UsageError("--http shows nothing where there is a --roster, unless --http-users says who may see what")
+        raise UsageError("--http needs --http-users where there is a --roster, for the rights of users on the page")
     if options.standby:
         refuse_network(Path(options.state))
     from atoll_coordinator.service.monitoring.metrics import served
@@ -345,7 +345,7 @@ def _limits(options: argparse.Namespace) -> "Limits":
 
 
 def _read_again(service: "Service", options: argparse.Namespace) -> None:
-    """Apply limits and roster as they are now; if they cannot be read, the old ones stay in force."""
+    """Read limits and roster again and apply them; if they cannot be read, the old ones stay in force."""
     try:
         limits = _limits(options)
         role_bindings = read_role_bindings(Path(options.roster)) if options.roster is not None else None

@@ -35,7 +35,7 @@ _ADDED: Final = re.compile(
 """Options, with values, that a warning about the columns proposes."""
 
 _WHY: Final = {
-    "missing-value": "a number that stands for missing values was taken as measured",
+    "missing-value": "a code for missing values was treated as a measured value",
     "hold": "the inputs seem to be constant between rows",
     "order": "the same values are passed with different velocities",
     "per-trajectory": "the trajectories seem to differ in a constant",
@@ -52,7 +52,7 @@ _LONGER: Final = "the search ended before it had converged"
 _NOT_REFINED: Final = "the time was over before the equations were fitted to trajectories and compared"
 
 _Proposal = tuple[list[str], str]
-"""The words of a command, and what it is for."""
+"""The words of a command, and its purpose."""
 
 
 def next_step(result: Result, folder: Path, words: Sequence[str], program: str = "coordinator") -> str | None:
@@ -128,7 +128,7 @@ def _again_with_operators(result: Result, words: Sequence[str]) -> _Proposal | N
 
 
 def _with_result(result: Result, folder: str) -> _Proposal:
-    """Propose what to do with the equations."""
+    """Propose next commands for the equations."""
     kind = result.columns.kind
     if kind == "regression":
         return ["result", f"{folder}/result.json", "--format", "latex"], "the equation for a paper"
@@ -295,7 +295,7 @@ def submit(options: argparse.Namespace) -> int:
 
 
 def _say_what_it_waits_for(view: JobView, client: Client, hint: str) -> None:
-    """Print what the job waits for, if anything, for a user who does not follow it."""
+    """Print why the job waits, if it does, for a user who does not follow it."""
     if view.state in FINAL_STATES:
         note(f"job {view.job} exists already, and has ended: {view.state}")
     elif waits := waiting(view, Workforce.of(client.workers()), hint):

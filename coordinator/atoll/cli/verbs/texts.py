@@ -1,4 +1,4 @@
-"""``coordinator schema``: what job files and result files may hold, as JSON schema for editors and checkers."""
+"""``coordinator schema``: JSON schemas of job files and result files, for editors and validators."""
 
 import argparse
 from typing import Final

@@ -121,7 +121,7 @@ def web(options: argparse.Namespace) -> int:
 
 
 def _end_with(owner: str | None) -> None:
-    """End this process when the process that has started it has ended, for whatever reason."""
+    """End this process when the process that started it has ended, regardless of the reason."""
     if owner is None or not owner.isdecimal():
         return
     if hasattr(signal, "SIGHUP"):  # SIGHUP to all processes of a service is meant for its coordinator

@@ -41,7 +41,7 @@ export class Chart {
     this.observer = new ResizeObserver(() => this.#fit());
     this.observer.observe(this.box);
   }
-  /** Shows data; `options` returns what uPlot is made with, and `shape` says when that is no longer right. */
+  /** Shows data; `options` returns the options of uPlot; a changed `shape` builds the chart again. */
   async draw(data, shape, options) {
     this.next = { data, shape, options };
     const UPlot = await load();
@@ -180,7 +180,7 @@ export class ConvergenceChart extends Chart {
     const columns = kept.map((curve) => lastValues(curve, xs));
     const [isLogX, isLogY] = [isWide(xs), isWide(kept.flatMap((curve) => curve.errors))];
     const names = kept.map((curve) => curve.island);
-    this.isShort = xs.length < 2; // of one generation there is no line
+    this.isShort = xs.length < 2; // one generation has no line
     this.draw([xs, ...columns], `curves ${names} ${isLogX} ${isLogY} ${this.isShort}`, (UPlot) => this.#options(UPlot, names, isLogX, isLogY));
   }
 

@@ -1,4 +1,4 @@
-// Two jobs side by side: their equations by variable, their fronts on the same axes, and what differs otherwise.
+// Two jobs side by side: their equations by variable, their fronts on the same axes, and other differences.
 
 import { get, paths } from "./api.js";
 import { FrontChart, colourOf, legend } from "./charts.js";
@@ -98,7 +98,7 @@ function dataFacts({ result, files }) {
   return { files: (data.files ?? []).join(", "), rows: String(data.rows), "read as": data.read_as, trajectories: String(data.trajectories?.length ?? "–"), sha256: data.digest };
 }
 
-function differences(caption, names, [a, b], lacking = null) { // what one of them lacks is not compared
+function differences(caption, names, [a, b], lacking = null) { // values that one job lacks are not compared
   const rows = [...new Set([...Object.keys(a), ...Object.keys(b)])].map((key) => [key, a[key] ?? lacking, b[key] ?? lacking])
     .filter(([, one, other]) => one !== other && one !== null && other !== null);
   return rows.length ? pairTable(caption, names, rows) : "None.";

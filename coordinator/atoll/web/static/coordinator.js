@@ -1,4 +1,4 @@
-// The coordinator: its queue, what it takes, and whether it takes up jobs.
+// The coordinator: its queue, its use of resources, and whether it accepts jobs.
 
 import { change, session } from "./api.js";
 import { facts, faultBox, h, setText, show, viewHeading } from "./dom.js";
@@ -19,7 +19,7 @@ export default function open(root, _place, app) {
     setText(toggle, isPaused ? "Let the queue go on" : "Pause the queue");
     show(toggle, session.may_write);
     queue.replaceChildren(facts(queueFacts(answer.queue)));
-    users.replaceChildren(coordinator.users.length ? facts(coordinator.users.map(userFact)) : h("p", { class: "faint" }, "Nobody's job waits or has begun."));
+    users.replaceChildren(coordinator.users.length ? facts(coordinator.users.map(userFact)) : h("p", { class: "faint" }, "No job is waiting or running."));
     process.replaceChildren(facts(processFacts(coordinator)));
   });
   async function turn() { await fault.guard(() => change("PUT", "coordinator/queue", { paused: !isPaused })); poll.again(); }

@@ -21,7 +21,7 @@ export function setText(element, text) {
 
 export function setClass(element, name) { if (element.className !== name) element.className = name; }
 export function show(element, isShown) { if (element.hidden === isShown) element.hidden = !isShown; }
-/** Makes the children of `place` those of `items`: elements are kept by key, so that focus and scrolling stay. */
+/** Updates the children of `place` to `items`: elements are kept by key, so that focus and scrolling stay. */
 export function keyed(place, items, key, make, update) {
   const known = place.keyed ?? (place.keyed = new Map());
   const wanted = new Set(items.map(key));
@@ -39,7 +39,7 @@ export function keyed(place, items, key, make, update) {
   }
 }
 
-/** Makes the children of an element anew, only if `key` says that they became others. */
+/** Builds the children of an element again, only if `key` has changed. */
 export function redraw(element, key, make) {
   if (element.drawn === key) return;
   element.drawn = key;
@@ -98,7 +98,7 @@ export function confirmButton(label, question, yes, act) {
 /** Returns a part with its title that can be folded away. */
 export function folding(title, ...parts) { return h("details", { open: true }, h("summary", {}, title), parts); }
 
-/** Folds a part away when `isOver` becomes true, and unfolds it when that ends: what somebody has done since then stays. */
+/** Folds a part away when `isOver` becomes true, and unfolds it when that ends; later clicks of the user are respected. */
 export function foldWhen(part, isOver) {
   if (part.isFolded === isOver) return;
   [part.isFolded, part.open] = [isOver, !isOver];

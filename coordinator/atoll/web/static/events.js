@@ -1,7 +1,7 @@
 // All tabs of a browser share one connection: browsers open only six to a host over HTTP/1.1.
 //
 // Tabs elect a leader by an exclusive lock. Each visible tab tells which jobs it watches; the leader reads the events of
-// them all and hands them out. A hidden tab watches nothing and leads nobody. Without locks each tab reads for itself.
+// them all and hands them out. A hidden tab does not listen and does not lead. Without locks each tab has its own connection.
 
 import { token } from "./api.js";
 import { Stream } from "./stream.js";
@@ -23,7 +23,7 @@ let view = null;
 let last = null;
 let leader = null;
 let waiting = null;
-/** Has a view told of jobs ("all", or a list of ids): `told` has job(change) and happened(event). */
+/** Notifies a view of changes of jobs ("all", or a list of ids): `told` has job(change) and happened(event). */
 export function follow(wanted, told) {
   jobs = wanted;
   view = told;
@@ -126,7 +126,7 @@ class Leader {
     this.#reads = union;
     this.#stream?.close();
     this.#stream = union.length ? this.#open(union) : null;
-    if (!this.#stream) this.#say(true, ""); // whoever reads nothing misses nothing
+    if (!this.#stream) this.#say(true, ""); // without a stream no connection is lost
   }
 
   #union() {

@@ -1,4 +1,4 @@
-// One job: what it is about, its equations as they get better, where its islands are, and what happened.
+// One job: its description, its improving equations, its islands, and its event log.
 
 import { get, paths, session } from "./api.js";
 import { follow } from "./events.js";

@@ -1,4 +1,4 @@
-// What can be done with a job.
+// Actions on a job.
 
 import { change, paths } from "./api.js";
 import { announce, confirmButton, faultBox, h, setText, show } from "./dom.js";

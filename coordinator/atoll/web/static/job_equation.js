@@ -1,4 +1,4 @@
-// One equation of a job: what it is now, its front of complexity against error, how the islands got there.
+// One equation of a job: its current form, the front of complexity against error, the convergence of the islands.
 
 import { ConvergenceChart, FrontChart, colourOf, errorOf, legend, sayPoint, makeSteerable } from "./charts.js";
 import { foldWhen, folding, perFrame, h, keyed, redraw, setClass, setText, show } from "./dom.js";

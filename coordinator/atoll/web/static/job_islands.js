@@ -1,4 +1,4 @@
-// Where the islands of a job are: one cell for each, in the colour of its worker, with its epoch and what just happened.
+// Where the islands of a job are: one cell for each, in the colour of its worker, with its epoch and latest event.
 
 import { get, paths } from "./api.js";
 import { colourOf } from "./charts.js";

@@ -1,4 +1,4 @@
-// What happened to a job, newest first: what somebody may have to do something about stands out.
+// The event log of a job, newest first: events that may need an action are highlighted.
 
 import { get, paths } from "./api.js";
 import { folding, perFrame, h, keyed, show } from "./dom.js";

@@ -1,4 +1,4 @@
-// What a job gives: what it comes to, measured against simulated, report and files to download.
+// The outcome of a job: conclusion, measured and simulated curves, report and files to download.
 
 import { check, get, getText, paths, send } from "./api.js";
 import { TrailsChart, colourOf, legend } from "./charts.js";
@@ -133,7 +133,7 @@ export class Outcome {
   async #openReport() {
     this.report.disabled = true;
     const empty = URL.createObjectURL(new Blob([EMPTY_PAGE], { type: "text/html" }));
-    const tab = window.open(empty, "_blank"); // at once, or it would count as a pop-up that nobody asked for
+    const tab = window.open(empty, "_blank"); // at once, or browsers would block it as a pop-up
     try {
       const text = await this.#fetchReport();
       if (tab && !tab.closed) fillPage(tab, text);

@@ -75,7 +75,7 @@ function connection(source, isThere, reason) {
   if (isThere) lost.delete(source);
   else lost.set(source, reason || "The connection to the service is lost.");
   const [sentence] = lost.values();
-  setText(banner, sentence ? `${sentence} What you see is as it was; it goes on by itself as soon as the service answers.` : "");
+  setText(banner, sentence ? `${sentence} The page shows the last known state and continues automatically when the service answers.` : "");
   if (!wasLost || lost.size) return;
   announce("The service answers again.");
   loadSession();
@@ -93,7 +93,7 @@ async function loadSession() {
 /** Without a token that the service knows nothing can be shown: there is a field for one in the place of every view. */
 function refuse(sentence) {
   if (session.needs_token) return;
-  if (token()) session.refusal = "The token of this page is not known any more: the service was started anew, or the address is another one's.";
+  if (token()) session.refusal = "The service does not accept the token of this page: the service was restarted, or the address belongs to another service.";
   Object.assign(session, { needs_token: true, may_write: false });
   forgetToken();
   announce(session.refusal ?? sentence ?? "");

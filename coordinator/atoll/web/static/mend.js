@@ -13,7 +13,7 @@ export function namesOf(text) {
   return [...(text ?? "").matchAll(/"((?:[^"]|"")*)"|([^,]+)/g)].map(([, inQuotes, plain]) => (inQuotes?.replaceAll('""', '"') ?? plain.trim()));
 }
 
-/** Returns elements that mend what a sentence complains about. `put(name, value)` sets an option; null takes it back. */
+/** Returns buttons that correct the error of a message. `put(name, value)` sets an option; null takes it back. */
 export function mends(sentence, { options, given, columns, put, choose, assign, isWarning = false }) {
   const seen = new Set();
   return [...sentence.matchAll(NAMED)].flatMap(([, flag, word]) => {

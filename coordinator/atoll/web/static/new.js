@@ -1,4 +1,4 @@
-// A new job: a file, how it is read, what it looks like smoothed, the options, and the same as a command.
+// A new job: a file, how it is read, its smoothed curves, the options, and the same job as a command.
 
 import { get, paths, session, upload } from "./api.js";
 import { LinesChart, legend, thin } from "./charts.js";
@@ -30,7 +30,7 @@ class NewJob {
     const demo = h("button", { type: "button", onclick: () => this.#takeDemo() }, "Use the demo data");
     this.hint = h("p", { class: "lines", role: "status" });
     [this.unread, this.fault] = [faultBox(), faultBox()];
-    [this.outline, this.preview, this.commands, this.mending] = [h("div"), h("div"), h("div"), h("div", { class: "tools", role: "group", "aria-label": "What would mend it", hidden: true })];
+    [this.outline, this.preview, this.commands, this.mending] = [h("div"), h("div"), h("div"), h("div", { class: "tools", role: "group", "aria-label": "Corrections", hidden: true })];
     this.form = h("div");
     this.name = h("input", { maxlength: "200" });
     this.priority = h("input", { type: "number", min: "-10", max: "10", value: "0" });
@@ -87,7 +87,7 @@ class NewJob {
     this.#fields.forEach((field, name) => field.show(this.#options[name]));
     for (const [role, option] of Object.entries(OPTION_OF)) namesOf(this.#options[option]).forEach((name) => this.#chosen.set(name, role));
     this.#from = job;
-    setText(this.hint, `Data and options are those of ${job.name}${found.length ? "; the search begins from its equations (--guess)" : ""}.`);
+    setText(this.hint, `Data and options come from ${job.name}${found.length ? "; the search begins from its equations (--guess)" : ""}.`);
     this.#ask();
   }
   /** Returns the options by which a configuration was given, whose sections hold settings of much the same names. */
@@ -190,7 +190,7 @@ class NewJob {
 
   #drawColumns({ columns, equations }) {
     const key = JSON.stringify([columns.map(({ name, role }) => [name, role]), equations]);
-    const focused = document.activeElement?.id ?? ""; // the table is drawn anew under the hands of whoever changes it
+    const focused = document.activeElement?.id ?? ""; // the table is drawn again while the user changes it
     redraw(this.outline, key, () => this.#columnParts(columns, equations));
     if (/^(role|unit|angle)-/.test(focused)) document.getElementById(focused)?.focus();
   }

@@ -1,4 +1,4 @@
-// When to ask: again and again where there are no events, else when something changed, but never too often.
+// Polling: at regular intervals without events, otherwise after each change, with a limited rate.
 
 import { get } from "./api.js";
 
@@ -59,5 +59,5 @@ export class Poll extends Paced {
     }
   }
 
-  close() { super.close(); this.app.connection("poll", true); } // whoever asks no more misses nothing
+  close() { super.close(); this.app.connection("poll", true); } // a closed poll shows no lost connection
 }

@@ -18,7 +18,7 @@ export default function open(root) {
     const accepted = await fault.guard(() => keepToken(given));
     if (accepted === undefined) return field.select();
     if (location.hash.startsWith("#/token")) location.hash = "#/jobs";
-    return location.reload(); // all of the page begins anew as whoever the token stands for
+    return location.reload(); // the page is loaded again for the user of the token
   }
   return { close() {} };
 }

@@ -1,4 +1,4 @@
-// The workers: what each computes and takes, whether it is given more, and when workers came and went.
+// The workers: their jobs and resources, whether they get new work, and when workers joined and left.
 
 import { change, get, session } from "./api.js";
 import { follow } from "./events.js";

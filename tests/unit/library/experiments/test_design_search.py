@@ -205,7 +205,7 @@ def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
         ({"samples": 1}, "2 to 2000 samples, but 1"),
         ({"count": 0}, "1 to 20 experiments"),
         ({"bounds": {"z": (0.0, 1.0)}}, "there is no 'z' to bound; an experiment has x"),
-        ({"bounds": {"x": (2.0, 1.0)}}, "no interval; give LOWER:UPPER"),
+        ({"bounds": {"x": (2.0, 1.0)}}, "not an interval; give LOWER:UPPER"),
         ({"rivals": [{"z": "1"}]}, "a rival names 'z'"),
     ],
 )

@@ -103,7 +103,7 @@ def test_a_file_is_submitted_with_options_under_an_id_of_ones_own(app, client) -
     ("query", "body", "said"),
     [
         ({"options": "[1]"}, CSV, "must be a JSON object"),
-        ({"options": '{"sead": "1"}'}, CSV, "sead is no option"),
+        ({"options": '{"sead": "1"}'}, CSV, "sead is not an option"),
         ({"options": '{"seed": "x"}'}, CSV, "must be a whole number"),
         ({"options": '{"seed": {}}'}, CSV, "must be a text"),
         ({"filename": "../.."}, CSV, "name of a file"),

@@ -50,7 +50,7 @@ def test_jobs_that_end_before_a_worker_has_joined_are_not_submitted_for_ever() -
     for number in range(MOST_FAILURES - 1):
         policy.decide(number, need(4), [BatchJob(str(number), number, "pending")])
     policy.decide(5.0, need(4), [BatchJob("7", 7, "running")])
-    with pytest.raises(AtollError, match=r"3 jobs one after the other ended .* the last of them 7; see what they"):
+    with pytest.raises(AtollError, match=r"3 jobs one after the other ended .* the last of them 7; read their output"):
         policy.decide(6.0, need(4), [])
 
 

@@ -342,7 +342,7 @@ def test_several_results_have_a_page_each_and_one_that_is_none_keeps_no_other_fr
     assert (regressed / "c" / "report.html").exists()
     assert main(["report", "nothing", runs[2]]) == 2
     printed = capsys.readouterr().err.splitlines()
-    assert printed[0].startswith("coordinator: nothing is no saved result")
+    assert printed[0].startswith("coordinator: nothing is not a saved result")
     assert printed[1] == f"report in {regressed / 'c' / 'report.html'}"
     assert main(["report", runs[0], runs[2]]) == 0
     assert main(["report", runs[0], runs[2], "-o", "page.html"]) == 2
