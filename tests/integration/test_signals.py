@@ -27,7 +27,8 @@ ENDLESS = (
     "--seed",
     "1",
 )
-TABLE = (ROOT / "docs" / "operations.md").read_text("utf-8").partition("## Signals and ends of programs")[2].partition("\n## ")[0]
+PAGE = (ROOT / "docs" / "operations.md").read_text("utf-8")
+TABLE = PAGE.partition("## Signals and ends of programs")[2].partition("\n## ")[0]
 ROWS = {
     cells[0]: cells
     for line in TABLE.splitlines()
