@@ -22,6 +22,8 @@ for _number in (signal.SIGTERM, signal.SIGHUP):
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+os.environ.pop("ATOLL_TRY_SETTINGS", None)  # tests are of the settings in use, whoever starts them
+
 settings.register_profile("repeatable", deadline=None, derandomize=True, database=None)
 settings.load_profile("repeatable")
 

@@ -5,6 +5,7 @@ zero, the sizes of compiled kernels and the numerics of minimisers and integrato
 """
 
 import ast
+import logging
 import os
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -504,5 +505,9 @@ def with_changes(settings: Settings, text: str) -> Settings:
     return settings
 
 
-SETTINGS: Final = with_changes(Settings(), os.environ.get(VARIABLE, ""))
+_CHANGES: Final = os.environ.get(VARIABLE, "")
+if _CHANGES:
+    logging.getLogger(__name__).warning("%s is set (%s): results are not those of this engine", VARIABLE, _CHANGES)
+
+SETTINGS: Final = with_changes(Settings(), _CHANGES)
 """The values in use."""

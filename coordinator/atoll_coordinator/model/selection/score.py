@@ -3,8 +3,8 @@
 A description consists of the errors of the simulated states, minus their log-likelihood, of the structures of the
 equations, and of 1/2 ln N for each fitted constant (`model.criteria`). The error model (the size of the
 independent errors, correlated errors of a sensor) comes from the smoother at first, later from the residuals of the
-best system. A score never changes: `Score.calibrated` returns another one,
-and lengths by two scores are never compared.
+best system. A score never changes: `Score.calibrated` returns another one, and lengths by two scores are never
+compared.
 
 Doubts: the calibration treats the residuals of the best system so far as errors of measurement. If this system is
 wrong, its score is too lenient to others; hence models are calibrated again after each stage that found a better one.
@@ -214,8 +214,7 @@ class Score:
     def _with_sensor_errors(self, fit: TrajectoryFit) -> TrajectoryFit | None:
         """Return a fit to independent errors refitted with errors of a sensor; None without such errors or if refuted.
 
-        See `Innovations.sensor_errors`, and `_is_refuted`. Nearly clean states have no errors of a
-        sensor.
+        See `Innovations.sensor_errors`, and `_is_refuted`. Nearly clean states have no errors of a sensor.
         """
         if not self.is_noisy.any():
             return None

@@ -1,8 +1,8 @@
 """Which equations are the model: stages that propose candidates and compare systems of them, in one table.
 
 `STAGES` lists them in the order in which they run, each with the condition under which it is due; `select_model` runs
-them and writes the name of each to the log. A stage takes a `Choice`, how far the choice has come, and returns the next
-one. The stages fall into three parts:
+them and writes the name of each to the log. A stage takes a `Choice`, the state of the choice so far, and returns the
+next one. The stages fall into three parts:
 
 1. *Shortcuts*: laws by sparse regression, and equations of converged searches, are fitted first. Where these describe
    the trajectories up to the noise, nothing else is proposed.
@@ -10,8 +10,7 @@ one. The stages fall into three parts:
    (`CandidatePool.suffices`): the residuals of a system are noise, and it is not longer than laws usually are. Then the
    best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
 3. *Second looks* at the system found: candidates that were too long with one part removed, sums with about the same
-values,
-   operators with which no search began, the user's guesses, and terms that noise has hidden.
+   values, operators with which no search began, the user's guesses, and terms that noise has hidden.
 
 Doubts: the second looks repair what the first parts miss, each for a kind of law that was missed once. A search over
 all candidates by one criterion would make them unnecessary, at several times the work.
