@@ -198,7 +198,7 @@ def test_a_view_that_could_not_be_loaded_comes_by_itself(stage: Stage) -> None:
         assert tab.get_by_text("Loading…").count() == 0
         tab.unroute_all()
         tab.get_by_text("takes up jobs").wait_for()
-        tab.get_by_text("What you see is as it was", exact=False).wait_for(state="detached")
+        tab.get_by_text("The page shows the last known state", exact=False).wait_for(state="detached")
 
 
 @pytest.mark.slow
@@ -286,9 +286,9 @@ def test_the_manager_of_a_lab_with_certificates_a_page_and_a_killed_coordinator(
             tab.get_by_text("running").first.wait_for()
             first.kill()
             first.wait()
-            tab.get_by_text("What you see is as it was", exact=False).wait_for()
+            tab.get_by_text("The page shows the last known state", exact=False).wait_for()
             with started(tmp_path, "coordinator", *serve, address):
-                tab.get_by_text("What you see is as it was", exact=False).wait_for(
+                tab.get_by_text("The page shows the last known state", exact=False).wait_for(
                     state="detached", timeout=2 * LIMIT_MS
                 )
                 tab.get_by_text("running").first.wait_for()
