@@ -12,7 +12,6 @@ import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.inference.evidence import ModelEvidence
 from atoll_coordinator.model.inference.final_model import FinalModel, finalize
 from atoll_coordinator.model.inference.long_run import long_run_of
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
@@ -25,6 +24,7 @@ from atoll_coordinator.model.inference.standard_errors import (
     fitted_places,
     joint_covariance,
 )
+from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
     SimulatedTrajectory,
     bands,
@@ -78,11 +78,11 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     predictions = _predictions(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
     validation = out if out is not None else final.ranking.validated
     held_out_r2 = [None] * len(task.variables) if validation is None else validation.r2
-    evidence = ModelEvidence(final, long_run)
-    equations = {
-        name: _equation(evidence, index, constants[index], by_group[index], held_out_r2[index], predictions[index])
-        for index, name in enumerate(task.variables)
-    }
+    compared: list[TrajectoryChecks] = []
+    for index, prediction in enumerate(predictions):
+        equation = _equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
+        compared.append(TrajectoryChecks(final, long_run, index, equation, held_out_r2[index], compared))
+    equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
     measurements = final.seen.estimator.measurements
     if measurements.rows > final.comparison.estimator.measurements.rows:
         spread = _carried_bands(final, final.seen, final.seen_fit, errors)
@@ -134,18 +134,17 @@ def _constants(
 
 
 def _equation(
-    evidence: ModelEvidence, index: int, known: Known, by_group: Sequence[tuple[Constant, ...]],
+    final: FinalModel, index: int, known: Known, by_group: Sequence[tuple[Constant, ...]],
     held_out_r2: float | None, prediction: Prediction,
 ) -> Refined:  # fmt: skip
-    """Return one equation as it is shown, compared with its alternatives and judged."""
-    final = evidence.final
+    """Return one equation as it is shown, compared with its alternatives."""
     task, ranking = final.task, final.ranking
     name, program = task.variables[index], final.shown[index]
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
     error, mse = grouped_errors_on(problem, programs or [program], task.config.evolution.loss)
     together = final.equations.rounded.together
-    equation = Refined(
+    return Refined(
         task.candidates[name].member_of(program),
         program,
         error,
@@ -159,11 +158,6 @@ def _equation(
         if by_group
         else {},
         simple_together=together[index] if together else None,
-    )
-    facts = evidence.of(index, equation, held_out_r2)
-    verdict = judge(facts)
-    return replace(
-        equation, grade=verdict.grade, reason=verdict.reason, checks=verdict.checks, prediction=facts.prediction
     )
 
 

@@ -13,6 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
+from atoll_coordinator.data.differentiation.inputs import unknown_variance
+from atoll_coordinator.data.recording import InputKind
 from atoll_coordinator.model.inference.groups import GroupConstants, displayed_values, model_of_groups
 from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
@@ -109,6 +111,32 @@ class FinalModel:
         measurements = self.seen.estimator.measurements
         points = np.concatenate([self.seen_fit.simulated, measurements.inputs])
         return points[[measurements.variables.index(name) for name in self.task.dataset.names]]
+
+    @cached_property
+    def visited_by_group(self) -> list[tuple[Sequence[Program], FloatArray]]:
+        """The equations as they are shown, and the rows (V, R) that they hold for: all, or the rows of each group."""
+        measurements = self.seen.estimator.measurements
+        if not self.by_group or measurements.groups is None:
+            return [(self.shown, self.visited)]
+        groups = measurements.groups[measurements.owners_of_rows]
+        return [
+            (programs, self.visited[:, groups == group])
+            for group, programs in enumerate(self.by_group)
+            if np.any(groups == group)
+        ]
+
+    @cached_property
+    def unknown_variances(self) -> list[tuple[str, str, float | None]]:
+        """Name, symbol and `unknown_variance` of each input."""
+        recording = self.task.recording
+        kinds: Sequence[InputKind | None] = recording.input_kinds or [None] * len(recording.inputs)
+        times = [part.times for part in recording.trajectories]
+        return [
+            (name, symbol, unknown_variance(times, [part.inputs[place] for part in recording.trajectories], kind))
+            for place, (name, symbol, kind) in enumerate(
+                zip(recording.inputs, recording.input_symbols, kinds, strict=True)
+            )
+        ]
 
     def simulated_by(self, comparison: ModelComparison) -> TrajectoryFit | None:
         """Return the shown equations along the trajectories of a comparison, only initial states being fitted."""
