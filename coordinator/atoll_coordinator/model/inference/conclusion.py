@@ -6,7 +6,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -55,20 +55,12 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.writing.expansion import expand_program
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """The simulations of trajectories that took no part, and their R2 by variable."""
-
-    trajectories: list[SimulatedTrajectory]
-    r2: Sequence[float | None]
-
-
 def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
     final = finalize(selection)
     if final is None:
         return None
-    task, groups = final.task, final.equations.groups
+    task, groups = final.task, final.groups
     errors = estimate_errors(final.comparison, final.free)
     of_constants = errors if groups is not None else errors.of_constants(final.free.fit.system)
     constants, by_group = _constants(final, of_constants)
@@ -76,8 +68,10 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     long_run = long_run_of(final)
     chaos = long_run.chaos
     predictions = _predictions(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
-    validation = out if out is not None else final.ranking.validated
-    held_out_r2 = [None] * len(task.variables) if validation is None else validation.r2
+    validated = final.ranking.validated
+    held_out_r2: Sequence[float | None] = [None] * len(task.variables) if validated is None else validated.r2
+    if out is not None:
+        held_out_r2 = out[1]
     compared: list[TrajectoryChecks] = []
     for index, prediction in enumerate(predictions):
         equation = _equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
@@ -97,7 +91,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     return Refinement(
         equations,
         listed_simulation(
-            [*trajectories, *(() if out is None else out.trajectories)],
+            [*trajectories, *(() if out is None else out[0])],
             task.variables,
             student_95(errors.degrees_of_freedom),
             preparation,
@@ -110,7 +104,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
             *stochastic_remarks(recording, task.variables, trajectories),
         ),
         chaos,
-        fluxes=final.equations.fluxes,
+        fluxes=final.fluxes,
         covariance=covariances[0] if groups is not None and groups.are_one else whole,
         by_group=dict(zip(task.recording.groups, covariances, strict=False)),
     )
@@ -120,13 +114,13 @@ def _constants(
     final: FinalModel, errors: ConstantErrors
 ) -> tuple[Sequence[Known], Sequence[Sequence[tuple[Constant, ...]]]]:
     """Return the estimates of the constants of each equation, and of each group if groups have their own."""
-    groups = final.equations.groups
+    groups = final.groups
     if groups is None:
-        described = describe_constants(final.comparison, final.explicit, final.shown, errors)
-        pairs = zip(described, final.equations.rounded.simple, strict=True)
+        described = describe_constants(final.comparison, final.explicit, final.programs, errors)
+        pairs = zip(described, final.rounded.simple, strict=True)
         return [known.with_simple(simple) for known, simple in pairs], [[] for _ in described]
     known, by_group = [], []
-    for equation, program in enumerate(final.shown):
+    for equation, program in enumerate(final.programs):
         together, of_groups = groups.of_equation(errors, equation, program, len(final.by_group))
         known.append(Known(together, ()))
         by_group.append(of_groups)
@@ -139,11 +133,11 @@ def _equation(
 ) -> Refined:  # fmt: skip
     """Return one equation as it is shown, compared with its alternatives."""
     task, ranking = final.task, final.ranking
-    name, program = task.variables[index], final.shown[index]
+    name, program = task.variables[index], final.programs[index]
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
     error, mse = grouped_errors_on(problem, programs or [program], task.config.evolution.loss)
-    together = final.equations.rounded.together
+    together = final.rounded.together
     return Refined(
         task.candidates[name].member_of(program),
         program,
@@ -168,7 +162,7 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
     r2 = r2_of(final.seen.estimator.measurements, final.seen_fit, slice(None))[index]
     origin = final.origin(index, best.programs[index])
     is_crossed = final.unseen is None and ranking.validated is not None
-    alternatives = [Alternative(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
+    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for alternative in ranking.alternatives[index]:
         programs, nats = alternative.model.programs, alternative.model.nats - best.nats
         r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
@@ -183,16 +177,18 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
     return tuple(alternatives)
 
 
-def _held_out(final: FinalModel, unseen: ModelComparison, errors: ConstantErrors) -> HeldOut:
-    """Simulate the held-out trajectories from initial states that are fitted to them; with bands unless there are
-    groups."""
+def _held_out(
+    final: FinalModel, unseen: ModelComparison, errors: ConstantErrors
+) -> tuple[list[SimulatedTrajectory], Sequence[float | None]]:
+    """Return the held-out trajectories from initial states that are fitted to them, and the R2 of each variable.
+
+    They have bands unless there are groups.
+    """
     measurements, names = unseen.estimator.measurements, final.task.variables
     fit = final.simulated_by(unseen)
     spread = None if fit is None or final.by_group else _carried_bands(final, unseen, fit, errors)
-    return HeldOut(
-        simulate_trajectories(measurements, fit, spread, names, held_out=True),
-        [-math.inf for _ in measurements.observed] if fit is None else r2_of(measurements, fit, slice(None)),
-    )
+    r2 = [-math.inf for _ in measurements.observed] if fit is None else r2_of(measurements, fit, slice(None))
+    return simulate_trajectories(measurements, fit, spread, names, held_out=True), r2
 
 
 def _carried_bands(
@@ -284,7 +280,7 @@ def _state_errors(final: FinalModel) -> dict[str, Errors]:
 def _pole_remarks(final: FinalModel) -> Iterator[str]:
     """Yield a sentence for each pole of an equation in the region that the data visit."""
     dataset = final.task.dataset
-    for name, program in zip(final.task.variables, final.shown, strict=True):
+    for name, program in zip(final.task.variables, final.programs, strict=True):
         for part in find_poles(program, dataset.inputs):
             where = to_infix(part, dataset.names)
             yield f"The equation of {name} has a pole within the region that was measured, where {where} is 0."

@@ -166,7 +166,7 @@ class TrajectoryChecks(EquationChecks):
             squares, steps = max(squares, least), max(squared_steps(series, times), 2.0 * least)
         lengths = final.free.fit.errors.lengths
         rows_of_one = max(float(lengths[index]) if len(lengths) > index else 1.0, 1.0)
-        own = max(len(constant_places(program)), final.free.fit.system.count / len(final.shown))
+        own = max(len(constant_places(program)), final.free.fit.system.count / len(final.programs))
         constants = 0.0 if is_given else own
         constants += max(fit.starts.size / len(measurements.observed) - len(series), 0.0)
         constants = max(constants, self.parameters - len(series))
@@ -355,7 +355,7 @@ class TrajectoryChecks(EquationChecks):
         owners |= dict(zip(recording.velocity_symbols, recording.states, strict=False))
         needed, waiting = {self.name}, [self.index]
         while waiting:
-            symbols = (task.dataset.names[one] for one in variables_of(self.final.shown[waiting.pop()]))
+            symbols = (task.dataset.names[one] for one in variables_of(self.final.programs[waiting.pop()]))
             new = {owners[symbol] for symbol in symbols if symbol in owners} - needed
             needed |= new
             waiting += [task.variables.index(name) for name in new if name in task.variables]
@@ -465,7 +465,7 @@ class TrajectoryChecks(EquationChecks):
         for name, symbol, variance in self.final.unknown_variances:
             column = names.index(symbol) if symbol in names else -1
             places = [one.index for one in (self, *self.followed)]
-            using = [place for place in places if column in variables_of(self.final.shown[place])]
+            using = [place for place in places if column in variables_of(self.final.programs[place])]
             if using:
                 by = math.nan if variance is None else math.sqrt(variance)
                 shares[name] = max(
