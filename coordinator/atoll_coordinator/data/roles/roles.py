@@ -234,7 +234,7 @@ def _breaks(table: Table, name: str) -> int | None:
     steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
     ends = np.flatnonzero(~(steps > 0.0))
     stretches = np.diff(np.concatenate([[-1], ends, [len(steps)]]))
-    is_long = not len(ends) or int(stretches.min()) >= SETTINGS.checks.min_rows
+    is_long = not len(ends) or int(stretches.min()) >= SETTINGS.common.fewest_rows
     return len(ends) if len(steps) and is_long else None
 
 
