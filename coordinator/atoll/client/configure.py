@@ -75,30 +75,22 @@ def _refusal(error: ValidationError, given: Mapping[str, object], file: object) 
     """Turn pydantic's first error into a sentence: the option, the allowed and the found value."""
     complaint = error.errors()[0]
     path = [str(part) for part in complaint["loc"] if isinstance(part, str) and part != "[key]"]
-    place = _place(path, given, file)
+    keys = {".".join(path[:2]), path[0]} & set(given)
+    option = next((option for option in OPTIONS.values() if keys & set(option.settings.split())), None)
+    place = Field(option.name) if option is not None else f"{'.'.join(path)} in {file}"
     value = complaint.get("input")
     if complaint["type"] == "extra_forbidden":
-        known = _settings(path[:-1])
+        group = path[:-1]
+        fields = JobConfig.model_fields
+        for name in group:
+            kind = fields[name].annotation
+            fields = kind.model_fields if isinstance(kind, type) and issubclass(kind, BaseModel) else {}
+        known = tuple(fields)
         hint = did_you_mean(path[-1], known)
         return UsageError("%s is not a known setting; known here: %s%s", place, ", ".join(known), hint)
     what = complaint["msg"].removeprefix("Input should be ").replace("a valid tuple", "a list")
     hint = did_you_mean(str(value), re.findall("'([^']*)'", what)) if complaint["type"] == "literal_error" else ""
     return UsageError("%s must be %s, but %r was given%s", place, what, value, hint)
-
-
-def _settings(group: Sequence[str]) -> tuple[str, ...]:
-    fields = JobConfig.model_fields
-    for name in group:
-        kind = fields[name].annotation
-        fields = kind.model_fields if isinstance(kind, type) and issubclass(kind, BaseModel) else {}
-    return tuple(fields)
-
-
-def _place(path: Sequence[str], given: Mapping[str, object], file: object) -> Field | str:
-    """Return the option that was given, or the key of the job file."""
-    keys = {".".join(path[:2]), path[0]} & set(given)
-    option = next((option for option in OPTIONS.values() if keys & set(option.settings.split())), None)
-    return Field(option.name) if option is not None else f"{'.'.join(path)} in {file}"
 
 
 def _check_operators(operators: Sequence[str]) -> None:
