@@ -230,19 +230,6 @@ class EffortSettings:
 
 
 @dataclass(frozen=True)
-class SpreadSettings:
-    """Division of work into batches for other workers."""
-
-    batch: int = 2_500_000
-    """About the most work of a batch of fits, as `MultipleShooting.work` counts it: a tenth of a second, fifty times
-    the time of sending it. With many workers batches are smaller."""
-    constants: int = 4
-    """Typical number of constants of an equation: a fit integrates this many sensitivities for each of its states."""
-    steps: int = 8
-    """Typical number of steps of a fit: most converge within these."""
-
-
-@dataclass(frozen=True)
 class CriterionSettings:
     """Prices of programs in nats: about minus the logarithm of the frequency of parts in equations of motion (compare
     the counts of Guimera et al. 2020 in a corpus of named equations)."""
@@ -468,7 +455,6 @@ class Settings:
     columns: ColumnSettings = ColumnSettings()
     rows: RowSettings = RowSettings()
     effort: EffortSettings = EffortSettings()
-    spread: SpreadSettings = SpreadSettings()
     criterion: CriterionSettings = CriterionSettings()
     regression: RegressionSettings = RegressionSettings()
     sparse: SparseSettings = SparseSettings()

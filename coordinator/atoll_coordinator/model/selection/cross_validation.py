@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.fit_batches import ComparisonParts
+from atoll_coordinator.model.selection.comparison import ComparisonParts, ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements

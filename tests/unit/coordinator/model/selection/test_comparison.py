@@ -213,8 +213,7 @@ def test_the_number_of_threads_changes_no_bit(threads):
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 7])
 def test_neither_workers_nor_their_order_change_a_bit_or_the_work_that_is_counted(workers, monkeypatch):
-    few = replace(settings("effort", kept=2), spread=replace(SETTINGS.spread, batch=1))
-    monkeypatch.setattr(comparison, "SETTINGS", few)
+    monkeypatch.setattr(comparison, "SETTINGS", settings("effort", kept=2))
     batches = ScatteredBatches(workers)
     for until in (math.inf, 1.0):
         assert narrowed(lotka(spread=Spread(batches)), until) == narrowed(lotka(), until)
