@@ -23,7 +23,6 @@ from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
-from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.program import Program, structure
