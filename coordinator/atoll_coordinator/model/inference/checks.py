@@ -200,7 +200,7 @@ class EquationChecks:
 
     def check_distinct_rows(self) -> Finding | None:
         """Check that enough rows differ by more than rounding."""
-        count, least = self.distinct_rows, SETTINGS.checks.min_rows
+        count, least = self.distinct_rows, SETTINGS.common.fewest_rows
         if count is None:
             return None
         if count >= least:
