@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll.analysis.dynamics import MeasuredTrajectory, compared, measured_trajectories, motion
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
 from tests.unit.library.analysis.systems import box, flow
