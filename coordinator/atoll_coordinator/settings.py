@@ -218,6 +218,12 @@ class EffortSettings:
     """Programs kept for the next stage if there are hundreds."""
 
     @property
+    def fitted_sensitivities(self) -> int:
+        """Constants of many states are fitted to at most this many rows times the square of the number of states (the
+        sensitivities of a row to its initial states), so that a fit takes `work` at most."""
+        return self.work // self.steps
+
+    @property
     def longest_sum(self) -> int:
         """Terms of the longest sum that is fitted again without each term: the work grows with the square of their
         number."""
@@ -227,19 +233,6 @@ class EffortSettings:
     def rounds(self) -> Rounds:
         """Rounds by which many programs are narrowed down to a few: successive halving."""
         return (1, self.beam), (self.brief_steps, self.beam // 3), (self.steps, self.beam // 6)
-
-
-@dataclass(frozen=True)
-class SpreadSettings:
-    """Division of work into batches for other workers."""
-
-    batch: int = 2_500_000
-    """About the most work of a batch of fits, as `MultipleShooting.work` counts it: a tenth of a second, fifty times
-    the time of sending it. With many workers batches are smaller."""
-    constants: int = 4
-    """Typical number of constants of an equation: a fit integrates this many sensitivities for each of its states."""
-    steps: int = 8
-    """Typical number of steps of a fit: most converge within these."""
 
 
 @dataclass(frozen=True)
@@ -380,25 +373,20 @@ class SelectionSettings:
     """Fewest independent numbers in the systematic errors of a state, and the number for errors of a solver: few, since
     these follow from its tolerance and the state. A misfit smaller by a decade gains 1.15 nats for each number: needed
     terms of a law gain several decades, a term that follows a solver's errors less than a third of one."""
-    solver_share: float = 0.25
-    """Residuals of a few rows over the errors of a solver there, beyond which this solver is given up: for the right
-    solver 0.1 was observed, for others mostly more. On all rows the limit is a thousandth."""
-    solver_constants: float = 0.01
-    """Typical relative error of constants fitted to short pieces of a table with a solver's errors."""
     least_folds: int = 3
     """Fewest trajectories for leaving one out: with fewer, too few rows remain to fit constants to."""
-    compared_numbers: int = 7_200
-    """Structures of many states are compared on at most about this many numbers, rows times states: the work of a row
-    grows at least with the square of the number of states, and each row has information on every equation."""
-    fitted_sensitivities: int = 1_500_000
-    """Constants of many states are fitted to at most this many rows times the square of the number of states (the
-    sensitivities of a row to its initial states): 900 rows of 40 states; with 20 states, all rows of a search."""
     compared_rows: int = 1_200
     """Structures are compared on at most about this many rows; constants are then fitted on all."""
     tolerated_noise: float = 0.01
     """Largest error of an integration step as a share of the noise, within `tolerances`."""
     least_gain: float = 0.1
     """Smallest difference of description lengths that counts, in nats."""
+
+    @property
+    def compared_numbers(self) -> int:
+        """Structures of many states are compared on at most about this many numbers, rows times states: the work of a
+        row grows at least with the square of the number of states, and each row has information on every equation."""
+        return 6 * self.compared_rows
 
 
 @dataclass(frozen=True)
@@ -468,7 +456,6 @@ class Settings:
     columns: ColumnSettings = ColumnSettings()
     rows: RowSettings = RowSettings()
     effort: EffortSettings = EffortSettings()
-    spread: SpreadSettings = SpreadSettings()
     criterion: CriterionSettings = CriterionSettings()
     regression: RegressionSettings = RegressionSettings()
     sparse: SparseSettings = SparseSettings()
