@@ -251,7 +251,9 @@ def read_matlab(path: Path, config: DataConfig) -> RawTable:
         (arrays, *runs), version = _read_by_child(path, beginning), "MATLAB"
     if not runs:
         if not any(np.ndim(array) for array in arrays.values()):
-            raise DataError(f"{path.name} holds no numeric arrays; save vectors or matrices, tables with table2struct and -v7")
+            raise DataError(
+                f"{path.name} holds no numeric arrays; save vectors or matrices, tables with table2struct and -v7"
+            )
         return table_of_arrays(path.name, arrays, config, (version,), first=1)
     raws = [
         table_of_arrays(f"run {place} of {path.name}", run, config, (), first=1)

@@ -98,5 +98,7 @@ def test_what_holds_no_numbers_in_version_7_3_is_left_out(tmp_path: Path) -> Non
     assert (table.names, table.left_out) == (("t", "x"), ("left out: empty, runs",))
     with h5py.File(tmp_path / "a.mat", "r+") as file:
         del file["t"], file["x"]
-    with pytest.raises(DataError, match=r"a\.mat holds no numeric arrays; save vectors or matrices, tables with .* -v7"):
+    with pytest.raises(
+        DataError, match=r"a\.mat holds no numeric arrays; save vectors or matrices, tables with .* -v7"
+    ):
         read_table([tmp_path / "a.mat"], DataConfig())
