@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.model.constants.rounding import quadratic_form
 from atoll_coordinator.model.criteria import (
     TrajectoryMisfit,
     constant_nats_of,
@@ -24,7 +25,6 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
-from atoll_coordinator.model.regression.rounding import quadratic_form
 from atoll_coordinator.model.selection.fit_batches import SummarizedFit
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting

@@ -19,10 +19,11 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.increments import Steps, all_windows, lagged, products, split_into_bins
-from atoll_coordinator.model.criteria import constant_nats_of, system_length
+from atoll_coordinator.model.criteria import RegressionCriterion, constant_nats_of, system_length
 from atoll_coordinator.model.deadline import Deadline
-from atoll_coordinator.model.regression.equation import FrontCandidate, Shortening
+from atoll_coordinator.model.regression.equation import target_shortening
 from atoll_coordinator.model.regression.fit import LeastSquares
+from atoll_coordinator.model.regression.shortening import FrontCandidate
 from atoll_coordinator.model.sparse.atoms import product_atoms, product_libraries
 from atoll_coordinator.model.sparse.regression import Regression, Sum
 from atoll_coordinator.model.sparse.rows import Rows
@@ -95,16 +96,16 @@ class CandidateFinder:
         sums = _sparse_sums(weighted, columns) if {ADD, MULTIPLY} <= operators else []
         restrictions = restrictions_of(self.config, self.variables[number], self.names)
         least_squares = LeastSquares(weighted.problem, weighted.weights, restrictions)
-        shortening = Shortening(weighted.problem, operators, columns, least_squares, self.deadline)
-        nats = constant_nats_of(len(self.steps.lengths))
+        criterion, nats = RegressionCriterion.of(weighted.problem.target), constant_nats_of(len(self.steps.lengths))
+        shortening = target_shortening(least_squares, criterion, operators, columns, self.deadline)
 
         def length(candidate: FrontCandidate) -> float:
             """Return the description length by the likelihood, apart from the misfit."""
-            program, misfit = candidate.fitted.program, shortening.criterion.misfit(candidate.fitted.mse)
-            return system_length(misfit, [program], len(constant_places(program)), nats)
+            program = candidate.program
+            return system_length(candidate.measured.misfit, [program], len(constant_places(program)), nats)
 
-        candidates = sorted(shortening.candidates([*begun, *sums], looks_around), key=length)
-        programs = [make_coefficients_explicit(shortest(candidate.fitted.program)).program for candidate in candidates]
+        candidates = sorted(shortening.candidates([*map(shortest, begun), *sums], looks_around), key=length)
+        programs = [make_coefficients_explicit(shortest(candidate.program)).program for candidate in candidates]
         distinct = {structure(program): program for program in programs}
         is_variance = number >= len(model.drift) and len({*model.pairs[number - len(model.drift)]}) == 1
         possible = (program for program in distinct.values() if self._is_possible(program, is_variance=is_variance))
@@ -179,7 +180,7 @@ def mean_squares(steps: Steps) -> FloatArray:
 
 
 def _binned(points: FloatArray, sides: FloatArray, weights: FloatArray, names: tuple[str, ...]) -> WeightedProblem:
-    bins = split_into_bins(points, SETTINGS.process.bins)
+    bins = split_into_bins(points, SETTINGS.rows.most // 4)
     total = np.array([weights[rows].sum() for rows in bins])
     means = np.array([(points[:, rows] * weights[rows]).sum(axis=1) for rows in bins]).T / total
     values = np.array([(sides[rows] * weights[rows]).sum() for rows in bins]) / total

@@ -7,13 +7,13 @@ from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.recording import ProcessRecording
 from atoll_coordinator.model.pipeline import refine_all
 from atoll_coordinator.model.refinement import Grade
-from atoll_coordinator.model.regression.covariance import Known
-from atoll_coordinator.model.stochastic.conclusion import _Equation, _judge, _pattern, joint_checks
+from atoll_coordinator.model.stochastic.conclusion import _judge, _pattern, joint_checks, show_process
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.process_choice import ChosenProcess
 from atoll_core.config import DataConfig, JobConfig, PriorConfig, SpaceConfig
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.restrictions import NONE
 from atoll_core.expression.text.parsing import from_infix
 from tests.unit.coordinator.data.tables import table_of
 from tests.unit.coordinator.model.stochastic.processes import ornstein_uhlenbeck, steps_of
@@ -102,12 +102,9 @@ def judged(rows_a_period: int, model: ProcessModel) -> list[Grade]:
     fitted, count = FittedProcess(model, 0.0, lambda: np.zeros((0, 0))), len(model.programs)
     chosen = ChosenProcess(
         process, ("x", "y", *process.components), (*range(count),), (), ProcessLikelihood(steps), fitted,
-        ((),) * count, (), 0.0,
+        ((),) * count, (NONE,) * count, 0.0,
     )  # fmt: skip
-    return [
-        verdict.grade
-        for verdict in _judge(chosen, model, [_Equation(program, Known((), ())) for program in model.programs])
-    ]
+    return [verdict.grade for verdict in _judge(chosen, show_process(chosen))]
 
 
 def two_states(*equations: str) -> ProcessModel:
