@@ -170,22 +170,6 @@ def test_a_file_names_the_coordinator_and_comes_before_the_environment(
     assert worked == [(address, "w", None)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "name"), [(["--name", "lab1"], "lab1"), (["--name", "lab1-gpu"], "lab1-gpu"), ([], "lab1-host-7")]
-)
-def test_a_worker_with_a_certificate_bears_its_name(
-    options: list[str],
-    name: str,
-    worked: list[tuple[str, str, float | None]],
-    lab: Lab,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(cli, "_default_name", lambda: "host-7")
-    assert cli.main(["--connect", "tls/a:1", "--processes", "1", *options, *lab.options("lab1")]) == 0
-    assert worked == [("tls/a:1", name, None)]
-
-
 def test_a_long_name_of_a_host_keeps_the_certificate_in_front_and_the_process_behind() -> None:
     name = cli._name_for("n" * 48, None)
     assert name.startswith("n" * 48 + "-")

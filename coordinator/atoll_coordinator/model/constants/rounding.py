@@ -53,7 +53,7 @@ _BESIDE: Final = 2
 _DIGITS_OF_PI: Final = 2
 """Digits of multiples of pi: with more, they would say less than a decimal of the same size."""
 _LARGE: Final = 1e200
-"""Beyond, and below its inverse, numbers are scaled first, since powers of ten would overflow."""
+"""Numbers beyond, or below its inverse, are not simple: powers of ten would overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,14 +385,8 @@ def simple_numbers(value: float, error: float) -> dict[float, float]:
         value: not 0.
         error: its standard error.
     """
-    if value != 0.0 and not 1.0 / _LARGE < abs(value) < _LARGE:
-        scale = _LARGE**0.5 if abs(value) < 1.0 else _LARGE**-0.5
-        near = simple_numbers(value * scale, error * scale).items()
-        return {
-            quotient: length
-            for number, length in near
-            if (quotient := number / scale) != 0.0 and math.isfinite(quotient)
-        }
+    if not 1.0 / _LARGE < abs(value) < _LARGE:
+        return {}
     lengths: dict[float, float] = {}
     for unit, digits, price in ((1.0, sys.float_info.dig, 0.0), (math.pi, _DIGITS_OF_PI, number_length(31))):
         for denominator in SETTINGS.inference.denominators:
@@ -430,8 +424,6 @@ def _probability_of_decade() -> float:
 
 def _near(value: float, error: float, denominator: int, unit: float, digits: int) -> Iterator[tuple[float, int]]:
     """Yield multiples of `unit` by p/q times powers of ten near `value`, with at most this many digits in p."""
-    if value == 0.0:
-        return
     reach = max(_REACH * error, abs(value) * 4.0 * 2.0**-52)
     size, scale = value / unit * denominator, denominator / unit
     finest = max(error if scale != 1.0 else error / 10.0, abs(value) * 10.0**-sys.float_info.dig) * scale

@@ -24,7 +24,7 @@ from atoll_coordinator.model.pools import Member, may_be_shown
 from atoll_coordinator.model.refinement import Alternative, Refined
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.regression.fit import Fitted, LeastSquares
-from atoll_coordinator.model.regression.shortening import FrontCandidate, Measured, Shortening
+from atoll_coordinator.model.regression.shortening import Measured, Shortening
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
 from atoll_coordinator.model.thinning import thinned_places
 from atoll_coordinator.settings import SETTINGS
@@ -122,11 +122,10 @@ def fit_equation(
     def may_stand(program: Program) -> bool:
         return restrictions.are_kept(program) and may_be_shown(program, config.space.max_size)
 
-    for candidate in candidates:
-        member = kept[candidate.member]
-        refined = _finished(problem, counted, candidate, member, config, all_rows, has_intervals=has_intervals)
-        is_member = structure(begun[candidate.member]) == structure(shortest(candidate.program))
-        refined = replace(refined, origin="front" if is_member else "descent")
+    for candidate, place in candidates:
+        refined = _finished(problem, counted, candidate, config, all_rows, has_intervals=has_intervals)
+        is_member = structure(begun[place]) == structure(shortest(candidate.program))
+        refined = replace(refined, member=kept[place], origin="front" if is_member else "descent")
         if refined.error <= limit and may_stand(refined.program):
             for index, same in enumerate(front):  # the very same program has the errors that the search measured
                 if same.program == refined.program:
@@ -134,13 +133,13 @@ def fit_equation(
                     break
             if not has_intervals:
                 return refined
-            others = [other for other in candidates if may_stand(other.program)]
+            others = [other for other, _ in candidates if may_stand(other.program)]
             return replace(refined, alternatives=_alternatives(refined, candidate, others, all_rows))
     return None
 
 
 def _alternatives(
-    shown: Refined, chosen: FrontCandidate, candidates: Sequence[FrontCandidate], rows: LeastSquares
+    shown: Refined, chosen: Measured, candidates: Sequence[Measured], rows: LeastSquares
 ) -> tuple[Alternative, ...]:
     """Return the equation that is shown and its alternatives, the shortest descriptions first.
 
@@ -153,7 +152,6 @@ def _alternatives(
         nats, count = candidate.length - chosen.length, len(constant_places(candidate.program))
         if count <= most or nats < -SETTINGS.inference.distinct_nats:
             distinct.setdefault(form_of(candidate.program), candidate)
-
     others = [candidate for candidate in distinct.values() if candidate is not chosen][: SETTINGS.effort.beam]
     return (
         Alternative(shown.program, 0.0, rows.r2(shown.program), is_shown=True, origin=shown.origin),
@@ -164,9 +162,9 @@ def _alternatives(
     )
 
 
-def _finished(  # noqa: PLR0913, whose constants, by which rows, as what
-    problem: Problem, counted: WeighedRows, candidate: FrontCandidate, member: int, config: JobConfig,
-    least_squares: LeastSquares, *, has_intervals: bool,
+def _finished(
+    problem: Problem, counted: WeighedRows, candidate: Measured, config: JobConfig, least_squares: LeastSquares, *,
+    has_intervals: bool,
 ) -> Refined:  # fmt: skip
     """Decide the constants on all rows that count; measure errors and standard errors."""
     restrictions, criterion = least_squares.restrictions, RegressionCriterion.of(counted.problem.target)
@@ -192,7 +190,7 @@ def _finished(  # noqa: PLR0913, whose constants, by which rows, as what
         (program,), (simple,), (together,) = rounded.programs, rounded.simple, rounded.together
     error, mse = errors_on(problem, program, config.evolution.loss)
     known = estimate_constants(program, least_squares, criterion, has_intervals=has_intervals).with_simple(simple or ())
-    return Refined(member, program, error, mse, known.written, known.unit_coefficients, simple_together=together)
+    return Refined(None, program, error, mse, known.written, known.unit_coefficients, simple_together=together)
 
 
 def _equations(fitted: Fitted, criterion: RegressionCriterion, restrictions: Restrictions) -> FittedEquations:

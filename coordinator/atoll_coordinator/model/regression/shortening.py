@@ -31,32 +31,14 @@ class Measured:
     misfit: float
     length: float
 
+    @property
+    def rank(self) -> tuple[float, int, bytes]:
+        """Smaller for better programs: shorter descriptions, then smaller programs."""
+        return (self.length, len(self.program), self.program.to_bytes())
+
 
 Measure = Callable[[Program, float], Measured]
 """Fits and measures a program; less well if its description will be longer than this many nats."""
-
-
-@dataclass(frozen=True, eq=False)
-class FrontCandidate:
-    """A measured program, and the number of the front member that it came from."""
-
-    member: int
-    measured: Measured
-
-    @property
-    def program(self) -> Program:
-        """The program with its constants fitted."""
-        return self.measured.program
-
-    @property
-    def length(self) -> float:
-        """The description length in nats."""
-        return self.measured.length
-
-    @property
-    def rank(self) -> tuple[float, int, bytes]:
-        """Smaller for better candidates: shorter descriptions, then smaller programs."""
-        return (self.length, len(self.program), self.program.to_bytes())
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,50 +62,52 @@ class Shortening:
         """All programs that were measured."""
         return [measured for measured, _ in self._measured.values()]
 
-    def candidates(self, front: Sequence[Program], looks_around: bool = True) -> list[FrontCandidate]:
-        """Return the programs that `front` leads to, the shortest first; nothing when none has a finite error.
+    def candidates(self, front: Sequence[Program], looks_around: bool = True) -> list[tuple[Measured, int]]:
+        """Return the programs that `front` leads to, and the numbers of the members that they came from.
 
-        Without `looks_around`, neighbours of the members are not tried.
+        The shortest are the first; nothing when none has a finite error. Without `looks_around`, neighbours of the
+        members are not tried.
         """
-        candidates: dict[bytes, FrontCandidate] = {}
+        found: dict[bytes, tuple[Measured, int]] = {}
 
-        def take_in(member: int, found: Iterable[Measured]) -> None:
-            for measured in found:
-                candidates.setdefault(structure(measured.program), FrontCandidate(member, measured))
+        def take_in(programs: Iterable[Measured], member: int) -> None:
+            for measured in programs:
+                found.setdefault(structure(measured.program), (measured, member))
 
-        def shortest_candidate() -> FrontCandidate:
-            return min(candidates.values(), key=lambda candidate: candidate.rank)
+        def shortest_first() -> list[tuple[Measured, int]]:
+            return sorted(found.values(), key=lambda entry: entry[0].rank)
 
         members = self._members(front)
-        for member, measured in members:
-            is_near = measured.length <= members[0][1].length + self.reach
-            take_in(member, (measured, self._reduced(measured)) if is_near else (measured,))
-        if candidates and looks_around:
-            best = shortest_candidate()
-            near = [candidate for candidate in candidates.values() if candidate.length <= best.length + MARGIN]
-            simple = min(near or [best], key=lambda candidate: (len(candidate.program), candidate.rank))
-            if simple is not best and not self._is_exact(best):
-                take_in(simple.member, self._around(simple))
-                best = shortest_candidate()
-            while not self._is_exact(best) and not self.is_over():
-                take_in(best.member, self._around(best))
-                following = shortest_candidate()
+        for measured, member in members:
+            is_near = measured.length <= members[0][0].length + self.reach
+            take_in((measured, self._reduced(measured)) if is_near else (measured,), member)
+        if found and looks_around:
+            ranked = shortest_first()
+            best = ranked[0]
+            near = [entry for entry in ranked if entry[0].length <= best[0].length + MARGIN] or [best]
+            simple = min(near, key=lambda entry: len(entry[0].program))
+            if simple is not best and not self._is_exact(best[0]):
+                take_in(self._around(simple[0]), simple[1])
+                best = shortest_first()[0]
+            while not self._is_exact(best[0]) and not self.is_over():
+                take_in(self._around(best[0]), best[1])
+                following = shortest_first()[0]
                 if following is best:
                     break
                 best = following
-        return sorted(candidates.values(), key=lambda candidate: candidate.rank)
+        return shortest_first()
 
-    def _is_exact(self, candidate: FrontCandidate) -> bool:
-        return candidate.measured.misfit <= self.least_misfit
+    def _is_exact(self, measured: Measured) -> bool:
+        return measured.misfit <= self.least_misfit
 
-    def _members(self, front: Sequence[Program]) -> list[tuple[int, Measured]]:
+    def _members(self, front: Sequence[Program]) -> list[tuple[Measured, int]]:
         """Return the members worth the effort, measured, by rising length; of equal structures the first."""
         programs = {structure(program): (index, program) for index, program in reversed([*enumerate(front)])}
-        measured, least = list[tuple[int, Measured]](), math.inf
+        members, least = list[tuple[Measured, int]](), math.inf
         for index, program in sorted(programs.values(), key=lambda entry: entry[0]):
-            measured.append((index, self._tried(program, least + self.reach)))
-            least = min(least, measured[-1][1].length)
-        return sorted(measured, key=lambda entry: (entry[1].length, entry[0]))[: SETTINGS.effort.beam]
+            members.append((self._tried(program, least + self.reach), index))
+            least = min(least, members[-1][0].length)
+        return sorted(members, key=lambda entry: (entry[0].length, entry[1]))[: SETTINGS.effort.beam]
 
     def _tried(self, program: Program, most: float) -> Measured:
         """Return `program` measured, which is of interest if its length is at most `most`."""
@@ -150,7 +134,7 @@ class Shortening:
         self._ends.update(dict.fromkeys(path, end))
         return end
 
-    def _around(self, best: FrontCandidate) -> list[Measured]:
+    def _around(self, best: Measured) -> list[Measured]:
         """Return the most promising programs one step from `best`, each also reduced.
 
         Of programs with equal errors, which are equal functions, the shortest is kept; of programs equal to `best`, the
@@ -163,7 +147,7 @@ class Shortening:
                 break
             measured = self._tried(program, most)
             meaning = (f"{measured.misfit:.4f}", b"")
-            if meaning[0] == f"{best.measured.misfit:.4f}":
+            if meaning[0] == f"{best.misfit:.4f}":
                 meaning = (meaning[0], np.sort(measured.program.operators).tobytes())
             if measured.length < most and (meaning not in found or measured.length < found[meaning].length):
                 found[meaning] = measured

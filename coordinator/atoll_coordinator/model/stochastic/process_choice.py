@@ -206,7 +206,7 @@ class ProcessChoice:
             number, model, self._begun[number], looks_around=looks_around
         )
         shortening = Shortening(partial(self._measure, model, number), lambda: self._deadline.is_over, reach=MARGIN)
-        best = shortening.candidates([model.programs[number], *programs], looks_around=False)[0]
+        best = shortening.candidates([model.programs[number], *programs], looks_around=False)[0][0]
         self._rivals[number] = shortening.tried
         model, length = self._fitted_with(model, number, best.program).model, best.length
         if number < len(model.drift):
