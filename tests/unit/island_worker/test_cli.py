@@ -90,7 +90,7 @@ def test_a_worker_leaves_after_its_lifetime_and_has_some_grace(
 def loads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What was loaded ahead."""
     calls: list[str] = []
-    monkeypatch.setattr(processes, "load_ahead", lambda: calls.append("all"))
+    monkeypatch.setattr(cli, "load_ahead", lambda: calls.append("all"))
     return calls
 
 

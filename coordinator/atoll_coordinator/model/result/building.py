@@ -44,9 +44,9 @@ from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, FloatArray, Target
 from atoll_core.data.notes import notes_of
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.program import Program, constant_places, structure, tree_size
 from atoll_core.expression.restrictions import restrictions_of
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
 from atoll_core.expression.writing.shortest import points_of, shortest_at
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
