@@ -426,7 +426,7 @@ def test_numbers_out_of_range_are_refused_with_the_range(words: list[str], capsy
     assert "expected a whole number from" in capsys.readouterr().err
 
 
-TRAFFIC = (Traffic(kind="mail", messages_in=2, bytes_in=1500), Traffic(kind="report", messages_out=1, bytes_out=20))
+TRAFFIC = (Traffic(kind="pull", messages_in=2, bytes_in=1500), Traffic(kind="report", messages_out=1, bytes_out=20))
 COUNTERS = Counters(traffic=TRAFFIC, memory_bytes=123_400_000, cpu_s=61.0, waited_s=1.5, refused=2, duplicates=1)
 WORKER = WorkerView(
     worker="lab2", host="lab", pid=7, state="computing", islands=8, silent=0.1, version="0.1.0", counters=COUNTERS,
