@@ -2,7 +2,7 @@
 
 import pytest
 
-from examples.demo import TRUTH, compare, polynomial, terms_of
+from examples.demo import TRUTH, compare
 
 
 def equation(variable: str, expression: str) -> dict[str, str]:
@@ -33,13 +33,3 @@ def test_the_true_equation_is_known_in_any_arrangement(expression: str) -> None:
 )
 def test_any_other_equation_is_not(expression: str) -> None:
     assert not verdict(expression)
-
-
-def test_expressions_are_multiplied_out() -> None:
-    assert polynomial("(x + y)**3/2") == {(3, 0): 0.5, (2, 1): 1.5, (1, 2): 1.5, (0, 3): 0.5}
-    assert polynomial("3.0 - -x") == {(0, 0): 3.0, (1, 0): 1.0}
-
-
-def test_each_constant_is_set_beside_the_true_one() -> None:
-    terms = {term.monomial: (term.found, term.true) for term in terms_of("2.5*x + y", "2*x - x*y")}
-    assert terms == {"x": (2.5, 2.0), "x*y": (0.0, -1.0), "y": (1.0, 0.0)}

@@ -1,14 +1,11 @@
 """The commands that a newcomer types first."""
 
-import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-from atoll_core.machine import usable_cores
 
 ROOT = Path(__file__).resolve().parents[2]
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
@@ -31,13 +28,6 @@ def test_every_target_is_explained_and_prepares_the_environment(target: str) -> 
 
 
 @needs_make
-@pytest.mark.parametrize("target", ["test", "test-all", "test-wheel"])
-def test_tests_run_three_files_at_a_time_for_two_cores(target: str) -> None:
-    number = (3 * usable_cores(os.environ)[0] + 1) // 2
-    assert f" -n {number} --dist loadfile" in make("--dry-run", target, f"BIN={Path(sys.executable).parent}").stdout
-
-
-@needs_make
 def test_an_old_interpreter_is_refused_with_advice(tmp_path: Path) -> None:
     """With a Python that says it is too old, in a copy without an environment."""
     old = tmp_path / "python3"
@@ -49,11 +39,3 @@ def test_an_old_interpreter_is_refused_with_advice(tmp_path: Path) -> None:
     assert done.returncode != 0
     assert "Atoll needs Python 3.11 or newer" in done.stdout
     assert not (tmp_path / ".venv").exists()
-
-
-def test_the_pipeline_runs_check_and_test() -> None:
-    script = ROOT / ".ci" / "run"
-    assert os.access(script, os.X_OK)
-    lines = script.read_text().splitlines()
-    assert [line for line in lines if line.startswith("make ")] == ["make check", "make test"]
-    assert "set -e" in lines

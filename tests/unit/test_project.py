@@ -15,8 +15,6 @@ import pytest
 import atoll
 from atoll.cli import exit_codes as exits
 from atoll.cli import options as arguments
-from atoll_coordinator.service.jobs.job import STAGNATION_CLEAN, STAGNATION_GIVEN, STAGNATION_NOISY
-from atoll_core.config import PRESETS
 from atoll_island_worker import cli as worker_cli
 from tests.unit import documents
 from tests.unit.documents import ROOT
@@ -41,12 +39,6 @@ def test_the_version_is_said_once(project: dict[str, Any]) -> None:
     assert f"## [{atoll.VERSION}]" in DOCUMENTS["CHANGELOG.md"]
 
 
-@pytest.mark.parametrize("number", ["protocol", "engine"])
-def test_the_changelog_names_protocol_and_engine(number: str) -> None:
-    value = {"protocol": atoll.PROTOCOL_VERSION, "engine": atoll.ENGINE_REVISION}[number]
-    assert f"{number} {value}" in DOCUMENTS["CHANGELOG.md"].lower()
-
-
 def test_both_programs_are_installed_and_can_be_called(project: dict[str, Any]) -> None:
     scripts = project["project"]["scripts"]
     assert set(scripts) == set(documents.PROGRAMS)
@@ -69,13 +61,6 @@ def test_every_source_root_holds_its_packages_and_nothing_else(project: dict[str
         assert all((ROOT / root / package / "py.typed").exists() for package in packages)
 
 
-def test_files_that_the_distribution_names_are_there(project: dict[str, Any]) -> None:
-    named = [project["project"]["readme"], *project["project"]["license-files"]]
-    assert [name for name in named if not (ROOT / name).is_file()] == []
-    assert "Apache License" in (ROOT / "LICENSE").read_text("utf-8")
-    assert project["project"]["license"] == "Apache-2.0"
-
-
 def test_atoll_is_imported_beside_a_users_own_common_and_coordinator(tmp_path: Path) -> None:
     """A user's modules of the names of our source roots neither shadow our packages nor are shadowed by them."""
     (tmp_path / "common.py").write_text("MINE = 1\n")
@@ -96,15 +81,6 @@ def test_atoll_is_imported_beside_a_users_own_common_and_coordinator(tmp_path: P
 @pytest.mark.parametrize(("document", "words"), COMMANDS)
 def test_commands_in_documents_are_understood(document: str, words: list[str]) -> None:
     assert parsed(words) is not None, f"{document}: {' '.join(words)}"
-
-
-def test_the_documents_say_when_searches_end() -> None:
-    budget, paper = PRESETS["default"].budget, PRESETS["paper"].budget
-    text = " ".join(DOCUMENTS["docs/reproducibility.md"].split())
-    assert f"for {STAGNATION_CLEAN} epochs, or for as many as the last improvement had taken" in text
-    assert f"({STAGNATION_GIVEN} where left-hand sides are given), or after {budget.max_epochs} epochs" in text
-    assert f"nothing has improved for {STAGNATION_NOISY} epochs" in text
-    assert f"({paper.stagnation} and {paper.max_epochs} with preset `paper`)" in text
 
 
 def test_the_documents_show_every_command() -> None:

@@ -176,7 +176,13 @@ def simulate(
     course = _integrated(task, x0, t)
     states, count = course.rows, len(course.rows)
     status: Status = "finished" if course.is_whole else _ending(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
-    sentence = _sentence(status, course.reached, most)
+    where = f"time {course.reached:.6g}"
+    sentence = {
+        "finished": f"it reached {where}",
+        "blow-up": f"a state grows without bounds near {where}",
+        "stiff": f"{most} evaluations reach {where} only: the model is stiff or very fast there; simulate less time",
+        "undefined": f"a rate is undefined near {where}",
+    }[status]
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
     sentence += _ROUGH if course.is_rough else ""
     if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], course, t)) is None:
@@ -367,16 +373,6 @@ def _ending(task: _RateTask, course: _Integration, sizes: FloatArray, span: floa
     if np.abs(last).max() > _LARGEST or doubling < math.sqrt(TOLERANCE) * span:
         return "blow-up"
     return "stiff" if course.is_spent else "undefined"
-
-
-def _sentence(status: Status, reached: float, most: int) -> str:
-    where = f"time {reached:.6g}"
-    return {
-        "finished": f"it reached {where}",
-        "blow-up": f"a state grows without bounds near {where}",
-        "stiff": f"{most} evaluations reach {where} only: the model is stiff or very fast there; simulate less time",
-        "undefined": f"a rate is undefined near {where}",
-    }[status]
 
 
 def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration, t: FloatArray) -> FloatArray | None:

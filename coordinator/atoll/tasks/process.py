@@ -133,7 +133,12 @@ class Team:
             while not call.is_complete and (end is None or self._clock() < end):
                 place = self._next(call, end)
                 if place is not None:
-                    self._compute_here(call, place)
+                    began = self._clock()
+                    result = _computed(call.function, call.context, call.items[place])
+                    with self._changed:
+                        call.longest_s = max(call.longest_s, self._clock() - began)
+                        if self._settle(call, place, result):
+                            self._here += 1
         finally:
             with self._changed:
                 self._calls.remove(call)
@@ -155,14 +160,6 @@ class Team:
                 return None
             call.given[place] = now
             return place
-
-    def _compute_here(self, call: _Call, place: int) -> None:
-        began = self._clock()
-        result = _computed(call.function, call.context, call.items[place])
-        with self._changed:
-            call.longest_s = max(call.longest_s, self._clock() - began)
-            if self._settle(call, place, result):
-                self._here += 1
 
     # ----------------------------------------------------------------------------------- the reading thread
 
@@ -275,16 +272,12 @@ def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level:
         with contextlib.suppress(OSError):  # where memory runs out, this is to go before its worker
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")
     collect_rarely()
-    _turn_away_streams()
-    TaskLoop(connection, level).work()
-
-
-def _turn_away_streams() -> None:
-    """Close stdin, and send printed text to stderr, because stdout belongs to the worker."""
+    # stdout belongs to the worker: printed text goes to stderr
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, _STDIN)
     os.close(nothing)
     os.dup2(_STDERR, _STDOUT)
+    TaskLoop(connection, level).work()
 
 
 class TaskLoop:
@@ -384,12 +377,9 @@ class _LogSender(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Send a record; errors are printed on stderr, as by any handler."""
         try:
-            self._send(self._logged(record))
+            values: Mapping[str, object] = dict(vars(record))
+            if record.exc_info:
+                values = {**values, "exc_text": logging.Formatter().formatException(record.exc_info)}
+            self._send(frames.Logged({**values, "msg": record.getMessage(), "args": None, "exc_info": None}))
         except Exception:
             self.handleError(record)
-
-    def _logged(self, record: logging.LogRecord) -> frames.Logged:
-        values: Mapping[str, object] = dict(vars(record))
-        if record.exc_info:
-            values = {**values, "exc_text": logging.Formatter().formatException(record.exc_info)}
-        return frames.Logged({**values, "msg": record.getMessage(), "args": None, "exc_info": None})

@@ -10,7 +10,6 @@ data and in the prices of operators and constants; scores of different criteria 
 - `system_length`: errors of simulated states; operators cost by their kind (`structure_length`), each constant
   1/2 ln N. It says which equations together are the model.
 
-`validated_length` is `system_length` with trajectories left out in the place of constants, which stand for them.
 Letters: n rows, N rows over their correlation length, k constants, O measured states.
 """
 
@@ -252,11 +251,6 @@ class TrajectoryMisfit:
         return zip(
             np.where(is_above, above, under).tolist(), counts.tolist(), pieces.tolist(), is_above.tolist(), strict=True
         )
-
-
-def validated_length(misfit: float, programs: Sequence[Program]) -> float:
-    """Return the description length with the `misfit` to trajectories left out, and no price of constants."""
-    return misfit + sum(map(structure_length, programs))
 
 
 # --------------------------------------------------------------------------------------------- the price of operators

@@ -72,40 +72,6 @@ def test_the_lock_file_holds_every_requirement_with_hashes_and_names_no_index(pr
     assert not re.search(r"^\s*-(i|-index-url|-extra-index-url|-find-links)", text, re.MULTILINE)
 
 
-def test_no_test_is_skipped_for_want_of_what_the_lock_file_has() -> None:
-    """Tests of frames and plots were skipped everywhere, and one of them failed without anybody seeing it."""
-    locked = {name.lower() for name in re.findall(r"^([\w.-]+)==", LOCK.read_text("utf-8"), re.MULTILINE)}
-    assert {"matplotlib", "pandas"} <= locked
-    asked = [
-        (path.relative_to(ROOT).as_posix(), module)
-        for path in sorted((ROOT / "tests").rglob("*.py"))
-        for module in re.findall(r"importorskip\(\"([a-z0-9]+)[.\"]", path.read_text("utf-8"))
-    ]
-    assert asked
-    assert not [pair for pair in asked if pair[1] in locked]
-
-
-def test_workflows_run_what_the_project_has() -> None:
-    jobs = read(".github/workflows/tests.yml")["jobs"]
-    assert [step["run"] for step in jobs["linux"]["steps"] if "run" in step] == [".ci/run"]
-    assert [step["run"] for step in jobs["macos"]["steps"] if "run" in step] == ["make test"]
-    assert [step["run"] for step in jobs["all"]["steps"] if "run" in step] == ["make test-all"]
-    makefile = (ROOT / "Makefile").read_text("utf-8")
-    rehearsals = read(".github/workflows/release.yml")["jobs"].values()
-    commands = [step["run"] for job in rehearsals for step in job["steps"] if "run" in step]
-    targets = [line.split()[1] for line in commands if line.startswith("make ")]
-    assert len(targets) == 2
-    assert all(f"\n{target}:" in makefile for target in targets)
-
-
-def test_hooks_before_a_commit_are_the_checks_of_make_check() -> None:
-    (repository,) = read(".pre-commit-config.yaml")["repos"]
-    hooks = [" ".join(hook["entry"].split()[:2]) for hook in repository["hooks"]]
-    recipe = (ROOT / "Makefile").read_text("utf-8").partition("\ncheck:")[2].partition("\n\n")[0]
-    checks = re.findall(r"^\t@\$\(BIN\)/(\S+(?: check| format)?)", recipe, re.MULTILINE)
-    assert hooks == [f".venv/bin/{check}" for check in checks]
-
-
 def test_the_citation_has_the_version_and_the_paper(project: dict[str, Any]) -> None:
     citation = read("CITATION.cff")
     assert citation["version"] == project["project"]["version"]

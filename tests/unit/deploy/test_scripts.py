@@ -214,20 +214,6 @@ def test_slurm_lets_in_only_who_may_read_the_folder_of_the_job(tmp_path: Path) -
     assert all(file.stat().st_mode & 0o077 == 0 for file in folder.rglob("*"))
 
 
-def test_slurm_ends_before_its_time_is_over() -> None:
-    text = SCRIPTS[2].read_text("utf-8")
-    signal = re.search(r"^#SBATCH --signal=B:TERM@(\d+)$", text, re.MULTILINE)
-    assert signal
-    assert int(signal[1]) >= 60
-    assert "trap out_of_time TERM" in text
-
-
-def test_slurm_without_data_says_how_it_is_used() -> None:
-    done = run("bash", SCRIPTS[2])
-    assert done.returncode == 2
-    assert done.stderr.startswith("usage: ")
-
-
 # ---------------------------------------------------------------------------------------------- one srun
 
 
@@ -248,15 +234,6 @@ def test_tasks_of_one_srun_have_options_that_the_programs_have() -> None:
     assert worker_cli._parse(worker[1].split()).connect_file
 
 
-def test_a_task_that_does_not_know_its_number_says_how_it_is_run(tmp_path: Path) -> None:
-    assert run("bash", TOGETHER).stderr.startswith("usage: srun together DATA")
-    data = tmp_path / "data.csv"
-    data.write_text("t,x\n")
-    done = run("bash", TOGETHER, data, **dict.fromkeys(NUMBERS, ""))
-    assert done.returncode == 2
-    assert "the number of this task is not known; run it by srun, or by mpirun with ATOLL_DIR=folder" in done.stderr
-
-
 def test_a_task_of_mpirun_goes_by_its_number_there_and_by_no_file_of_an_earlier_run(tmp_path: Path) -> None:
     """Under sbatch, all tasks that mpirun starts on the first node have SLURM_PROCID=0."""
     data, folder, called = tmp_path / "data.csv", tmp_path / "job", tmp_path / "called"
@@ -272,9 +249,6 @@ def test_a_task_of_mpirun_goes_by_its_number_there_and_by_no_file_of_an_earlier_
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert called.read_text().split()[:2] == ["--connect-file", str(folder / "address-17-1")]
-
-
-NUMBERS = ("SLURM_PROCID", "OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_JOB_ID")
 
 
 @pytest.mark.slow

@@ -55,13 +55,6 @@ def test_units_are_what_systemd_understands(unit: str, instance: str, tmp_path: 
     assert str(tmp_path) not in done.stderr, done.stderr
 
 
-def test_units_leave_workers_the_time_to_hand_over() -> None:
-    text = (UNITS / "atoll-island-worker@.service").read_text("utf-8")
-    (limit,) = re.findall(r"^TimeoutStopSec=(\d+)$", text, re.MULTILINE)
-    assert int(limit) >= 40
-    assert "KillMode=mixed" in text, "only the main process is told, and tells the others"
-
-
 def compose(name: str) -> dict[str, Any]:
     text = (COMPOSE / name).read_text("utf-8")
     text = re.sub(r"\$\{\w+:\?[^}]*\}", "tcp/10.0.0.1:7447", re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", text))

@@ -76,8 +76,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     long_run = long_run_of(final)
     chaos = long_run.chaos
     predictions = _predictions(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
-    validation = out if out is not None else final.ranking.validated
-    held_out_r2 = [None] * len(task.variables) if validation is None else validation.r2
+    held_out_r2 = (final.ranking.validated or (None,) * len(task.variables)) if out is None else out.r2
     evidence = ModelEvidence(final, long_run)
     equations = {
         name: _equation(evidence, index, constants[index], by_group[index], held_out_r2[index], predictions[index])
@@ -178,7 +177,7 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
     for alternative in ranking.alternatives[index]:
         programs, nats = alternative.model.programs, alternative.model.nats - best.nats
         r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
-        held_out_r2 = None if alternative.validated is None else alternative.validated.r2[index]
+        held_out_r2 = None if alternative.validated is None else alternative.validated[index]
         if nats <= SETTINGS.inference.distinct_nats and final.unseen is not None and not final.by_group:
             fit = fit_starts(final.unseen, programs)
             measurements = final.unseen.estimator.measurements

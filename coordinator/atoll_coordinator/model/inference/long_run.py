@@ -113,7 +113,7 @@ def _fits_in_whole(final: FinalModel) -> bool | None:
     limit, deadline = SETTINGS.inference.excess, final.comparison.estimator.deadline
     if task.piece >= task.longest or not final.comparison.score.excess(final.free) <= limit:
         return None
-    rows, allowed = task.measurements(task.variables).rows, SETTINGS.selection.fitted_sensitivities
+    rows, allowed = task.measurements(task.variables).rows, SETTINGS.effort.fitted_sensitivities
     stride = -(-rows // max(allowed // len(task.variables) ** 2, SETTINGS.shooting.piece))
     if stride > 1 and len(final.comparison.estimator.measurements.inputs):
         return None

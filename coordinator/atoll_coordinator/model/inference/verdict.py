@@ -585,7 +585,7 @@ def _predicted_rows(evidence: Evidence) -> Finding:
 
 
 def _distinct(evidence: Evidence) -> Finding | None:
-    count, least = evidence.distinct_rows, SETTINGS.checks.min_rows
+    count, least = evidence.distinct_rows, SETTINGS.common.fewest_rows
     if count is None:
         return None
     if count >= least:

@@ -5,8 +5,7 @@
 - `proposals`: functions that propose programs for an equation; the choice is made elsewhere
 - `pool`: all candidates, ranked, and the best system of a few; `candidates` ranks the candidates for one variable
   by its trajectories alone
-- `comparison`: systems fitted to the same measurements and measured in nats: `ModelComparison`, `FittedModel`;
-  `fit_batches` has the messages by which other machines compute these fits
+- `comparison`: systems fitted to the same measurements, here or by other machines, and measured in nats by the `score`
 - `joint_search`: the best combination, one variable exchanged at a time; `local_search`: shorter descriptions nearby
 - `shortcut`: laws of sparse regression whose residuals are noise, fitted together, without a search around them
 - `piece_lengths`: the rows of a trajectory that are simulated without a break

@@ -1,8 +1,7 @@
-"""The closest alternatives to the chosen equations, and whether one of these predicts better. Pure.
+"""The closest alternatives to the chosen equations, and how well each predicts trajectories that were left out. Pure.
 
-Where two descriptions are nearly as long, trajectories that were left out decide between them: their misfit takes the
-place of the misfit to all trajectories and of the price of constants, which stands for it. An equation with a pole in
-the region that the data visit must be shorter by `InferenceSettings.distinct_nats` than any without.
+The shortest description stays the model. Alternatives that are nearly as short make its verdict doubtful, whichever of
+them predicts better.
 """
 
 import math
@@ -11,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atoll_coordinator.model.criteria import structure_length, validated_length
+from atoll_coordinator.model.criteria import structure_length
 from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison, differ
-from atoll_coordinator.model.selection.cross_validation import Validated, Validation
+from atoll_coordinator.model.selection.cross_validation import R2, Validation
 from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.proposals import rates_of
 from atoll_coordinator.model.selection.score import FittedModel
@@ -22,7 +21,6 @@ from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.sparse.atoms import libraries, sum_of
 from atoll_coordinator.model.sparse.pursuit import pursue
 from atoll_coordinator.model.structure.moves.neighbours import neighbours
-from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import EXACT_ERROR, FloatArray
 from atoll_core.expression.evaluation import values_of
@@ -33,47 +31,38 @@ from atoll_core.expression.writing.shortest import shortest
 
 @dataclass(frozen=True, eq=False)
 class RankedAlternative:
-    """A system with another equation for one variable, and how well it predicts, if that was looked at."""
+    """A system with another equation for one variable, and how well it predicts, if it is nearly as short."""
 
     model: FittedModel
-    validated: Validated | None = None
+    validated: R2 | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """The outcome of the ranking: the best system, how well it predicts, and its closest alternatives by equation."""
+    """The best system, how well it predicts, and its closest alternatives by equation."""
 
     selection: SelectedModel
-    validated: Validated | None
+    validated: R2 | None
     alternatives: tuple[tuple[RankedAlternative, ...], ...]
 
 
 def rank_alternatives(selection: SelectedModel, inputs: FloatArray) -> Ranking:
-    """Return the end of the ranking.
+    """Return the shortest description, which may be an alternative of `selection`, and its alternatives.
 
     Args:
-        selection: the shortest description.
+        selection: the shortest description so far.
         inputs: points (V, R) at which equations are compared.
     """
     selection, alternatives = _shortest(selection, inputs)
-    selection, alternatives = _without_unearned_poles(selection, alternatives, inputs)
-    simplest = _simplest_on_rows(selection, inputs)
-    if simplest is not selection:
-        selection, alternatives = simplest, _all_alternatives(simplest, inputs)
     is_held_out = any(trajectory.held_out for trajectory in selection.task.recording.trajectories)
     validation = Validation(selection.comparison)
-    if is_held_out or not validation.is_possible:
-        return Ranking(selection, None, tuple(tuple(map(RankedAlternative, models)) for models in alternatives))
-    own = validation.of(selection.model)
-    if own is None:
-        return Ranking(selection, None, tuple(tuple(map(RankedAlternative, models)) for models in alternatives))
-    validated = [_validated(validation, models, selection.model) for models in alternatives]
-    winner = _winner(selection.model, own, validated)
-    if winner is not None:
-        selection = replace(selection, model=winner.model)
-        own = winner.validated or own
-        validated = [_validated(validation, models, selection.model) for models in _all_alternatives(selection, inputs)]
-    return Ranking(selection, own, tuple(map(tuple, validated)))
+    own = validation.of(selection.model) if validation.is_possible and not is_held_out else None
+    limit = selection.model.nats + SETTINGS.inference.distinct_nats
+
+    def ranked(model: FittedModel) -> RankedAlternative:
+        return RankedAlternative(model, None if own is None or model.nats > limit else validation.of(model))
+
+    return Ranking(selection, own, tuple(tuple(map(ranked, models)) for models in alternatives))
 
 
 def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedModel, list[list[FittedModel]]]:
@@ -93,92 +82,6 @@ def _shortest(selection: SelectedModel, inputs: FloatArray) -> tuple[SelectedMod
         if is_used_up or best.nats > selection.model.nats - SETTINGS.selection.least_gain:
             return selection, alternatives
         selection = replace(selection, model=best)
-
-
-def _simplest_on_rows(selection: SelectedModel, inputs: FloatArray) -> SelectedModel:
-    """Return the selection, equations exchanged for shorter ones that are multiples of them at all measured points.
-
-    For an input that is switched between 0 and 1, 2.3*u/(0.16 + u**2) equals 2*u on all rows; the two differ only while
-    the input changes between two rows, which was not measured.
-    """
-    comparison = selection.comparison
-    if not len(comparison.estimator.measurements.inputs):
-        return selection
-    for equation, own in enumerate(selection.model.programs):
-        if equation in comparison.fixed:
-            continue
-        values, longest = values_of(own, inputs), comparison.score.length(own) - SETTINGS.selection.least_gain
-        tried = [
-            model.programs[equation]
-            for (tried_equation, _), model in comparison.tried.items()
-            if tried_equation == equation
-        ]
-        tried += selection.lists[equation] if selection.lists else []
-        for program in sorted({structure(program): program for program in tried}.values(), key=comparison.score.length):
-            if comparison.score.length(program) >= longest:
-                break
-            if _is_multiple(values_of(program, inputs), values):
-                model = comparison.fit_exchanged(selection.model, equation, program, SETTINGS.effort.steps)
-                selection = selection if model is None else replace(selection, model=model)
-                break
-    return selection
-
-
-def _is_multiple(values: FloatArray, others: FloatArray) -> bool:
-    """Tell whether values are a multiple of others up to rounding."""
-    with np.errstate(all="ignore"):
-        size = float(values @ values)
-        rest = others - values * (float(values @ others) / size if size > 0.0 else 0.0)
-        return bool(float(rest @ rest) <= EXACT_ERROR**2 * float(others @ others))
-
-
-def _without_unearned_poles(
-    selection: SelectedModel, alternatives: list[list[FittedModel]], inputs: FloatArray
-) -> tuple[SelectedModel, list[list[FittedModel]]]:
-    """Return the selection with equations whose poles are not earned exchanged, one after another."""
-    for index, own in enumerate(selection.model.programs):
-        if index in selection.comparison.fixed or not find_poles(own, inputs):
-            continue
-        limit = selection.model.nats + SETTINGS.inference.distinct_nats
-        near = (alternative for alternative in alternatives[index] if alternative.nats <= limit)
-        replacement = next(
-            (alternative for alternative in near if not find_poles(alternative.programs[index], inputs)), None
-        )
-        if replacement is not None:
-            selection = replace(selection, model=replacement)
-            alternatives = _all_alternatives(selection, inputs)
-    return selection, alternatives
-
-
-def _winner(
-    model: FittedModel, own: Validated, alternatives: Sequence[Sequence[RankedAlternative]]
-) -> RankedAlternative | None:
-    """Return the alternative that is close behind and predicts best, and clearly better than the one in front, or None.
-
-    Alternatives with more constants are left out: their gain on few trajectories is often chance.
-    """
-    best, winner = validated_length(own.misfit, model.programs) - SETTINGS.inference.distinct_nats, None
-    for alternative in (alternative for equation_alternatives in alternatives for alternative in equation_alternatives):
-        if alternative.validated is None or alternative.model.nats > model.nats + SETTINGS.inference.distinct_nats:
-            continue
-        if alternative.model.fit.system.count > model.fit.system.count:
-            continue
-        nats = validated_length(alternative.validated.misfit, alternative.model.programs)
-        if nats < best:
-            best, winner = nats, alternative
-    return winner
-
-
-def _validated(
-    validation: Validation, alternatives: Sequence[FittedModel], best: FittedModel
-) -> list[RankedAlternative]:
-    return [
-        RankedAlternative(
-            model,
-            validation.of(model) if model.nats <= best.nats + SETTINGS.inference.distinct_nats else None,
-        )
-        for model in alternatives
-    ]
 
 
 def _all_alternatives(selection: SelectedModel, inputs: FloatArray) -> list[list[FittedModel]]:

@@ -14,20 +14,11 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction, Spread
-from atoll_coordinator.model.criteria import (
-    least_term_length,
-)
-from atoll_coordinator.model.selection.fit_batches import (
-    Beginning,
-    ComparisonParts,
-    FitBatch,
-    FitOrder,
-    FitOutcome,
-    FitSummary,
-    SummarizedFit,
-)
+from atoll_coordinator.model.criteria import TrajectoryMisfit, least_term_length
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
-from atoll_coordinator.model.selection.score import FittedModel, Score
+from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
+from atoll_coordinator.model.shooting.error_model import ErrorModel
+from atoll_coordinator.model.shooting.measurements import Measurements
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting, fit_in_stages
 from atoll_coordinator.model.shooting.points_between import points_beside
 from atoll_coordinator.model.shooting.system import Place, SharedNumber, System, system_of
@@ -44,6 +35,57 @@ STAGES: Final[tuple[int | None, ...]] = (*SETTINGS.shooting.lengths[:2], None)
 """Rows of the segments that a system is fitted to, one after another; None: whole trajectories."""
 _REPEATED: Final = 10.0 * SETTINGS.effort.settled
 """Misfits that differ by less, relative to their size, are of the same function in other words: fits settle so far."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """Where a fit begins: initial states, errors, whether it is stiff; with groups, the system whose constants are."""
+
+    starts: FloatArray
+    errors: ErrorModel
+    is_stiff: bool
+    system: System | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FitOrder:
+    """How systems are to be fitted: in stages of growing `lengths`, or in whole from a beginning `near`.
+
+    A fit takes at most `steps` steps, and ends early if it will not reach a description of `most` nats.
+    """
+
+    steps: int
+    lengths: tuple[int | None, ...] = ()
+    near: Beginning | None = None
+    most: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class FitSummary:
+    """The numbers of a fit: `constants` of all nodes, by group if there are any, and the rest that decides it.
+
+    `length` is the length of its segments (rows; None: whole trajectories); `squares` are mean squares of residuals.
+    One integration makes the whole fit of these again: states, residuals and normal equations are hundreds of times as
+    large, and most candidates do not need them.
+    """
+
+    constants: FloatArray
+    by_group: FloatArray | None
+    starts: FloatArray
+    errors: ErrorModel
+    squares: FloatArray
+    length: int | None
+    is_stiff: bool
+    misfit: float
+    nats: float
+
+
+OrderedFit = tuple[FitOrder, Programs]
+"""A system to be fitted."""
+FitOutcome = tuple[FitSummary | None, int]
+"""The fit of a system, None if it could not be fitted, and its work."""
+_FITS_OF_A_BATCH: Final = 12
+"""Most fits of a batch: one takes from a millisecond to some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +118,22 @@ def _exchanged(near: FittedModel, equation: int, programs: Iterable[Program]) ->
 
 
 def _work(outcomes: Iterable[FitOutcome | None]) -> int:
-    return sum(outcome.work for outcome in outcomes if outcome is not None)
+    return sum(outcome[1] for outcome in outcomes if outcome is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonParts:
+    """The parts of a `ModelComparison` that travel; it was calibrated to `errors` and `misfit`."""
+
+    measurements: Measurements
+    tolerance: float
+    measured_rows: int
+    names: tuple[str, ...]
+    fixed: frozenset[int]
+    leading: tuple[Program, ...]
+    constraints: Constraints
+    errors: ErrorModel | None
+    misfit: TrajectoryMisfit
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +206,9 @@ class ModelComparison:
                 fits = self.spread.here(partial(self.fit_ordered, order), part)
                 models += [model for model in fits if model is not None]
             else:
-                models += self._taken_in(order, part, ahead[first : first + bounded])
+                outcomes = ahead[first : first + bounded]
+                self.estimator.count(_work(outcomes))
+                models += self._models(order, part, outcomes)
         return sorted(models, key=lambda model: model.nats)
 
     def fit_ordered(self, order: FitOrder, programs: Programs) -> FittedModel | None:
@@ -163,29 +222,18 @@ class ModelComparison:
         return model if model is not None and math.isfinite(model.nats) else None
 
     def _fitted_elsewhere(self, order: FitOrder, systems: Sequence[Programs]) -> list[FitOutcome | None]:
-        """Return the fits of systems, by threads or workers; None for fits that the deadline stopped."""
-        size = self.spread.batch_size(len(systems), self._most_of_a_batch(order))
-        batches = [FitBatch(order, tuple(systems[first : first + size])) for first in range(0, len(systems), size)]
-        outcomes: list[FitOutcome | None] = []
-        fitted = self.spread.share(FITS, self.encoded, batches, 1)
-        for batch, made in zip(batches, fitted, strict=True):
-            outcomes += [None] * len(batch.systems) if made is None else made
-        self.spread.note(sum(outcome is not None and outcome.summary is not None for outcome in outcomes))
+        """Return the fits of systems, by other workers; None for fits that the deadline stopped."""
+        fits = [(order, programs) for programs in systems]
+        outcomes = self.spread.share(FITS, self.encoded, fits, _FITS_OF_A_BATCH)
+        self.spread.note(sum(outcome is not None and outcome[0] is not None for outcome in outcomes))
         return outcomes
-
-    def _taken_in(
-        self, order: FitOrder, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
-    ) -> list[FittedModel]:
-        """Return the models of systems that were fitted elsewhere, and count their work."""
-        self.estimator.count(_work(outcomes))
-        return self._models(order, systems, outcomes)
 
     def _models(
         self, order: FitOrder, systems: Sequence[Programs], outcomes: Sequence[FitOutcome | None]
     ) -> list[FittedModel]:
         """Return the models of systems that were fitted elsewhere."""
         pairs = zip(systems, outcomes, strict=True)
-        return [self.summarized(order, programs, made.summary) for programs, made in pairs if made and made.summary]
+        return [self.summarized(order, programs, made[0]) for programs, made in pairs if made and made[0]]
 
     def summarized(self, order: FitOrder, programs: Programs, summary: FitSummary) -> FittedModel:
         """Return the model of a system that was fitted elsewhere."""
@@ -205,14 +253,11 @@ class ModelComparison:
         fitted = tuple(replace(one, constants=part) for one, part in zip(admitted, parts, strict=True))
         return FittedModel(fitted, SummarizedFit(summary.squares, complete), summary.misfit, summary.nats)
 
-    def outcomes(self, batch: FitBatch) -> tuple[FitOutcome, ...]:
-        """Return summaries of the fits of a batch, as they are sent."""
-        return tuple(self._outcome(batch.order, programs) for programs in batch.systems)
-
-    def _outcome(self, order: FitOrder, programs: Programs) -> FitOutcome:
-        before = self.estimator.counted
-        model = self.fit_ordered(order, programs)
-        return FitOutcome(None if model is None else self.summary(order, model), self.estimator.counted - before)
+    def outcome(self, ordered: OrderedFit) -> FitOutcome:
+        """Return the summary of a fit, as it is sent."""
+        order, before = ordered[0], self.estimator.counted
+        model = self.fit_ordered(*ordered)
+        return None if model is None else self.summary(order, model), self.estimator.counted - before
 
     def summary(self, order: FitOrder, model: FittedModel) -> FitSummary:
         """Return the summary, as it is sent, of the model of a system."""
@@ -223,21 +268,13 @@ class ModelComparison:
             None if in_whole else order.lengths[-1], fit.is_stiff, model.misfit, model.nats,
         )  # fmt: skip
 
-    def _most_of_a_batch(self, order: FitOrder) -> int:
-        """Return how many fits take about as long as a batch may, by the rows and numbers that they carry along."""
-        measurements = self.estimator.measurements
-        numbers = len(measurements.scales) * (1 + SETTINGS.spread.constants * len(measurements.scales))
-        work = measurements.rows * numbers * min(order.steps, SETTINGS.spread.steps) * max(len(order.lengths), 1)
-        return max(1, round(SETTINGS.spread.batch / work))
-
     @property
     def parts(self) -> ComparisonParts:
         """The parts of this comparison, with its calibration."""
         estimator = self.estimator
         return ComparisonParts(
             estimator.measurements, estimator.tolerance, estimator.measured_rows, self.names, self.fixed, self.leading,
-            self.constraints.restrictions, None if self.groups is None else self.groups.rows,
-            self.score.errors, self.score.misfit,
+            self.constraints, self.score.errors, self.score.misfit,
         )  # fmt: skip
 
     @cached_property
@@ -248,11 +285,8 @@ class ModelComparison:
     @classmethod
     def of_parts(cls, parts: ComparisonParts) -> "ModelComparison":
         """Return the comparison of these parts, which can do everything except calibrate."""
-        rows = parts.groups
-        groups = None if rows is None else GroupedRows(rows.count, rows.problems, rows.restrictions)
         estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
-        constraints = Constraints(parts.restrictions, groups)
-        made = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=constraints)
+        made = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=parts.constraints)
         return replace(made, calibration=replace(made.score, errors=parts.errors, misfit=parts.misfit))
 
     def restrictions(self, equation: int) -> Restrictions:
@@ -493,7 +527,7 @@ class ModelComparison:
         return np.ascontiguousarray(beside[[measurements.variables.index(name) for name in self.names]])
 
 
-FITS: Final[BatchFunction[ModelComparison, FitBatch, tuple[FitOutcome, ...]]] = BatchFunction(
-    "fits", ComparisonParts, FitBatch, tuple[FitOutcome, ...], ModelComparison.outcomes, ModelComparison.of_parts
+FITS: Final[BatchFunction[ModelComparison, OrderedFit, FitOutcome]] = BatchFunction(
+    "fits", ComparisonParts, OrderedFit, FitOutcome, ModelComparison.outcome, ModelComparison.of_parts
 )
 """Systems fitted to the measurements of a comparison."""

@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction
-from atoll_coordinator.model.selection.comparison import ModelComparison
-from atoll_coordinator.model.selection.fit_batches import ComparisonParts
+from atoll_coordinator.model.selection.comparison import ComparisonParts, ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -20,16 +19,8 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program
 
-
-@dataclass(frozen=True, eq=False)
-class Validated:
-    """The prediction of the trajectories left out: R2 of each measured state, and the misfit in nats.
-
-    The misfit is infinite and R2 minus infinity where they could not be simulated.
-    """
-
-    r2: tuple[float | None, ...]
-    misfit: float
+R2 = tuple[float | None, ...]
+"""R2 of each measured state along trajectories left out: minus infinity where they could not be simulated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,55 +45,44 @@ class Validation:
         self.is_possible: Final = count >= SETTINGS.selection.least_folds and comparison.groups is None
         """Whether there are enough trajectories, and all have the same constants."""
 
-    def of(self, model: FittedModel) -> Validated | None:
+    def of(self, model: FittedModel) -> R2 | None:
         """Return how well the system of `model` predicts; None where time is over: fits that end early do not count."""
         comparison, fit = self._comparison, model.fit
         measurements = comparison.estimator.measurements
-        squares, whitened, total = np.zeros((3, len(measurements.observed)))
+        squares, total = np.zeros((2, len(measurements.observed)))
         folds = [Fold(model.programs, fit.starts, fit.errors, left_out) for left_out in self._folds]
         found = comparison.spread.map(FOLDS, lambda: comparison, folds, parts=lambda: comparison.parts)
         for left_out, errors in zip(self._folds, found, strict=True):
             if comparison.estimator.deadline.is_over or errors is None:
                 return None
-            if not errors:
-                return Validated(tuple(-np.inf for _ in measurements.observed), np.inf)
-            squares += errors[0]
-            whitened += errors[1]
+            squares += errors
             total += _total_squares(measurements.part(left_out))
-        r2 = [1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, total, strict=True)]
-        counts = self._comparison.score.counts
-        misfit = self._comparison.score.misfit.total(whitened / counts)
-        return Validated(tuple(r2), misfit)
+        return tuple(1.0 - left / whole if whole > 0.0 else None for left, whole in zip(squares, total, strict=True))
 
 
-def squared_errors(comparison: ModelComparison, fold: Fold) -> tuple[FloatArray, ...]:
-    """Return the sums of squared errors (O,) along trajectories left out, as they are and without the correlated
-    part of errors of measurement; None where they cannot be simulated, or time is over."""
+def squared_errors(comparison: ModelComparison, fold: Fold) -> FloatArray:
+    """Return the sums of squared errors (O,) along trajectories left out; infinite where they cannot be simulated."""
     whole, steps = comparison.estimator, SETTINGS.effort.steps
     measurements, left_out = whole.measurements, fold.left_out
     is_out = np.isin(measurements.owners, list(left_out))
+    unknown = np.full(len(measurements.observed), np.inf)
     if whole.deadline.is_over:
-        return ()
+        return unknown
     others = _shooter(whole, measurements.part(set(measurements.owners.tolist()) - left_out))
     fitted = others.fit(comparison.system(fold.programs), None, steps, fold.starts[~is_out], fold.errors)
     if fitted is None:
-        return ()
+        return unknown
     rest = _shooter(whole, measurements.part(left_out))
-    fixed = fitted.system.with_fixed_constants()
-    predicted = rest.fit(fixed, None, steps, fold.starts[is_out], fold.errors)
-    if predicted is None:
-        return ()
-    weights, errors = rest.measurements.weights, comparison.score.errors
-    whitened = predicted.residuals if errors is None else rest.whitened(predicted.residuals, errors)
-    return (weights * predicted.residuals**2).sum(axis=1), (weights * whitened**2).sum(axis=1)
+    predicted = rest.fit(fitted.system.with_fixed_constants(), None, steps, fold.starts[is_out], fold.errors)
+    return unknown if predicted is None else (rest.measurements.weights * predicted.residuals**2).sum(axis=1)
 
 
 def _shooter(whole: MultipleShooting, measurements: Measurements) -> MultipleShooting:
     return MultipleShooting(measurements, whole.tolerance, whole.deadline)
 
 
-FOLDS: Final[BatchFunction[ModelComparison, Fold, tuple[FloatArray, ...]]] = BatchFunction(
-    "folds", ComparisonParts, Fold, tuple[FloatArray, ...], squared_errors, ModelComparison.of_parts
+FOLDS: Final[BatchFunction[ModelComparison, Fold, FloatArray]] = BatchFunction(
+    "folds", ComparisonParts, Fold, FloatArray, squared_errors, ModelComparison.of_parts
 )
 """Systems fitted without some trajectories, and their residuals on these."""
 

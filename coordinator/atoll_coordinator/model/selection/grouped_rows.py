@@ -5,7 +5,7 @@ Letters: G groups, P constants that are fitted, Q numbers that these are in all 
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from functools import cached_property
 
 import numpy as np
 
@@ -18,38 +18,34 @@ from atoll_core.expression.restrictions import NONE, Restrictions
 
 
 @dataclass(frozen=True, eq=False)
-class RowsByGroup:
-    """The `problems` of each equation, one of each of `count` groups, none for an equation that is given.
+class GroupedRows:
+    """The rows of each group, by equation: constants are fitted to these before any trajectory is simulated.
 
-    `restrictions` has the restrictions of each equation, by index.
+    Attributes:
+        count: number of groups.
+        problems: of each equation, one of each group; none for an equation that is given.
+        restrictions: of equations, by index.
     """
 
     count: int
     problems: Sequence[Sequence[Problem]]
     restrictions: Mapping[int, Restrictions] = field(default_factory=dict)
 
-
-class GroupedRows:
-    """The rows of each group, by equation: constants are fitted to these before any trajectory is simulated."""
-
-    def __init__(
-        self,
-        count: int,
-        problems: Sequence[Sequence[Problem]],
-        restrictions: Mapping[int, Restrictions] | None = None,
-    ) -> None:
-        """Arguments are as of `RowsByGroup`."""
-        by_equation = restrictions or {}
-        self.count: Final = count
-        self.rows: Final = RowsByGroup(count, problems, by_equation)
-        self._fits = [
+    @cached_property
+    def _fits(self) -> list[list[LeastSquares | None]]:
+        return [
             [
-                LeastSquares(problem, restrictions=by_equation.get(index, NONE)) if len(problem.target.values) else None
+                LeastSquares(problem, restrictions=self.restrictions.get(index, NONE))
+                if len(problem.target.values)
+                else None
                 for problem in group_problems
             ]
-            for index, group_problems in enumerate(problems)
+            for index, group_problems in enumerate(self.problems)
         ]
-        self._known: dict[tuple[int, bytes], FloatArray] = {}
+
+    @cached_property
+    def _known(self) -> dict[tuple[int, bytes], FloatArray]:
+        return {}
 
     def constants(
         self, system: System, leading: int, fixed: Sequence[Collection[int]], near: System | None

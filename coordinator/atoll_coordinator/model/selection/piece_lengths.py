@@ -25,14 +25,11 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     if not all(lists):
         return None
     first = [programs[0] for programs in lists]
-    if task.solver is not None:
-        return _as_solved(task, lists, first)
     if task.is_nearly_clean:
         selection = search_jointly(in_stretches(task, first), lists)
         if selection is None or selection.comparison.score.is_exact(selection.model):
             return selection
-        exact = without_solver_errors(task, selection.model.fit)
-        return (None if exact is None else _as_solved(exact, lists, selection.model.programs)) or selection
+        return _without_solver_errors(task, selection) or selection
     selections: list[SelectedModel] = []
     for selection in _ever_shorter(task, lists):
         selections.append(selection)
@@ -41,17 +38,19 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
     return selections[0] if selections else None
 
 
-def _as_solved(
-    task: ModellingTask, lists: Sequence[Sequence[Program]], programs: Sequence[Program]
-) -> SelectedModel | None:
-    """Return the system from which a solver computed the rows, without unnecessary parts.
+def _without_solver_errors(task: ModellingTask, selection: SelectedModel) -> SelectedModel | None:
+    """Return the system from which a solver computed the rows, without unnecessary parts; None without such a solver.
 
-    Nothing else is tried: only of the law does the solver give them.
+    Nothing else is tried: a solver gives the rows from the law only.
     """
-    selection = fit_jointly(task, [[program] for program in programs], programs)
-    if selection is None:
+    exact = without_solver_errors(task, selection.model.fit)
+    if exact is None:
         return None
-    return replace(selection, model=reduce_all(selection.comparison, selection.model), lists=lists)
+    programs = selection.model.programs
+    solved = fit_jointly(exact, [[program] for program in programs], programs)
+    if solved is None:
+        return None
+    return replace(solved, model=reduce_all(solved.comparison, solved.model), lists=selection.lists)
 
 
 def in_whole(task: ModellingTask) -> ModellingTask:
@@ -84,7 +83,7 @@ def _without_needless(selection: SelectedModel) -> SelectedModel:
 def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     task = selection.task
     measurements = task.measurements(task.variables)
-    measurements = measurements.thinned(SETTINGS.selection.fitted_sensitivities // len(task.variables) ** 2)
+    measurements = measurements.thinned(SETTINGS.effort.fitted_sensitivities // len(task.variables) ** 2)
     chosen = selection.comparison.estimator
     if measurements.rows == chosen.measurements.rows:
         comparison = task.compare(measurements, task.variables, is_precise=True)

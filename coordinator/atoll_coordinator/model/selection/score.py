@@ -11,7 +11,8 @@ wrong, its score is too lenient to others; hence models are calibrated again aft
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,7 +26,6 @@ from atoll_coordinator.model.criteria import (
     system_length,
 )
 from atoll_coordinator.model.regression.rounding import quadratic_form
-from atoll_coordinator.model.selection.fit_batches import SummarizedFit
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting
 from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
@@ -34,6 +34,14 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bound
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places
+
+
+@dataclass(frozen=True, eq=False)
+class SummarizedFit:
+    """A fit of which the summary is known; `complete` integrates it once more for the rest."""
+
+    squares: FloatArray
+    complete: Callable[[], TrajectoryFit] = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)

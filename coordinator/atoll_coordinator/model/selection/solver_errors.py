@@ -113,7 +113,7 @@ def _fitted(task: ModellingTask, whole: Measurements, solver: Solver, system: Sy
             system, left, share = min(
                 (system, left, share), _settled(task, part, solver, _simplified(begun), runs), key=lambda end: end[2]
             )
-        if share > SETTINGS.selection.solver_share:
+        if share**2 > SETTINGS.inference.part:  # for the right solver 0.1 was observed, for others mostly more than 1
             return None
         if rows >= longest:
             return _Found(solver, system, left) if share <= SETTINGS.common.negligible else None
@@ -165,7 +165,7 @@ def _moved(system: System, slopes: FloatArray, residuals: FloatArray) -> System:
     """
     sizes = np.abs(system.values)
     left, singular, right = np.linalg.svd(slopes * sizes, full_matrices=False)
-    known = (residuals @ residuals) / len(residuals) / SETTINGS.selection.solver_constants**2
+    known = (residuals @ residuals) / len(residuals) / SETTINGS.inference.largest_uncertainty**2
     moves = (residuals @ left) * singular / (singular**2 + known)
     return system.with_values(system.values + sizes * (moves @ right))
 

@@ -93,16 +93,13 @@ class Choice:
 
     @property
     def may_improve(self) -> bool:
-        """Whether the search has found a system that may miss a part of the law, and time is left to look again.
-
-        A solver gives its rows only of the law itself.
-        """
-        return self.is_searched and self.selection is not None and not (self.is_exact_solution or self.is_over)
+        """Whether the search has found a system that may miss a part of the law, and time is left to look again."""
+        return self.is_searched and self.selection is not None and not (self.is_exact or self.is_over)
 
     @property
-    def is_exact_solution(self) -> bool:
-        """Whether the errors of the solver that made the table were found, which only the law tells."""
-        return self.selection is not None and self.selection.task.solver is not None
+    def is_exact(self) -> bool:
+        """Whether the residuals of the system found are integration errors."""
+        return self.selection is not None and self.selection.comparison.score.is_exact(self.selection.model)
 
     @property
     def is_over(self) -> bool:
@@ -371,10 +368,9 @@ def _may_hide_terms(choice: Choice) -> bool:
 
     Without noise the stages before have missed none, and a term could describe the errors of coarse integration steps.
     """
-    selection = choice.selection
-    if selection is None or choice.is_over or selection.task.is_nearly_clean or choice.is_exact_solution:
+    if choice.selection is None or choice.is_over or choice.selection.task.is_nearly_clean:
         return False
-    return not (choice.has_laws_of_rates or selection.comparison.score.is_exact(selection.model))
+    return not (choice.has_laws_of_rates or choice.is_exact)
 
 
 STAGES: Final = (

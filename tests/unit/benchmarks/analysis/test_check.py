@@ -3,8 +3,6 @@
 import pytest
 
 from benchmarks.analysis.check import near, same, seconds
-from benchmarks.analysis.dynamics import KNOWN
-from benchmarks.harness.systems import TABLE_III
 
 
 @pytest.mark.parametrize(
@@ -20,7 +18,3 @@ from benchmarks.harness.systems import TABLE_III
 )
 def test_a_figure_is_compared_with_what_is_expected(check: object, passes: bool | None) -> None:
     assert check.passes is passes  # type: ignore[attr-defined]
-
-
-def test_all_systems_of_the_paper_have_known_fixed_points() -> None:
-    assert set(KNOWN) == set(TABLE_III)

@@ -1,14 +1,10 @@
 """The error of coefficients as the published table has it, the form, and a journal that is read back."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from atoll_core.errors import UsageError
 from benchmarks.dysts.flows import Flow
-from benchmarks.dysts.judging import Outcome, coefficient_error, outcome, polynomial
-from benchmarks.harness.journal import Journal, read
+from benchmarks.dysts.judging import coefficient_error, outcome, polynomial
 
 STATES = ("x", "y")
 TRUTH = ("2*x*y - y", "x**2 - 1")
@@ -52,22 +48,3 @@ def test_a_term_too_many_is_not_the_form():
     assert judgement.in_form == (False, True)
     assert judgement.error is not None
     assert 0.0 < judgement.error < 0.001
-
-
-def test_noise_is_a_share_of_the_root_mean_square_and_the_same_for_one_seed():
-    system = flow()
-    table = system.table(10.0, 1)
-    clean = np.concatenate(list(system.train)).T
-    size = np.sqrt((clean**2).mean(axis=1)).mean()
-    assert np.std(table.columns[1:] - clean) == pytest.approx(0.1 * size, rel=0.3)
-    assert np.array_equal(table.columns, system.table(10.0, 1).columns)
-    assert not np.array_equal(table.columns, system.table(10.0, 2).columns)
-
-
-def test_a_journal_is_read_back_and_not_overwritten(tmp_path: Path):
-    path = tmp_path / "journal.jsonl"
-    judgement = outcome(flow(), 0.0, result("2*x*y - y", "x**2 - 1"), {"searching": 1.0})
-    Journal("dysts", Outcome, path, [], resume=False).add(judgement)
-    assert read(path, Outcome) == {("Some", 0.0): judgement}
-    with pytest.raises(UsageError):
-        Journal("dysts", Outcome, path, [], resume=False)

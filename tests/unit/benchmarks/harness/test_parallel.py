@@ -1,6 +1,5 @@
 """Many runs over several processes, and their file."""
 
-import json
 import math
 
 import pytest
@@ -9,7 +8,6 @@ from atoll_core.errors import AtollError
 from benchmarks.harness import parallel as runs
 from benchmarks.harness.command_line import whole
 from benchmarks.harness.parallel import in_parallel
-from benchmarks.harness.record import Record
 
 
 @pytest.fixture(autouse=True)
@@ -33,13 +31,6 @@ def test_runs_that_never_end_are_given_up(monkeypatch):
     monkeypatch.setattr(runs, "RUN_LIMIT_S", 0.2)
     with pytest.raises(AtollError, match="no run has ended for 0 s"):
         list(in_parallel(time.sleep, [60.0], 1))
-
-
-def test_the_file_holds_the_machine_beside_the_figures(tmp_path):
-    Record("table1", ["--row", "P2"], tmp_path / "new" / "f.json").write(runs=[1, 2])
-    written = json.loads((tmp_path / "new" / "f.json").read_text("utf-8"))
-    assert (written["benchmark"], written["runs"]) == ("table1", [1, 2])
-    assert {"machine", "load_before", "load_after", "seconds", "arguments"} <= set(written)
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "x", "1.5", ""])

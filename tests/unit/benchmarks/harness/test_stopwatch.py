@@ -47,14 +47,6 @@ class Client:
         return None
 
 
-def test_time_is_kept_by_state():
-    stopwatch = Stopwatch()
-    for state in ("preparing", "running", "running", "done"):
-        stopwatch.watch(view(state))
-    assert list(stopwatch.seconds) == ["running"]
-    assert stopwatch.seconds["running"] >= 0.0
-
-
 def test_a_job_that_takes_too_long_is_cancelled(tmp_path):
     client = Client("refining")
     with pytest.raises(AtollError, match=r"was cancelled: it was still refining after 0 s"):

@@ -2,10 +2,9 @@
 
 import pytest
 
-from atoll_core.errors import UsageError
 from atoll_core.wire.messages.views import JobState, JobView, VariableView
 from benchmarks.operations.faults import main
-from benchmarks.operations.strikes import LASTING_S, Blow, Standing, Strikes, kinds_of, rows
+from benchmarks.operations.strikes import LASTING_S, Blow, Standing, Strikes, rows
 
 
 def view(state: JobState = "running", **epochs: int) -> JobView:
@@ -34,12 +33,6 @@ def test_strikes_are_drawn_from_their_seed() -> None:
         low, high = LASTING_S[strike.kind]
         assert low <= strike.for_s <= high
     assert Strikes(0, ("kill-coordinator",), ("w0",)).next().who == "coordinator"
-
-
-def test_kinds_that_there_are_not_are_refused() -> None:
-    assert kinds_of(["stop-worker", "kill-worker"]) == ("kill-worker", "stop-worker")
-    with pytest.raises(UsageError, match="'kill-time'"):
-        kinds_of(["kill-time"])
 
 
 def test_a_search_has_recovered_when_every_equation_got_further_or_is_over() -> None:

@@ -7,17 +7,11 @@ import pytest
 
 from atoll_core.errors import UsageError
 from benchmarks.operations.same_results import Found, Side, compare, journal_of, main, summed
-from benchmarks.operations.small_jobs import EXAMPLES, JOBS, WRITERS, files_of, write_files
-from benchmarks.peers.strogatz_files import NAMES
+from benchmarks.operations.small_jobs import JOBS
 
 LINE = "2 k point evaluations in 0.6 s of search, seed 0"
 RESULT = {"digest": "a", "seconds": 1.0, "equations": [{"size": 1}]}
 FOUND = Found("lv1", "given", "code", 0, ["dx/dt = x", LINE], ["read as text"], RESULT)
-
-
-def test_times_do_not_differ() -> None:
-    later = replace(FOUND, printed=["dx/dt = x", LINE.replace("0.6", "7.1")], result={**FOUND.result, "seconds": 9.0})
-    assert compare({"lv1": FOUND}, {"lv1": later}) == {"lv1": []}
 
 
 def test_digests_results_printed_lines_exit_codes_and_what_was_given_are_compared() -> None:
@@ -49,26 +43,8 @@ def test_without_anything_to_compare_with_there_is_a_sentence(capsys: pytest.Cap
     assert "name a revision" in capsys.readouterr().err
 
 
-def test_there_are_sixty_jobs_whose_files_are_known() -> None:
-    known = {*EXAMPLES, *WRITERS, *(f"{name}.csv" for name in NAMES)}
-    named = [file for words in JOBS.values() for file in files_of(words)]
-    assert len(JOBS) == 60
-    assert {*named} <= known
-    assert {*EXAMPLES, *WRITERS} <= {*named}
-
-
 def test_no_job_ends_by_the_clock() -> None:
     assert not [name for name, words in JOBS.items() if "--max-time" in words]
-
-
-@pytest.mark.slow
-def test_files_are_written_with_the_same_bytes(tmp_path: Path) -> None:
-    names = ["degrees.csv", "groups.csv", "lv1.csv", "lynx_hare.csv", "ornstein_uhlenbeck.csv"]
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        write_files(tmp_path / folder, names, None)
-    for name in names:
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
 def test_what_was_given_depends_on_the_bytes_of_files(tmp_path: Path) -> None:

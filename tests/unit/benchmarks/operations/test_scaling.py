@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import pytest
 
 from benchmarks.operations import scaling
-from benchmarks.operations.scaling import Timing, differing, main, speed_ups, timings_table
+from benchmarks.operations.scaling import Timing, differing, main, timings_table
 
 TIMINGS = [
     Timing(1, 0, 10.0, 10**8, "a"),
@@ -14,10 +14,6 @@ TIMINGS = [
     Timing(2, 0, 5.0, 10**8, "a"),
     Timing(2, 1, 12.5, 2 * 10**8, "b"),
 ]
-
-
-def test_the_speed_up_is_the_median_over_seeds():
-    assert speed_ups(TIMINGS) == {1: 1.0, 2: pytest.approx(1.8)}
 
 
 def test_digests_must_not_depend_on_the_number_of_workers():
@@ -28,11 +24,6 @@ def test_digests_must_not_depend_on_the_number_of_workers():
 def test_the_table_has_a_line_for_each_number_of_workers():
     rows = [line.split() for line in timings_table(TIMINGS).splitlines()[1:]]
     assert rows == [["1", "15.00", "1.00", "10.00"], ["2", "8.75", "1.80", "18.00"]]
-
-
-@pytest.mark.parametrize(("text", "numbers"), [("2", [2]), ("4,1-2", [1, 2, 4])])
-def test_numbers_of_workers(text, numbers):
-    assert main.parser.parse_args(["--workers", text]).workers == numbers
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from atoll_core.errors import UsageError
-from benchmarks.operations.side_by_side import Beside, Took, in_turn, jobs, median, program_of, shown
+from benchmarks.operations.side_by_side import Beside, Took, in_turn, median, program_of, shown
 
 TOOK = Took(0.2, 2.0, 3.0, "abc", ("x",), 1000)
 
@@ -28,21 +27,6 @@ def test_jobs_take_turns_and_who_begins_changes() -> None:
     assert [job.job for job in jobs] == ["a", "b"]
 
 
-def test_no_job_begins_after_the_time_is_up() -> None:
-    log: list[str] = []
-    left = iter([True, False])
-    jobs = in_turn(["a", "b"], recording(log, "o", TOOK), recording(log, "t", TOOK), 3, lambda: next(left))
-    assert log == ["o a", "t a"]
-    assert [job.job for job in jobs] == ["a"]
-
-
-def test_each_side_has_its_own_times() -> None:
-    slower = replace(TOOK, search=0.1, command=4.0)
-    (first, second) = in_turn(["a", "b"], lambda _: TOOK, lambda _: slower, 1, lambda: True)
-    for job in (first, second):
-        assert (job.ratio("search"), job.ratio("command"), job.ratio("processor")) == (2.0, 0.5, 1.0)
-
-
 def test_medians_are_of_times_and_a_digest_that_changes_is_seen() -> None:
     runs = [replace(TOOK, search=1.0), replace(TOOK, search=5.0, digest="other"), replace(TOOK, search=2.0)]
     medians = median(runs)
@@ -60,16 +44,6 @@ def test_the_table_has_ratios_and_their_geometric_mean_and_says_what_differs() -
     assert fast.split()[-2:] == ["same", "same"]
     assert slow.split()[-2:] == ["DIFFERS", "DIFFER"]
     assert mean.split()[:5] == ["geometric", "mean", "0.200", "0.200", "1.000"]
-
-
-@pytest.mark.slow
-def test_label_files_of_the_paper_s_equations_are_made_where_there_is_no_folder_of_them(tmp_path: Path) -> None:
-    made = jobs(tmp_path, None, range(2))
-    labels = [job for job in made.values() if "--target" in job]
-    assert len(labels) == 28
-    name, *numbers = Path(labels[0][0]).read_text("utf-8").splitlines()[:2]
-    assert name == "label,v,theta"
-    assert len(numbers[0].split(",")) == 3
 
 
 def test_a_revision_that_does_not_exist_is_refused() -> None:

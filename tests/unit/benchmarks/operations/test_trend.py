@@ -3,7 +3,6 @@
 import pytest
 
 from atoll_core.search.seeding import Stream
-from benchmarks.operations.soak import measured, short_job
 from benchmarks.operations.trend import trend
 
 TIMES = [5.0 * step for step in range(200)]
@@ -26,10 +25,6 @@ def test_a_line_has_its_slope_and_no_error() -> None:
     assert not line.is_flat
 
 
-def test_what_does_not_change_is_flat() -> None:
-    assert trend(TIMES, [7.0] * len(TIMES)).is_flat
-
-
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_errors_are_as_large_as_slopes_vary(memory: float) -> None:
     """Of series without a trend, few have a slope beyond two standard errors, also when neighbours go together."""
@@ -46,17 +41,3 @@ def test_a_rise_in_noise_is_seen_but_a_small_one_does_not_matter() -> None:
 
 def test_a_fall_is_no_rise() -> None:
     assert trend(TIMES, [100.0 - 0.5 * at for at in TIMES]).is_flat
-
-
-def test_a_process_is_measured() -> None:
-    import os
-
-    sample = measured("me", os.getpid(), 1.0)
-    assert sample.memory > 10.0
-    assert sample.files > 2
-    assert sample.threads >= 1
-
-
-def test_jobs_of_the_soak_are_short_or_endless() -> None:
-    assert short_job(1, endless=False).budget.max_epochs == 3
-    assert short_job(1, endless=True).budget.max_epochs > 1000

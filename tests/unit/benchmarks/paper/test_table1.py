@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from atoll_core.expression.text.parsing import from_infix
-from atoll_island_worker.evolution.island import Island
 from benchmarks.paper import table1
 from benchmarks.paper.published import ROWS
-from benchmarks.paper.table1 import Run, Task, difference, largest_error, main, run, summary
+from benchmarks.paper.table1 import Run, Task, largest_error, main, run, summary
 
 X = np.linspace(0.1, 6.2, 200)
 
@@ -22,37 +21,6 @@ def program(text):
 def ended(row="P4", preset="default", *, evaluations=1000, converged=True, seed=0):
     task = Task(row, preset, seed, ROWS[row].budget)
     return Run(task, converged, evaluations, 10, "x" if converged else None, 1 if converged else None)
-
-
-@pytest.mark.parametrize("name", ROWS)
-def test_a_rows_points_lie_in_its_range_and_its_truth_is_finite_there(name):
-    row = ROWS[name]
-    x = row.points(3, "points", 500)
-    assert row.between[0] <= x.min() < x.max() <= row.between[1]
-    assert np.isfinite(row.values(x)).all()
-
-
-def test_points_differ_by_seed_and_purpose_and_are_the_same_again():
-    row = ROWS["P2"]
-    first = row.points(0, "points", 20)
-    assert (row.points(0, "points", 20) == first).all()
-    assert not np.isin(row.points(1, "points", 20), first).any()
-    assert not np.isin(row.points(0, "fresh points", 20), first).any()
-
-
-def test_over_nine_tenths_of_the_gaussians_points_lie_beyond_its_fringe():
-    row, deviation = ROWS["gaussian"], math.sqrt(0.5)
-    x = row.points(0, "points", row.rows)
-    assert (np.abs(x) > 3 * deviation).mean() > 0.9
-
-
-def test_polynomials_lack_exp_and_the_identity_lacks_cos():
-    assert not any("exp" in ROWS[name].operators for name in ROWS if name != "gaussian")
-    assert "cos" not in ROWS["cos2x"].operators
-
-
-def test_the_bar_is_the_better_published_figure():
-    assert (ROWS["P5"].bar, ROWS["quintic"].bar, ROWS["gaussian"].bar) == (84.0, 93.9, 2.107e7)
 
 
 def test_the_error_is_the_largest_one_and_infinite_where_there_is_none():
@@ -87,11 +55,6 @@ def test_a_cost_is_met_when_every_run_converged_below_it():
     assert not summary(ROWS["gaussian"], "default", [*runs, ended("gaussian", converged=False)]).is_met
 
 
-def test_a_difference_of_shares_is_given_in_standard_deviations():
-    assert difference(100.0, 50, 100.0, 50) == 0.0
-    assert difference(60.0, 100, 50.0, 100) == pytest.approx(0.1 / math.sqrt(0.55 * 0.45 * 0.02))
-
-
 def test_a_run_ends_when_it_converges_and_is_the_same_again():
     task = Task("P2", "default", 100, 500_000)
     judged = run(task)
@@ -107,16 +70,6 @@ def test_a_run_ends_when_its_evaluations_are_used_up():
     assert 30_000 < judged.evaluations < 45_000
 
 
-def test_what_an_island_used_until_it_was_looked_at_counts(monkeypatch):
-    """With all rows and no fit, two generations of 64 solutions on 20 rows after the first 64 are 3,840 evaluations."""
-    looked = []
-    advance = Island.advance
-    monkeypatch.setattr(Island, "advance", lambda ended, number: looked.append(number) or advance(ended, number))
-    judged = run(Task("P5", "paper", 100, 3_000))
-    assert looked == [2]
-    assert 3_840 <= judged.evaluations < 5_000
-
-
 def test_the_table_and_the_file_are_made_of_the_same_runs(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(
         table1, "in_parallel", lambda function, tasks, _: [ended(task.row, task.preset) for task in tasks]
@@ -128,11 +81,6 @@ def test_the_table_and_the_file_are_made_of_the_same_runs(monkeypatch, tmp_path,
     written = json.loads(out.read_text("utf-8"))
     assert [summary["converged"] for summary in written["summaries"]] == [100.0] * 4
     assert len(written["runs"]) == 8
-
-
-def test_a_row_that_falls_short_is_an_exit_code(monkeypatch):
-    monkeypatch.setattr(table1, "in_parallel", lambda _, tasks, __: [ended(converged=False) for _ in tasks])
-    assert main(["--row", "P4", "--preset", "default", "--seeds", "0"]) == 1
 
 
 @pytest.mark.parametrize("options", [["--row", "P9"], ["--workers", "0"], ["--evaluations", "-3"]])

@@ -8,16 +8,11 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_core.errors import UsageError
-from benchmarks.harness.systems import TABLE_III, TRUTH, trajectories
+from benchmarks.harness.systems import TRUTH, trajectories
 from benchmarks.paper import table3
 from benchmarks.paper.table3 import (
-    PAPER,
-    SHOWN,
-    SLOPE,
     Search,
     balance,
-    chosen,
     configured,
     judged,
     main,
@@ -44,13 +39,6 @@ def searched(*seconds, **changes):
         )
         for seed, took in enumerate(seconds)
     ]
-
-
-def test_the_papers_figures_stand_by_their_equations():
-    assert list(PAPER) == [(system, variable) for system in TABLE_III for variable in TRUTH[system]]
-    seconds, evaluations = (sum(column) for column in zip(*PAPER.values(), strict=True))
-    assert seconds == pytest.approx(589.7, abs=1.0)
-    assert evaluations == pytest.approx(59.6e9, rel=0.01)
 
 
 def test_an_equation_is_exact_in_form_and_one_that_is_not_is_looked_for_on_the_front():
@@ -82,38 +70,11 @@ def test_given_derivatives_are_the_truth_on_the_papers_400_points():
     np.testing.assert_array_equal(target.values, 2 * y - x * y - y * y)
 
 
-def test_every_system_has_its_derivatives_beside_its_states():
-    for system in ("glider", "shear_flow"):
-        sampled = trajectories(system, 0.1, 0)
-        assert with_slopes(system, sampled).names == (*sampled.names, *(SLOPE + name for name in TRUTH[system]))
-
-
-def test_one_variable_is_sought_and_both_may_be_used():
-    config = configured(options("--preset", "paper", "--target-error", "1e-3"), 7, GLIDER_V, "estimated")
-    assert (config.seed, config.preset, config.budget.target_error) == (7, "paper", 1e-3)
-    assert (config.data.only, config.data.states, config.data.derivatives) == (("v",), ("v", "theta"), None)
-
-
 def test_the_median_counts_a_miss_as_infinitely_long():
     row = summed_up([*searched(0.1, exact=False), *searched(1.0, 4.0)])
     assert (row.right, row.searches, row.seconds, row.job_seconds, row.point_evaluations) == (2, 3, 4.0, 8.0, 4e6)
     assert row.is_found
     assert row.is_ahead
-
-
-def test_more_misses_than_not_have_no_median():
-    row = summed_up([*searched(1.0), *searched(0.1, 0.2, exact=False)])
-    assert (row.seconds, row.point_evaluations, row.is_found, row.is_ahead) == (None, None, False, False)
-    assert SHOWN.row(row)[3:7] == ("1 of 3", "-", "-", "-")
-
-
-@pytest.mark.parametrize(("seconds", "evaluations"), [(11.0, 1000), (1.0, 2_000_000_000)])
-def test_who_is_slower_or_evaluates_more_is_not_ahead(seconds, evaluations):
-    assert not summed_up([dataclasses.replace(SEARCH, seconds=seconds, point_evaluations=evaluations)]).is_ahead
-
-
-def test_ratios_stand_in_the_table():
-    assert SHOWN.row(summed_up(searched(1.0)))[7:11] == ("10.2", "1.03e+09", "5.1", "1030")
 
 
 def test_the_balance_compares_only_what_was_found():
@@ -122,12 +83,6 @@ def test_the_balance_compares_only_what_was_found():
     assert "1 of 2 found in the median, 1 ahead" in text
     assert "1.000e+06 point evaluations" in text
     assert "1.03e+03 times" in text
-
-
-def test_variables_choose_among_the_systems():
-    assert chosen(options("--system", "glider", "--only", "theta")) == [("glider", "theta")]
-    with pytest.raises(UsageError, match="v, theta"):
-        chosen(options("--system", "glider", "--only", "x"))
 
 
 def test_a_variable_that_no_system_has_is_one_sentence_and_exit_code_2(capsys):

@@ -1,13 +1,10 @@
 """Operon as a peer: the target is measured in our terms, and its process is bounded."""
 
-import subprocess
-
 import numpy as np
 import pytest
 
-from atoll_core.errors import AtollError, UsageError
-from benchmarks.peers import operon
-from benchmarks.peers.operon import require, scaled_error, search_apart
+from atoll_core.errors import AtollError
+from benchmarks.peers.operon import scaled_error, search_apart
 
 
 @pytest.fixture
@@ -28,24 +25,9 @@ def test_the_error_is_that_of_the_scaled_model():
     assert scaled_error(np.array([1.0, np.nan, 1.0, 2.0]), label) is None
 
 
-def test_a_missing_library_is_one_sentence(monkeypatch):
-    monkeypatch.setattr(operon.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"pip install -e '\.\[bench\]'"):
-        require()
-
-
 def test_a_process_that_fails_is_reported(tmp_path):
     with pytest.raises(AtollError, match=r"Operon failed on missing\.csv"):
         search_apart(tmp_path / "missing.csv", 0, 1e-4, 5.0)
-
-
-def test_a_process_that_does_not_end_is_ended(monkeypatch, file):
-    def slow(*arguments, **options):
-        raise subprocess.TimeoutExpired("operon", options["timeout"])
-
-    monkeypatch.setattr(operon.subprocess, "run", slow)
-    with pytest.raises(AtollError, match="did not end within 35 s"):
-        search_apart(file, 0, 1e-4, 5.0)
 
 
 def test_an_easy_equation_is_found(file):

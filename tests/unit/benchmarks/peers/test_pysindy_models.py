@@ -4,7 +4,6 @@ import dataclasses
 
 import pytest
 
-from atoll_core.errors import UsageError
 from benchmarks.noise.data import Key, case
 from benchmarks.noise.judging import outcome
 from benchmarks.peers import pysindy_models
@@ -20,12 +19,6 @@ def test_terms_become_our_expressions():
     assert as_infix(["x"], [0.0]) == "0.0"
 
 
-def test_without_the_extra_there_is_a_sentence(monkeypatch):
-    monkeypatch.setattr(pysindy_models.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"pip install -e '\.\[bench\]'"):
-        pysindy_models.require()
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("method", [WAVES, WEAK])
@@ -38,15 +31,3 @@ def test_an_equation_within_its_library_is_found(method, monkeypatch):
     judgement = outcome(key, case(key), solve(method, key.seed, case(key)), {})
     assert all(equation.in_form for equation in judgement.equations)
     assert max(equation.constants_error for equation in judgement.equations) < 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_the_weak_form_does_not_apply_to_uneven_times():
-    pytest.importorskip("pysindy")
-    even = case(KEY)
-    columns = even.table.columns.copy()
-    columns[0, :100] **= 1.1
-    uneven = dataclasses.replace(even, table=dataclasses.replace(even.table, columns=columns))
-    answer = solve(WEAK, KEY.seed, uneven)
-    assert [equation["expression"] for equation in answer["equations"]] == [None, None]

@@ -23,9 +23,3 @@ def test_levels_of_noise_are_numbers_and_none_by_default():
 def test_other_levels_are_refused(text):
     with pytest.raises(argparse.ArgumentTypeError, match="levels such as"):
         levels(text)
-
-
-def test_noise_and_a_race_exclude_each_other(capsys):
-    with pytest.raises(SystemExit):
-        main.parser.parse_args(["--data", "d", "--noise", "0.1", "--versus", "operon"])
-    assert "not allowed with" in capsys.readouterr().err

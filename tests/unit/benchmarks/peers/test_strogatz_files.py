@@ -5,7 +5,6 @@ import pytest
 
 from atoll_core.errors import DataError
 from benchmarks.peers.strogatz_files import NAMES, rows_of, split, truths
-from tests.unit.benchmarks.peers.equivalents import EQUIVALENTS
 
 
 @pytest.fixture
@@ -17,19 +16,11 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_the_truths_are_read(folder):
-    assert truths(folder) == {"glider1": "x"}
-
-
 @pytest.mark.parametrize("missing", ["truth.json", "vdp2.csv"])
 def test_a_missing_file_is_named(folder, missing):
     (folder / missing).unlink()
     with pytest.raises(DataError, match=missing):
         truths(folder)
-
-
-def test_the_names_are_those_of_the_forms():
-    assert set(NAMES) == set(EQUIVALENTS)
 
 
 def test_three_quarters_are_learned_from_and_the_rest_judged_by(folder):
@@ -53,14 +44,3 @@ def test_noise_is_on_the_labels_to_learn_from_alone_and_of_the_given_size(folder
     assert abs(np.mean(noise)) < 4 * expected / np.sqrt(300)
     np.testing.assert_array_equal(parts.labels, np.cos(parts.columns["x"]))
     np.testing.assert_array_equal(rows.columns, before)
-
-
-def test_file_and_seed_decide_the_rows_and_the_level_the_noise(folder):
-    rows = rows_of(folder, "lv1")
-    one, same, louder = (split(rows, "lv1", 3, level).training for level in (0.01, 0.01, 0.1))
-    assert one.digest == same.digest
-    np.testing.assert_array_equal(one.column("x"), louder.column("x"))
-    small, large = (table.column("label") - np.cos(table.column("x")) for table in (one, louder))
-    assert not np.allclose(10 * small, large)
-    for other in (split(rows, "lv1", 4, 0.01), split(rows, "lv2", 3, 0.01)):
-        assert not np.array_equal(other.training.column("x"), one.column("x"))

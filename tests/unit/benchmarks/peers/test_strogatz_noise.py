@@ -12,15 +12,10 @@ from benchmarks.harness.record import Record
 from benchmarks.judging.rules import NO_EQUATION, Form
 from benchmarks.peers import strogatz_noise
 from benchmarks.peers.strogatz_files import NAMES, rows_of, split
-from benchmarks.peers.strogatz_noise import Outcome, by_file, by_level, outcome, rates, run
+from benchmarks.peers.strogatz_noise import outcome, run
 
 CONFIG = PRESETS["default"].model_copy(update={"data": PRESETS["default"].data.model_copy(update={"target": "label"})})
 TRUTH = "2*y - x*y - y**2"
-OUTCOME = Outcome(
-    file="lv2", seed=0, level=0.01, srbench=True, srbench_reason="a constant difference", strict=False,
-    strict_reason="a constant differs by 0.004", r_squared=0.999, constants_error=0.004, on_front=9, expression=TRUTH,
-    complexity=11, why="time", point_evaluations=1000, search_seconds=1.0, seconds=2.0,
-)  # fmt: skip
 
 
 @pytest.fixture
@@ -62,35 +57,10 @@ def test_an_equation_is_judged_by_both_rules(folder):
     assert judged(folder, result(TRUTH)).srbench
 
 
-def test_a_front_may_hold_what_was_not_chosen(folder):
-    judgement = judged(folder, result("y*(2 - x - y*1.01)", TRUTH))
-    assert (judgement.strict, judgement.on_front) == (False, 5)
-    assert judgement.strict_reason.startswith("a constant differs")
-
-
 def test_no_equation_is_not_solved(folder):
     judgement = judged(folder, result(None))
     assert (judgement.srbench, judgement.strict) == (False, False)
     assert (judgement.r_squared, judgement.on_front, judgement.srbench_reason) == (None, None, "no equation")
-
-
-def test_rates_are_shares_of_the_runs():
-    missed = dataclasses.replace(OUTCOME, srbench=False, on_front=None)
-    assert rates([OUTCOME, OUTCOME, OUTCOME, missed]) == {"srbench": 75.0, "strict": 0.0, "on_front": 75.0}
-
-
-def test_files_and_levels_are_told_apart():
-    outcomes = [OUTCOME, dataclasses.replace(OUTCOME, seed=1, srbench=False), dataclasses.replace(OUTCOME, level=0.1)]
-    _, first, second = by_file(outcomes).splitlines()
-    assert first.split()[:8] == ["lv2", "0.01", "1", "of", "2", "0", "of", "2"]
-    assert second.split()[:5] == ["lv2", "0.1", "1", "of", "1"]
-    _, first, second = by_level(outcomes).splitlines()
-    assert first.split() == ["0.01", "2", "50.0", "0.0", "100.0", "2.0", "50.0", "(ParFam,", "3.4", "h)", "13.6", "0.7"]
-    assert "15.0 (DSR, 410 s)" in second
-
-
-def test_a_level_that_nobody_published_has_no_figures_beside_it():
-    assert by_level([dataclasses.replace(OUTCOME, level=0.05)]).splitlines()[1].split()[-3:] == ["-", "-", "-"]
 
 
 @dataclasses.dataclass

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.harness.record import Record
 from benchmarks.peers import operon, strogatz_versus
 from benchmarks.peers.strogatz_files import rows_of
-from benchmarks.peers.strogatz_versus import Race, by_file, measured_error, race, run, summary, totals
+from benchmarks.peers.strogatz_versus import Race, measured_error, race, run, summary
 
 PEER = operon.Run(
     seconds=4.0, elapsed=4.1, processor_seconds=7.9, error=5e-5, generations=7, evaluations=8000, expression="v0"
@@ -57,17 +57,6 @@ def test_a_miss_counts_as_the_limit():
     assert summed["peers_mean_s"] == pytest.approx(8.0)
     assert summed["ratio"] == pytest.approx(0.5)
     assert (summed["slowest_s"], summed["peers_slowest_s"], summed["largest_error"]) == (16.0, 16.0, 1e-6)
-
-
-def test_medians_of_the_files_stand_side_by_side():
-    row = by_file([RACE, dataclasses.replace(RACE, seed=1, ours=2.0), MISSED], 60.0).splitlines()[1].split()
-    assert row == ["lv2", "2.00", "60.00", "2", "of", "3", "4.00", "60.00", "2", "of", "3", "0.500"]
-
-
-def test_the_slowest_run_is_named():
-    text = totals([RACE, MISSED], 60.0)
-    assert "1 of 2 met the target" in text
-    assert "slowest 60.00 s (lv2 seed 1)" in text
 
 
 def test_both_search_in_turn_and_all_is_written(folder, monkeypatch, capsys):

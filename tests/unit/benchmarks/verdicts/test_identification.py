@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from atoll_core.data.dataset import FloatArray
-from benchmarks.verdicts.few_rows import draw
-from benchmarks.verdicts.identification import DECIDED, RIVALS, Measurements, leads
-from benchmarks.verdicts.laws import LAWS
+from benchmarks.verdicts.identification import DECIDED, Measurements, leads
 from benchmarks.verdicts.simulation import Run, simulate, with_numbers
 
 DECAY = {"x": "-k1*x"}
@@ -34,18 +32,3 @@ def test_a_misfit_is_in_deviations_of_the_errors() -> None:
     run = Run({"k1": 0.5}, (2.0,), np.array([0.0, 1.0]))
     left = Measurements({"x": np.array([2.0, 1.0])}, {"x": 0.1}).misfit(DECAY, run)
     assert left == pytest.approx([0.0, 10.0 * (2.0 * math.exp(-0.5) - 1.0)], abs=1e-4)
-
-
-def test_every_law_of_a_rate_has_rivals_with_as_many_constants() -> None:
-    laws = {text.replace("x_dot", "v") for law in LAWS.values() for text in law.equations.values() if "k" in text}
-    assert laws == set(RIVALS)
-
-
-def test_drawn_tables_say_how_far_each_law_leads() -> None:
-    decay, spring = draw(0), draw(5)
-    assert decay.leads is not None
-    assert set(decay.leads) == {"x"}
-    assert spring.leads is not None
-    assert math.isfinite(spring.leads["x"])
-    control = next(one for one in map(draw, range(9)) if "no law" in one.kind)
-    assert control.leads is None

@@ -10,9 +10,8 @@ from atoll_core.errors import AtollError
 from benchmarks.harness.journal import Journal
 from benchmarks.verdicts import few_rows, groups, targets
 from benchmarks.verdicts.autonomous import FULL, LIMITED
-from benchmarks.verdicts.campaign import is_cut, limit_of
 from benchmarks.verdicts.drawn import Drawn
-from benchmarks.verdicts.judging import EquationOutcome, Key, Outcome, judge, numbers_of, values_of
+from benchmarks.verdicts.judging import EquationOutcome, Key, Outcome, judge
 from benchmarks.verdicts.tables import by_kind, cases, is_as_promised, limits, line, rates, summary
 
 DECAY = few_rows.draw(9)
@@ -71,13 +70,6 @@ def test_the_intervals_of_right_equations_are_counted_group_by_group() -> None:
     assert (judged.form, judged.covered, judged.intervals) == ("right", 2, 3)
 
 
-def test_runs_that_no_constants_describe_have_no_law_to_identify() -> None:
-    drawn = groups.draw(9)
-    equation = {"variable": "x", "expression": next(iter(groups.draw(4).laws.values()))["x"], "verdict": "good"}
-    (judged,) = judge(drawn, {"equations": [equation]})
-    assert (judged.form, judged.is_identified, judged.is_false) == ("other", False, not judged.is_predicted)
-
-
 def test_a_model_that_cannot_be_simulated_foretells_nothing() -> None:
     assert shown(DECAY, "good", x="x**3 + 9.0").r2 == -float("inf")
     missing = judge(DECAY, {"equations": []})
@@ -95,17 +87,6 @@ def test_the_form_must_be_right_in_each_group() -> None:
     rows[-1]["group"] = "9"
     with pytest.raises(AtollError, match="no group '3'"):
         judge(drawn, result)
-
-
-def test_numbers_are_constants_of_each_group_and_initial_values() -> None:
-    drawn = groups.draw(1)
-    own, shared = {"shared": False}, {"shared": True}
-    rows = [{"group": group, "expression": "x", "constants": [own, shared]} for group in drawn.laws]
-    result = {"equations": [{"variable": "x", "expression": "x", "constants": [own, shared], "groups": rows}]}
-    assert (len(rows), drawn.runs, numbers_of(drawn, result)) == (3, 3, 3 + 1 + 3)
-    assert numbers_of(DOSES, {"equations": [{"variable": "y", "expression": "x", "constants": [own] * 4}]}) == 4
-    assert numbers_of(few_rows.draw(5), {"equations": [{"variable": "x", "expression": "x", "constants": [own]}]}) == 3
-    assert (numbers_of(DECAY, {}), values_of(DECAY), values_of(few_rows.draw(7))) == (0, DECAY.rows, 24)
 
 
 def test_a_summary_counts_false_verdicts_and_right_laws_that_are_doubted() -> None:
@@ -145,13 +126,6 @@ def test_a_limit_of_time_must_not_make_a_verdict_better() -> None:
     assert pair(shown(DECAY, "good", x="-0.23*x"), doubtful) == []
 
 
-def test_a_limit_is_a_share_of_the_time_without_one() -> None:
-    journal: Journal[Outcome] = Journal("verdicts", Outcome, None, [], resume=False)
-    journal.add(outcome(shown(DECAY, "good", x="-0.2*x"), Key("limits", 4, FULL), seconds=20.0))
-    journal.add(outcome(shown(DECAY, "good", x="-0.2*x"), Key("limits", 5, FULL), seconds=1000.0))
-    assert [limit_of(Key("limits", seed, LIMITED), journal) for seed in (4, 5)] == [3.0, 60.0]
-
-
 def test_a_motion_sampled_faster_has_the_same_model_and_verdict() -> None:
     texts = ("-0.24*x", "-0.2*x", "-0.24*x - 0.1*x*x")
     verdicts = ("good", "doubtful", "doubtful")
@@ -162,12 +136,6 @@ def test_a_motion_sampled_faster_has_the_same_model_and_verdict() -> None:
     first, second = rates(ended, lambda key: DECAY)
     assert first.startswith("OTHER VERDICT: rates 1 1 and 3")
     assert second.startswith("OTHER MODEL: rates 1 3 and 10")
-
-
-def test_a_job_is_cut_where_its_limit_ended_something() -> None:
-    assert is_cut({"refining": "max-time", "equations": []})
-    assert is_cut({"refining": "finished", "equations": [{"why": "max-time"}]})
-    assert not is_cut({"refining": "finished", "equations": [{"why": "stagnation"}]})
 
 
 def test_outcomes_are_read_back_from_a_journal(tmp_path: Path) -> None:

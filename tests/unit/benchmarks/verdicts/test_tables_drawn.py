@@ -8,10 +8,9 @@ import pytest
 
 from atoll_coordinator.data.reading.files import read_table
 from benchmarks.corpus.cases import LEAST_T
-from benchmarks.verdicts import few_rows, groups, inputs, targets
 from benchmarks.verdicts.autonomous import FACTORS, draw_at_rate
-from benchmarks.verdicts.campaign import CAMPAIGNS, keys, request, table_of
-from benchmarks.verdicts.drawn import Drawn, Measured, nice_step, rounded
+from benchmarks.verdicts.campaign import request, table_of
+from benchmarks.verdicts.drawn import Drawn, Measured
 from benchmarks.verdicts.judging import Key, judge
 from benchmarks.verdicts.simulation import Run, least_t, prediction_r2, simulate
 
@@ -55,54 +54,9 @@ def test_the_laws_are_right_and_foretell(key: Key) -> None:
         assert equation.r2 == pytest.approx(1.0, abs=1e-4)
 
 
-def test_other_seeds_give_other_tables() -> None:
-    texts = {few_rows.draw(seed).csv() for seed in range(0, 45, 9)}
-    assert len(texts) == 5
-
-
-def test_tables_of_few_rows_have_eight_laws_and_none_and_levels_of_noise_in_turn() -> None:
-    drawn = [few_rows.draw(seed) for seed in range(27)]
-    assert {one.kind.partition(",")[0].partition(":")[0] for one in drawn} == set(few_rows.KINDS)
-    assert len({one.kind for one in drawn if "no law" not in one.kind}) == 8 * len(few_rows.LEVELS)
-    assert all(5 <= one.rows <= 12 for one in drawn)
-    assert all(one.laws[""] == {"x": None} for one in drawn if "no law" in one.kind)
-
-
-def test_a_third_of_the_targets_has_no_law() -> None:
-    drawn = [targets.draw(seed) for seed in range(24)]
-    lawless = [one for one in drawn if one.laws[""]["y"] is None]
-    assert len(lawless) == 8
-    assert {one.kind for one in lawless} == set(targets.LAWLESS)
-    assert {one.kind.partition(",")[0] for one in drawn if one not in lawless} == set(targets.CURVES)
-    assert all(len(set(one.columns["x"])) == 3 for one in lawless if one.kind == "three x values")
-
-
-def test_runs_whose_constants_differ_unsaid_have_no_law() -> None:
-    drawn = groups.draw(9)
-    assert drawn.kind.startswith("unsaid")
-    assert "--per-trajectory" not in drawn.words
-    laws = [*drawn.laws.values()]
-    assert len(laws) > 1
-    assert all(None in law.values() for law in laws)
-
-
 def test_the_same_motion_is_sampled_at_each_rate() -> None:
     slow, fast = (draw_at_rate(4, factor).clean["x"] for factor in FACTORS[:2])
     assert fast[::3] == pytest.approx(slow)
-
-
-def test_an_input_is_said_to_be_held_only_where_it_is_and_the_option_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    for has, number in ((False, 4), (True, 6)):
-        monkeypatch.setattr(inputs, "has_hold", lambda has=has: has)
-        asked = keys(["inputs"], range(4))
-        assert len(asked) == number
-        assert all(key.seed % 2 for key in asked if key.variant == "hold")
-    assert table_of(Key("inputs", 3, "hold")).csv() == table_of(Key("inputs", 3)).csv()
-    assert "--hold" in table_of(Key("inputs", 3, "hold")).words
-
-
-def test_the_seed_of_each_campaign_gives_a_table() -> None:
-    assert set(CAMPAIGNS) == {"few-rows", "targets", "groups", "inputs", "limits", "rates", "strong-noise"}
 
 
 def test_held_inputs_are_held_between_rows() -> None:
@@ -140,9 +94,3 @@ def test_laws_of_second_order_are_those_of_positions() -> None:
     assert spring.laws() == {"": {"x": "-(4.0)*x"}}
     assert spring.predict({"": {"x": "-4.0*x"}})["x"] == pytest.approx((1.0, 1.0))
     assert spring.predict({"": {"x": "-9.0*x"}})["x"][0] < 0.9
-
-
-def test_values_are_written_as_people_do() -> None:
-    values, error = rounded(np.array([12.3456, -0.004]), 3)
-    assert (values.tolist(), error) == ([12.3, 0.0], pytest.approx(0.1 / np.sqrt(12.0)))
-    assert [nice_step(value) for value in (0.31, 7.0, 1.0, 49.0)] == [0.2, 5.0, 1.0, 20.0]

@@ -16,7 +16,6 @@ from atoll_coordinator.model.criteria import (
     program_length,
     structure_length,
     system_length,
-    validated_length,
 )
 from atoll_coordinator.model.structure.moves.extensions import extensions
 from atoll_coordinator.settings import SETTINGS
@@ -174,7 +173,6 @@ def test_a_system_costs_its_misfit_its_structures_and_its_constants():
     programs = [parsed("x"), parsed("x + y")]
     structures = sum(map(structure_length, programs))
     assert system_length(10.0, programs, 3, 2.5) == pytest.approx(10.0 + structures + 7.5)
-    assert validated_length(10.0, programs) == pytest.approx(10.0 + structures)
     assert constant_nats_of(100.0) == pytest.approx(0.5 * math.log(100.0))
     assert constant_nats_of(0.5) == constant_nats_of(2.0) == pytest.approx(0.5 * math.log(2.0))
     added = structure_length(parsed("x + 2.0*y")) - structure_length(parsed("x"))

@@ -59,7 +59,7 @@ def test_keywords_are_the_options_of_run(options: dict, words: list[str]) -> Non
         ({"time": ["t", "u"]}, "time must be text, but ['t', 'u'] was given"),
         ({"known": {"dx": ""}}, "known must be of the form dy=-x/10, but {'dx': ''} was given"),
         ({"max_size": 500}, "max_size must be less than or equal to 120, but 500 was given"),
-        ({"order": 2, "target": "y"}, "order=2 and target contradict each other"),
+        ({"order": 2, "target": "y"}, "order=2 and target exclude each other"),
         ({"config": 3}, "config must be the path of a job file, but 3 was given"),
     ],
 )

@@ -285,7 +285,7 @@ def test_what_one_trajectory_cannot_tell_is_said():
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise):
     """As constants of dozens of states are; here those of one trajectory of two."""
-    monkeypatch.setattr(piece_lengths, "SETTINGS", settings("selection", fitted_sensitivities=50))
+    monkeypatch.setattr(piece_lengths, "SETTINGS", settings("effort", work=50 * SETTINGS.effort.steps))
     config = JobConfig(space=NO_LIBRARIES)
     refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, config=config, noise=noise, seed=108)
     assert refinement.warnings == ()

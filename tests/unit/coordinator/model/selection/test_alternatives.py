@@ -1,21 +1,18 @@
 """What came closest, and who wins a close ranking."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.selection import alternatives as alternatives
 from atoll_coordinator.model.selection.alternatives import rank_alternatives
 from atoll_coordinator.model.selection.candidates import CandidateSet
-from atoll_coordinator.model.selection.cross_validation import Validated, Validation
+from atoll_coordinator.model.selection.cross_validation import Validation
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import JobConfig
 from atoll_core.expression.program import structure
-from tests.unit.coordinator.model.fitting import settings
 from tests.unit.coordinator.model.shooting.made import SWING, table
 
 TIMES = 0.1 * np.arange(30.0)
@@ -78,49 +75,6 @@ def test_with_two_trajectories_nothing_is_validated():
 
 def test_a_known_equation_has_no_rivals():
     assert ranked_by(selection(known=["y"])).alternatives == ((), ())
-
-
-@pytest.mark.parametrize(("behind", "wins"), [(1.0, True), (2.9, True), (3.1, False)])
-def test_one_that_is_close_behind_and_foretells_better_wins(monkeypatch, behind, wins):
-    chosen = selection()
-    other = chosen.comparison.fit_exchanged(chosen.model, 1, SWING.parsed("-1.9*x"), 12)
-    close = replace(other, nats=chosen.model.nats + behind)
-    misfits = {id(chosen.model): 100.0, id(close): 50.0}
-    monkeypatch.setattr(
-        alternatives,
-        "_alternatives",
-        lambda selected, index, _: [close] if index and selected.model is chosen.model else [],
-    )
-    monkeypatch.setattr(Validation, "of", lambda _, model: Validated((0.9, 0.9), misfits[id(model)]))
-    ranking = ranked_by(chosen)
-    assert (ranking.selection.model is close) is wins
-    assert ranking.validated.misfit == (50.0 if wins else 100.0)
-
-
-def test_one_that_foretells_worse_does_not_win(monkeypatch):
-    chosen = selection()
-    other = chosen.comparison.fit_exchanged(chosen.model, 1, SWING.parsed("-1.9*x"), 12)
-    close = replace(other, nats=chosen.model.nats + 0.5)
-    misfits = {id(chosen.model): 100.0, id(close): 130.0}
-    monkeypatch.setattr(alternatives, "_alternatives", lambda _, index, __: [close] if index else [])
-    monkeypatch.setattr(Validation, "of", lambda _, model: Validated((0.9, 0.9), misfits[id(model)]))
-    ranking = ranked_by(chosen)
-    assert ranking.selection is chosen
-    assert ranking.alternatives[1][0].validated.misfit == 130.0
-
-
-@pytest.mark.parametrize("is_earned", [False, True])
-def test_a_pole_must_be_earned(monkeypatch, is_earned):
-    chosen = selection()
-    truth = structure(chosen.model.programs[1])
-    (_, (nearest, *_)) = ranked_by(chosen).alternatives
-    gap = nearest.model.nats - chosen.model.nats
-    limit = gap + (-0.1 if is_earned else 0.1)
-    monkeypatch.setattr(alternatives, "find_poles", lambda program, _: [program] * (structure(program) == truth))
-    monkeypatch.setattr(alternatives, "SETTINGS", settings("inference", distinct_nats=limit))
-    monkeypatch.setattr(alternatives, "_winner", lambda *_: None)
-    shown = ranked_by(chosen).selection.model.programs[1]
-    assert (structure(shown) == truth) is is_earned
 
 
 def test_the_ranking_ends_with_the_work_of_a_part_however_many_alternatives_are_shorter(monkeypatch):

@@ -23,7 +23,6 @@ from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
-from atoll_coordinator.settings import SETTINGS
 from atoll_core.config import DataConfig, JobConfig, PriorConfig
 from atoll_core.data.dataset import Dataset
 from atoll_core.expression.program import Program, structure
@@ -213,8 +212,7 @@ def test_the_number_of_threads_changes_no_bit(threads):
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 7])
 def test_neither_workers_nor_their_order_change_a_bit_or_the_work_that_is_counted(workers, monkeypatch):
-    few = replace(settings("effort", kept=2), spread=replace(SETTINGS.spread, batch=1))
-    monkeypatch.setattr(comparison, "SETTINGS", few)
+    monkeypatch.setattr(comparison, "SETTINGS", settings("effort", kept=2))
     batches = ScatteredBatches(workers)
     for until in (math.inf, 1.0):
         assert narrowed(lotka(spread=Spread(batches)), until) == narrowed(lotka(), until)

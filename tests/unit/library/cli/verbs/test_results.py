@@ -497,7 +497,7 @@ def test_the_heading_of_one_group_names_it(exportable: Path, capsys: pytest.Capt
     contents["equations"][0] |= {"front": [member | {"r2": 0.5, "constants": []}], "why": "target", "target_error": 0.1}
     (exportable / "result.json").write_text(json.dumps(contents))
     picked = exported(capsys, *words, *start, "--pick", "x=0")
-    assert "those of dx/dt are of all groups together." in picked
+    assert "the constants of dx/dt belong to all groups together." in picked
     assert "0.75" in picked
     assert "Constants belong to group a b." in text
     assert "0.6" in text
