@@ -55,7 +55,7 @@ def write_report(path: Path, result: "Result") -> None:
 
 def write_page(path: Path, page: str) -> None:
     """Write a page, and print where; raises UsageError if it cannot be written."""
-    from atoll.model.shortcuts import write_text
+    from atoll_core.quoting import write_text
 
     write_text(path, page)
     note(f"report in {path}")

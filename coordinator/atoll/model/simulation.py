@@ -41,7 +41,7 @@ from atoll_core.quoting import shown
 if TYPE_CHECKING:
     import polars
 
-    from atoll.model.model import Model
+    from atoll.model.core import ModelCore
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
 """How a simulation ended: at the last time; with a state that grows without bounds in finite time; with all evaluations
@@ -457,7 +457,7 @@ MOST_STEPS: Final = 200_000
 
 
 def ensemble_of(
-    model: "Model", x0: FloatArray, times: FloatArray, inputs: Inputs | None, drawn: tuple[int, int]
+    model: "ModelCore", x0: FloatArray, times: FloatArray, inputs: Inputs | None, drawn: tuple[int, int]
 ) -> Ensemble:
     """Return paths from `x0` (D,) at the first of the ascending `times` (N,).
 
@@ -478,7 +478,7 @@ def ensemble_of(
 
 
 def density_of_process(
-    model: "Model", x0: FloatArray, inputs: Sequence[float], drawn: tuple[int, int]
+    model: "ModelCore", x0: FloatArray, inputs: Sequence[float], drawn: tuple[int, int]
 ) -> StationaryDensity | None:
     """Return the density of settled paths from `x0` (D,) with held `inputs` (U,); None where they do not settle."""
     simulator = _simulator(model, *drawn, least=2)  # one path gives no error of its means
@@ -491,7 +491,7 @@ def density_of_process(
     return None if paths is None else density_of(model.states, paths)
 
 
-def process_of(model: "Model") -> Process:
+def process_of(model: "ModelCore") -> Process:
     """Return the process; raises UsageError where the model has no noise, or its result has no 'process'."""
     process = model.result.process
     if not model.components:
@@ -501,7 +501,7 @@ def process_of(model: "Model") -> Process:
     return process
 
 
-def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simulator:
+def _simulator(model: "ModelCore", paths: int, seed: int, *, least: int = 1) -> Simulator:
     for name, value, lower in (("paths", paths, least), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < lower:
             raise UsageError(f"{name} must be a whole number of at least {lower}, but {value!r} was given")

@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
+from atoll.tasks.functions import FUNCTIONS as TASK_FUNCTIONS
 from atoll_core import task_frames as frames
 from atoll_core.logs import fields
 from atoll_core.machine import collect_rarely, memory_bytes
@@ -307,17 +308,13 @@ class TaskLoop:
                     del batch
 
     def _load(self, load: frames.Load) -> None:
-        from atoll.tasks.functions import FUNCTIONS
-
         if self._waiting.empty():
-            FUNCTIONS[load.function].load()  # type: ignore[index]  # a name of the table, by the type of the message
+            TASK_FUNCTIONS[load.function].load()  # type: ignore[index]  # a name of the table, by the type of the message
 
     def _run(self, run: frames.Run) -> None:
-        from atoll.tasks.functions import FUNCTIONS
-
         about = {"job": run.job or None, "task": run.task[:_SHOWN], "function": run.function}
         try:
-            function = FUNCTIONS[run.function]  # type: ignore[index]
+            function = TASK_FUNCTIONS[run.function]  # type: ignore[index]
             (function.load if run.seconds is None else function.ready)()
             self._send(frames.Begun(run.task))
             self._team.begin(run.task, run.threads)

@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.cli.main import main
-from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from tests.unit.library.experiments.made import measured
 from tests.unit.library.experiments.test_comparison import decay
