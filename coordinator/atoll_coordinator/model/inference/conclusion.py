@@ -26,13 +26,13 @@ from atoll_coordinator.model.inference.standard_errors import (
 )
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
-    SimulatedTrajectory,
     bands,
     fit_starts,
-    listed_simulation,
+    listed_trajectories,
     r2_of,
+    rows_by_trajectory,
     scaled_covariance,
-    simulate_trajectories,
+    simulated_states,
 )
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
@@ -48,6 +48,7 @@ from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.structure.poles import find_poles
 from atoll_coordinator.result.equations import Constant, Prediction
 from atoll_coordinator.result.findings import Errors
+from atoll_coordinator.result.listed_trajectories import Simulation
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import constant_places
@@ -68,7 +69,10 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     long_run = long_run_of(final)
     chaos = long_run.chaos
     predictions = _predictions(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
-    held_out_r2 = (final.ranking.validated or (None,) * len(task.variables)) if out is None else out[1]
+    held_out_r2: Sequence[float | None] = final.ranking.validated or (None,) * len(task.variables)
+    if out is not None and final.unseen is not None:
+        unseen = final.unseen.estimator.measurements
+        held_out_r2 = [-math.inf for _ in held_out_r2] if out[0] is None else r2_of(unseen, out[0], slice(None))
     compared: list[TrajectoryChecks] = []
     for index, prediction in enumerate(predictions):
         equation = _equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
@@ -79,26 +83,27 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         spread = _carried_bands(final, final.seen, final.seen_fit, errors)
     else:
         spread = bands(measurements, final.free.fit, *scaled_covariance(final.free.fit, errors))
-    trajectories = simulate_trajectories(measurements, final.seen_fit, spread, task.variables, held_out=False)
-    recording = preparation.recording
+    recording, quantile = preparation.recording, student_95(errors.degrees_of_freedom)
     assert recording is not None
+    trajectories = listed_trajectories(measurements, final.seen_fit, spread, task.variables, preparation, quantile)
+    if out is not None and final.unseen is not None:
+        trajectories += listed_trajectories(
+            final.unseen.estimator.measurements, *out, task.variables, preparation, quantile
+        )
+    values, _ = simulated_states(measurements, final.seen_fit, task.variables)
+    simulated = [values[:, rows] for _, rows in rows_by_trajectory(measurements)]
     covariances = [] if groups is None else groups.covariances(errors, task.variables)
     places = [] if groups is not None else fitted_places(final.comparison, task.variables, final.explicit)
     whole = joint_covariance(places, of_constants.covariance, of_constants.degrees_of_freedom)
     return Refinement(
         equations,
-        listed_simulation(
-            [*trajectories, *(() if out is None else out[0])],
-            task.variables,
-            student_95(errors.degrees_of_freedom),
-            preparation,
-        ),
+        Simulation(trajectories=tuple(trajectories)),
         find_correlations(places, of_constants),
         _state_errors(final),
         (
             *remarks(task, is_tested_in_whole=long_run.fits is True),
             *_pole_remarks(final),
-            *stochastic_remarks(recording, task.variables, trajectories),
+            *stochastic_remarks(recording, task.variables, simulated),
         ),
         chaos,
         fluxes=final.fluxes,
@@ -176,16 +181,13 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
 
 def _held_out(
     final: FinalModel, unseen: ModelComparison, errors: ConstantErrors
-) -> tuple[list[SimulatedTrajectory], Sequence[float | None]]:
-    """Return the held-out trajectories from initial states that are fitted to them, and the R2 of each variable.
+) -> tuple[TrajectoryFit | None, FloatArray | None]:
+    """Return the simulation of the held-out trajectories from initial states that are fitted to them, and its bands.
 
-    They have bands unless there are groups.
+    None if it failed; without bands if there are groups.
     """
-    measurements, names = unseen.estimator.measurements, final.task.variables
     fit = final.simulated_by(unseen)
-    spread = None if fit is None or final.by_group else _carried_bands(final, unseen, fit, errors)
-    r2 = [-math.inf for _ in measurements.observed] if fit is None else r2_of(measurements, fit, slice(None))
-    return simulate_trajectories(measurements, fit, spread, names, held_out=True), r2
+    return fit, None if fit is None or final.by_group else _carried_bands(final, unseen, fit, errors)
 
 
 def _carried_bands(
