@@ -368,14 +368,14 @@ class ModelComparison:
 
     def fit_beside(
         self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
-        fixed_nodes: Sequence[Iterable[int]] = (), shared: Collection[SharedNumber] = (), most: float = math.inf,
+        shared: Collection[SharedNumber] = (), most: float = math.inf,
     ) -> FittedModel | None:  # fmt: skip
         """Return the fitted `system` of `programs` and the rest, begun with the initial states of `near`.
 
         None when it cannot be simulated or may not stand. A fit ends early if it will not reach a description of at
         most this many nats.
         """
-        return self._fit_from(self._beginning(near), programs, steps, fixed_nodes, shared, most)
+        return self._fit_from(self._beginning(near), programs, steps, shared, most)
 
     def _beginning(self, near: FittedModel) -> Beginning:
         """Return where the fits of systems near one begin."""
@@ -383,13 +383,13 @@ class ModelComparison:
         return Beginning(fit.starts, fit.errors, fit.is_stiff, None if self.groups is None else fit.system)
 
     def _fit_from(
-        self, near: Beginning, programs: Sequence[Program], steps: int, fixed_nodes: Sequence[Iterable[int]] = (),
-        shared: Collection[SharedNumber] = (), most: float = math.inf,
+        self, near: Beginning, programs: Sequence[Program], steps: int, shared: Collection[SharedNumber] = (),
+        most: float = math.inf,
     ) -> FittedModel | None:  # fmt: skip
         admitted = self.admitted(programs)
         if admitted is None:
             return None
-        system = self.system(admitted, fixed_nodes, near.system, shared)
+        system = self.system(admitted, near=near.system, shared=shared)
         goal = self.score.goal(system, most)
         fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff, goal=goal)
         return None if fit is None else self.measure(fit)

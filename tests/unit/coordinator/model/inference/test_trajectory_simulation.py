@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation, Source
-from atoll_coordinator.model.inference.standard_errors import joint_covariance
+from atoll_coordinator.model.constants.standard_errors import joint_covariance
 from atoll_coordinator.model.inference.trajectory_simulation import listed_trajectories
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from atoll_coordinator.result.findings import Place
