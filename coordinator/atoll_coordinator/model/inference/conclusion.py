@@ -21,7 +21,7 @@ from atoll_coordinator.model.constants.standard_errors import (
     student_95,
 )
 from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.inference.final_model import FinalModel, errors_of_constants, estimate_errors, finalize
+from atoll_coordinator.model.inference.final_model import FinalModel, estimate_errors, finalize
 from atoll_coordinator.model.inference.long_run import long_run_of
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
 from atoll_coordinator.model.inference.remarks import stochastic_remarks
@@ -60,10 +60,10 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     final = finalize(selection)
     if final is None:
         return None
-    task, groups = final.task, final.groups
+    task, system = final.task, final.free.fit.system
     errors = estimate_errors(final.comparison, final.free)
-    of_constants = errors if groups is not None else errors_of_constants(final.comparison, final.free)
-    constants, by_group = _constants(final, of_constants)
+    of_groups = [errors.of_multiples(columns, system.multiples) for columns in system.columns]
+    constants, by_group = _constants(final, of_groups)
     out = None if final.unseen is None else _held_out(final, final.unseen, errors)
     long_run = long_run_of(final)
     chaos = long_run.chaos
@@ -91,13 +91,12 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         )
     values, _ = simulated_states(measurements, final.seen_fit, task.variables)
     simulated = [values[:, rows] for _, rows in rows_by_trajectory(measurements)]
-    covariances = [] if groups is None else groups.covariances(errors, task.variables)
-    places = [] if groups is not None else fitted_places(final.comparison.fixed, task.variables, final.explicit)
-    whole = joint_covariance(places, of_constants.covariance, of_constants.degrees_of_freedom)
+    places = fitted_places(final.comparison.fixed, task.variables, final.explicit)
+    covariances = [joint_covariance(places, one.covariance, one.degrees_of_freedom) for one in of_groups]
     return Refinement(
         equations,
         Simulation(trajectories=tuple(trajectories)),
-        find_correlations(places, of_constants),
+        () if final.by_group else find_correlations(places, of_groups[0]),
         _state_errors(final),
         (
             *remarks(task, is_tested_in_whole=long_run.fits is True),
@@ -106,26 +105,50 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         ),
         chaos,
         fluxes=final.fluxes,
-        covariance=covariances[0] if groups is not None and groups.are_one else whole,
+        covariance=covariances[0] if (system.columns == system.columns[0]).all() else None,
         by_group=dict(zip(task.recording.groups, covariances, strict=False)),
     )
 
 
 def _constants(
-    final: FinalModel, errors: ConstantErrors
+    final: FinalModel, of_groups: Sequence[ConstantErrors]
 ) -> tuple[Sequence[Known], Sequence[Sequence[tuple[Constant, ...]]]]:
-    """Return the estimates of the constants of each equation, and of each group if groups have their own."""
-    groups = final.groups
-    if groups is None:
-        described = describe_constants(final.comparison.fixed, final.explicit, final.programs, errors)
-        pairs = zip(described, final.rounded.simple, strict=True)
-        return [known.with_simple(simple) for known, simple in pairs], [[] for _ in described]
-    known, by_group = [], []
+    """Return the estimates of the constants of each equation, and of each group if groups have their own.
+
+    All groups together have the constants that they share with their errors, and the means of the others without.
+    """
+    fixed, columns = final.comparison.fixed, final.free.fit.system.columns
+    described = [
+        describe_constants(fixed, final.explicit, programs, errors)
+        for programs, errors in zip(final.by_group or [final.programs], of_groups, strict=True)
+    ]
+    if not final.by_group:
+        pairs = zip(described[0], final.rounded.simple, strict=True)
+        return [known.with_simple(simple) for known, simple in pairs], [[] for _ in final.programs]
+    are_shared = iter((columns == columns[0]).all(axis=0).tolist())
+    together, by_group = list[Known](), list[list[tuple[Constant, ...]]]()
     for equation, program in enumerate(final.programs):
-        together, of_groups = groups.of_equation(errors, equation, program, len(final.by_group))
-        known.append(Known(together))
-        by_group.append(of_groups)
-    return known, by_group
+        groups = [known[equation].written for known in described]
+        if equation in fixed:
+            together.append(Known(groups[0]))
+            by_group.append([])
+            continue
+        flags = [next(are_shared) for _ in groups[0]]
+        groups = [tuple(one.replaced(shared=flag) for one, flag in zip(group, flags, strict=True)) for group in groups]
+        values = program.constants[constant_places(program)].tolist()
+        written = [_together(value, constants) for value, *constants in zip(values, *groups, strict=True)]
+        together.append(Known(tuple(written)))
+        by_group.append(groups)
+    return together, by_group
+
+
+def _together(value: float, constants: Sequence[Constant]) -> Constant:
+    """Return a constant of all groups together: the shared one, or the mean of those of the groups without errors."""
+    if constants[0].shared:
+        return constants[0]
+    fitted = float(np.mean([constant.fitted or 0.0 for constant in constants]))
+    is_known = all(constant.identifiable for constant in constants)
+    return Constant(value=value, fitted=fitted, identifiable=is_known, shared=False)
 
 
 def _equation(
