@@ -9,7 +9,6 @@ Letters: G groups, P constants of all equations, Q numbers that these are in all
 """
 
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,65 +24,64 @@ Writer = Callable[[int, Program], Program]
 """Returns the shortest writing of the program of an equation."""
 
 
-@dataclass(frozen=True, eq=False)
-class ModelOfGroups:
-    """A fitted system, and the constants of it that all groups have in common."""
-
-    model: FittedModel
-    shared: frozenset[system.Place] = frozenset()
-
-
 def model_of_groups(whole: SelectedModel, write: Writer) -> FittedModel:
     """Return the model with those constants shared, and in those writings, that make its description shortest."""
     comparison = whole.comparison
-    begun = best = _with_shared(comparison, ModelOfGroups(whole.model))
-    for equation in range(len(begun.model.programs)):
+    best = _with_shared(comparison, whole.model)
+    for equation in range(len(best.programs)):
         if equation in comparison.fixed:
             continue
-        for program in _writings(whole, equation, best.model.programs[equation], write):
-            programs = [*best.model.programs]
+        for program in _writings(whole, equation, best.programs[equation], write):
+            programs = [*best.programs]
             programs[equation] = program
-            kept = frozenset(place for place in best.shared if place[0] != equation)
-            fitted = comparison.fit_beside(best.model, programs, shared=_numbers(kept))
+            kept = [place for place in _shared(comparison, best) if place[0] != equation]
+            fitted = comparison.fit_beside(best, programs, shared=_numbers(kept))
             if fitted is not None:
-                trial = _with_shared(comparison, ModelOfGroups(fitted, kept))
-                best = min(best, trial, key=lambda candidate: candidate.model.nats)
-    return best.model
+                best = min(best, _with_shared(comparison, fitted), key=lambda candidate: candidate.nats)
+    return best
+
+
+def _shared(comparison: ModelComparison, model: FittedModel) -> list[system.Place]:
+    """Return the constants that have one number in all groups."""
+    columns = model.fit.system.columns
+    are_shared = (columns == columns[0]).all(axis=0).tolist()
+    places = zip(comparison.places(model.fit.system), are_shared, strict=True)
+    return [place for place, is_shared in places if is_shared]
 
 
 def _numbers(shared: Collection[system.Place]) -> frozenset[system.SharedNumber]:
     return frozenset(((place, 1.0),) for place in shared)
 
 
-def _with_shared(comparison: ModelComparison, begun: ModelOfGroups) -> ModelOfGroups:
+def _with_shared(comparison: ModelComparison, begun: FittedModel) -> FittedModel:
     """Return `begun` with constants shared, those first that differ least, as long as the description gets shorter."""
     while True:
         following = None
+        shared = _shared(comparison, begun)
         for place in _alike_first(comparison, begun)[:2]:
-            shared = begun.shared | {place}
-            fitted = comparison.fit_beside(begun.model, begun.model.programs, shared=_numbers(shared))
-            if fitted is not None and fitted.nats < begun.model.nats:
-                following = ModelOfGroups(fitted, shared)
+            fitted = comparison.fit_beside(begun, begun.programs, shared=_numbers([*shared, place]))
+            if fitted is not None and fitted.nats < begun.nats:
+                following = fitted
                 break
         if following is None:
             return begun
         begun = following
 
 
-def _alike_first(comparison: ModelComparison, begun: ModelOfGroups) -> list[system.Place]:
+def _alike_first(comparison: ModelComparison, begun: FittedModel) -> list[system.Place]:
     """Return the constants that differ between groups, those first whose differences are the smallest for their errors.
 
     The statistic is the sum of squared deviations from the weighted mean over the variances (Cochran's Q).
     """
-    fit = begun.model.fit
+    fit = begun.fit
     values, variances = fit.system.by_place(fit.system.values), fit.system.by_place(np.diag(covariance(fit)), 2)
     weights = 1.0 / np.maximum(variances, 1e-300)
     with np.errstate(all="ignore"):
         means = (weights * values).sum(axis=0) / weights.sum(axis=0)
         statistics = np.nan_to_num((weights * (values - means) ** 2).sum(axis=0))
-    places = comparison.places(fit.system)
+    places, shared = comparison.places(fit.system), _shared(comparison, begun)
     order = sorted(range(len(places)), key=lambda number: float(statistics[number]))
-    return [places[number] for number in order if places[number] not in begun.shared]
+    return [places[number] for number in order if places[number] not in shared]
 
 
 def _writings(whole: SelectedModel, equation: int, program: Program, write: Writer) -> Iterator[Program]:
