@@ -109,9 +109,9 @@ def judge(equation: EquationChecks) -> Verdict:
     against = failures(findings.values())
     if against:
         return Verdict("doubtful", sentence(against), checks)
-    precise, *others = [*exactness.values()] or [None]
+    precise = exactness.get("precision")
     if precise is not None and precise.outcome == "passed":
-        unsure = [finding for finding in others if finding and finding.outcome not in ("passed", "not applicable")]
+        unsure = [finding for finding in exactness.values() if finding.outcome not in ("passed", "not applicable")]
         return Verdict("good" if unsure else "exact", sentence([precise, *unsure]), (*checks, *checks_of(exactness)))
     return Verdict("good", _capitalised(_merits(equation, findings)), checks)
 

@@ -222,7 +222,7 @@ class ProcessChoice:
         if admitted is None:
             return Measured(program, math.inf, math.inf)
         program = admitted if restrictions.bounds is None else restrictions.bounds.clipped(admitted)
-        limit = most + 2.0 * MARGIN - self._length(0.0, program, len(constant_places(program)))
+        limit = most + MARGIN - self._length(0.0, program, len(constant_places(program)))
         fitted = self._fitted_with(model, number, program, limit)
         program = fitted.model.programs[number]
         return Measured(program, fitted.misfit, self._length(fitted.misfit, program, len(constant_places(program))))
