@@ -27,7 +27,7 @@ from atoll_coordinator.model.criteria import (
 )
 from atoll_coordinator.model.regression.rounding import quadratic_form
 from atoll_coordinator.model.shooting.error_model import ErrorModel
-from atoll_coordinator.model.shooting.multiple_shooting import Goal, MultipleShooting
+from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares
 from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
@@ -168,10 +168,6 @@ class Score:
     def _length(self, misfit: float, system: System) -> float:
         """Return the nats of a system with this misfit."""
         return system_length(misfit, system.programs[self.leading :], 1, self._constants_length(system))
-
-    def goal(self, system: System, most: float) -> Goal | None:
-        """Return the misfit at which the description with a system takes `most` nats; None where that has no end."""
-        return Goal(self._misfit_of(system), most - self._length(0.0, system)) if most < math.inf else None
 
     def _misfit_of(self, system: System) -> TrajectoryMisfit:
         """Return the misfit of systems with as many fitted numbers."""

@@ -244,7 +244,7 @@ def test_batches_of_groups_and_bounds_change_no_bit():
         constraints = Constraints(restrictions, GroupedRows(2, problems, restrictions))
         fitting = compare(LOTKA, measured, constraints=constraints, spread=spread)
         near = fitting.fit_model([RIVALS[0], OTHER])
-        return list(map(bits, fitting.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4),), most=math.inf)))
+        return list(map(bits, fitting.narrow_down(near, 0, [*RIVALS, TRUTH], ((4, 4),))))
 
     assert run(Spread(ScatteredBatches(3))) == run(Spread())
 
