@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.model.batches import BatchFunction, Spread
-from atoll_coordinator.model.criteria import TrajectoryMisfit
 from atoll_coordinator.model.selection.grouped_rows import GroupedRows
 from atoll_coordinator.model.selection.score import FittedModel, Score, SummarizedFit
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -122,7 +121,7 @@ def _work(outcomes: Iterable[FitOutcome | None]) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonParts:
-    """The parts of a `ModelComparison` that travel; it was calibrated to `errors` and `misfit`."""
+    """The parts of a `ModelComparison` that travel; `roughness`, `rows` and `errors` are of its score."""
 
     measurements: Measurements
     tolerance: float
@@ -131,8 +130,9 @@ class ComparisonParts:
     fixed: frozenset[int]
     leading: tuple[Program, ...]
     constraints: Constraints
+    roughness: FloatArray
+    rows: FloatArray
     errors: ErrorModel | None
-    misfit: TrajectoryMisfit
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +273,7 @@ class ModelComparison:
         estimator = self.estimator
         return ComparisonParts(
             estimator.measurements, estimator.tolerance, estimator.measured_rows, self.names, self.fixed, self.leading,
-            self.constraints, self.score.errors, self.score.misfit,
+            self.constraints, self.score.roughness, self.score.rows, self.score.errors,
         )  # fmt: skip
 
     @cached_property
@@ -286,7 +286,8 @@ class ModelComparison:
         """Return the comparison of these parts, which can do everything except calibrate."""
         estimator = MultipleShooting(parts.measurements, parts.tolerance, measured_rows=parts.measured_rows)
         made = cls(estimator, parts.names, parts.fixed, parts.leading, constraints=parts.constraints)
-        return replace(made, calibration=replace(made.score, errors=parts.errors, misfit=parts.misfit))
+        score = replace(made.score, roughness=parts.roughness, rows=parts.rows, errors=parts.errors)
+        return replace(made, calibration=score)
 
     def restrictions(self, equation: int) -> Restrictions:
         """Return the restrictions of an equation; a given equation has none."""
