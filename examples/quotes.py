@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from atoll.api.model import Model
 from atoll.model.equations import plus_minus
-from atoll.model.model import Model
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PAGES: Final = ("README.md", "docs/tutorial.md", "docs/result.md", "docs/analysis.md")

@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.analysis.analysis import Analysis, analyse
+from atoll.analysis.analyse import analyse
+from atoll.analysis.analysis import Analysis
 from atoll.analysis.continuation import special_points
 from atoll.analysis.cycle_continuation import CycleBranch
 from atoll.model.vector_field import VectorField

@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from atoll.analysis.analysis import Analysis, analyse
+from atoll.analysis.analyse import analyse
+from atoll.analysis.analysis import Analysis
 from atoll.analysis.flow import Box, Flow
 from atoll.analysis.lyapunov import lyapunov_spectrum
 from atoll.model.vector_field import VectorField

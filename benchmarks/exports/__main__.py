@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from benchmarks.exports.models import published
 from benchmarks.exports.programs import PROGRAMS, Absent, lint_petab
 from benchmarks.harness.systems import TABLE_III

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll_core.expression.program import constant_places
 from atoll_core.expression.text.parsing import from_infix
 from benchmarks.harness.systems import SYSTEMS, drawn

@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.api.model import Model
 from atoll.model.arguments import times_of
-from atoll.model.model import Model
 from atoll_core.data.dataset import FloatArray
 from benchmarks.exports import readers
 

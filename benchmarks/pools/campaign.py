@@ -96,9 +96,17 @@ def with_settings(change: str, wanted: Sequence[str], workers: int) -> list[Pool
     """Refine pools with other settings, in processes that begin with these."""
     os.environ[VARIABLE] = change
     try:
-        return list(in_parallel(partial(judge_pool, folders=Folders()), wanted, workers))
+        return list(in_parallel(_judge_tried, wanted, workers))
     finally:
         del os.environ[VARIABLE]
+
+
+def _judge_tried(title: str) -> PoolOutcome:
+    """Refine and judge a pool; any error counts as a failure, since settings may contradict each other."""
+    try:
+        return judge_pool(title, Folders())
+    except Exception as error:
+        return PoolOutcome(title, (), 0.0, 0.0, f"{type(error).__name__}: {error}")
 
 
 def has_table(title: str, folders: Folders) -> bool:

@@ -89,3 +89,11 @@ def path_of(value: object) -> Path:
     if not isinstance(value, (str, PathLike)):
         raise UsageError(f"a path must be text, but {shown(value)} was given")
     return Path(value)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a file; raises UsageError."""
+    try:
+        path_of(path).write_text(text, "utf-8")
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written ({error.strerror}); name another file") from error

@@ -12,15 +12,15 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:  # named so, because `typing` takes its time: the command line has to meet Ctrl-C as soon as it can
     from atoll.api.discover import discover, submit
     from atoll.api.discoverer import Discoverer
+    from atoll.api.model import Model
     from atoll.api.regressor import Regressor
-    from atoll.model.model import Model
     from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 
 __all__ = ["ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION", "Discoverer", "Model", "Regressor", "discover", "submit"]
 
 _PUBLIC = {
     **dict.fromkeys(("ENGINE_REVISION", "PROTOCOL_VERSION", "VERSION"), "atoll_core"),
-    "Model": "atoll.model.model",
+    "Model": "atoll.api.model",
     "discover": "atoll.api.discover",
     "submit": "atoll.api.discover",
     "Discoverer": "atoll.api.discoverer",

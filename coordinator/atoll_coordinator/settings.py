@@ -22,163 +22,57 @@ class CommonSettings:
     """A share that is too small to matter."""
     clean: float = 1e-5
     """Noise or uncertainty below this share counts as zero: bias and rounding of noise-free data are about as large."""
-
-
-@dataclass(frozen=True)
-class CheckSettings:
-    """Requirements on measurements before anything is computed from them."""
-
-    min_rows: int = 5
+    fewest_rows: int = 5
     """Fewest rows of a trajectory that has a derivative, of a span, and of any search: a cubic and one to judge it."""
-    smallest: float = 1e-150
-    """Guard: numbers below this, or above its inverse, have a square that under- or overflows."""
-    by_chance: float = 0.01
-    """Probability, at most, that jumps are as near to a full turn by chance where a column is treated as an angle."""
+    few_values: int = 8
+    """With fewer distinct values a pattern in them, such as a common step, is often chance."""
+    most_rows: int = 20_000
+    """Most rows in sums over a table; of more rows a part is used."""
+    significant: float = 3.0
+    """Standard errors beyond which a finding, or a correlation, is significant (p = 0.003)."""
+    improbable: float = 1e-6
+    """Probability below which a pattern in many values, or between many rows, is not chance."""
 
 
 @dataclass(frozen=True)
 class SmoothingSettings:
-    """How span, degree and thinning of loess are selected."""
+    """How states are smoothed, or interpolated, and differentiated."""
 
     degrees: tuple[int, ...] = (3, 4)
-    """Degrees tried. A parabola may fit the values as well as a cubic, but its slope has far more bias: the measured
-    derivative error was up to 2.8 times the standard error with parabolas and up to 1.9 times without."""
-    span_ratio: float = 1.25
-    """Ratio of each span tried to the previous one."""
-    patience: int = 5
-    """Spans without a better score after which wider ones are not tried."""
-    least_bins_in_span: int = 40
+    """Degrees of loess that are tried. A parabola may fit the values as well as a cubic, but its slope has far more
+    bias: the measured derivative error was up to 2.8 times the standard error with parabolas and up to 1.9 without."""
+    bins: int = 40
     """Bins in the narrowest span for which rows may be thinned: means over a fortieth of a span lose nothing."""
-    narrower: float = 0.6
-    """The bias of a derivative is estimated from a second derivative, whose span is this many times as wide."""
-
-
-@dataclass(frozen=True)
-class RobustnessSettings:
-    """How outliers are recognised (Cleveland 1979, section 2)."""
-
-    rounds: int = 6
-    """Most rounds of reweighting rows by the residuals of the previous round; nearly all fits settle earlier."""
     reach: float = 6.0
-    """Residuals larger than this many times the median residual have no weight (Cleveland 1979)."""
-    isolated: float = 0.5
-    """An outlier's neighbours have at most this share of its residual; at an unresolved jump they have more."""
-    fewest: int = 3
-    """Tails are heavy if at least this many residuals are isolated and far out: fewer may be chance."""
+    """Residuals larger than this many times the median residual have no weight (Cleveland 1979, section 2)."""
     rows_per_outlier: int = 150
-    """Tails are heavy if at least one row in this many is such an outlier. Tables without outliers and with noise of
-    0.2 to 10 % had at most 2 in 400."""
-
-
-@dataclass(frozen=True)
-class InterpolationSettings:
-    """When states are interpolated rather than smoothed."""
-
+    """Tails are heavy if at least one row in this many is an outlier. Tables without outliers and with noise of 0.2 to
+    10 % had at most 2 in 400."""
     largest_noise: float = 3e-4
     """Noise, as a share of the state's standard deviation, beyond which data are never interpolated."""
     smallest_noise: float = 1e-9
     """Noise, as a share of the state's standard deviation, below which data count as noise-free."""
-    agreement: float = 2.0
-    """Estimates of the noise by two stencils agree if they differ by at most this many standard errors. In simulations
-    of pure noise (even and uneven steps, 50 to 1,000 rows) the mean estimate is 1.03 to 1.09 times the truth."""
     judged_shares: tuple[float, ...] = (0.95, 0.75)
     """Shares of the rows, best rows first, on which interpolation and smoothing are compared: neither jumps nor rows at
     rest may decide. Without noise interpolation wins on one share at least; with noise it loses on both, by a factor
     near 1.5."""
-    quiet_share: float = 0.5
-    """The same share if only rows that change little show that there is no noise: on fast transients the errors of
-    interpolation are larger than smoothing estimates."""
-    end_rows: int = 4
-    """Rows at each end of a trajectory whose interpolated derivatives are much worse than those of other rows."""
-
-
-@dataclass(frozen=True)
-class HeldInputSettings:
-    """Derivatives of states whose inputs are held between rows."""
-
-    degrees: tuple[int, ...] = (1, 2, 3)
-    """Degrees of the polynomials in all variables that estimate the errors of slopes; the best fit is used."""
-    steps_per_term: int = 3
-    """Fewest steps for each term of a polynomial: fifty steps then give the residual variance within a quarter."""
-    most_steps: int = 2000
-    """Most steps that a polynomial is fitted to: the error of a standard deviation is then 1.6 %."""
-    most_noise: float = 0.5
-    """Largest share of errors in the variance of derivatives: if errors exceed the motion, a smoother that ignores
-    jumps is more precise."""
-
-
-@dataclass(frozen=True)
-class QuantisationSettings:
-    """Whether values count as multiples of a step."""
-
-    fewest_values: int = 8
-    """With fewer distinct values a step is often chance, unless many rows repeat the values."""
-    written_steps: float = 3.0
-    """Differences of at most this many steps of the last digit are rounding in writing."""
-    shares_of_least: tuple[int, ...] = (1, 2, 3)
-    """The step is the least difference of two values, or one of these shares of it."""
-    improbable: float = 1e-6
-    """Probability below which a pattern in many values, or between many rows, is not chance."""
 
 
 @dataclass(frozen=True)
 class ColumnSettings:
     """Findings about columns before the search."""
 
-    few_values: int = 8
-    """With this many distinct values or fewer, an end of the range is one of the levels, and a relation of columns is
-    chance."""
-    least_repeats: int = 2
-    """Fewest rows with a placeholder of missing values: a measured value so far out does not repeat."""
-    least_run: int = 3
-    """Fewest equal rows in sequence that count as clipped: two may be a rounded turning point."""
-    steep_steps: float = 10.0
-    """Next to clipped rows the column moves by more than this many steps of its values. At a smooth turning point a
-    parabola stays within one step for m rows and moves by at most 2.7 steps (m = 3) in the next rows; a flat turning
-    point (fourth power) moves by 7."""
-    most_clipped: int = 4
-    """Most clipped values for each value that is not clipped: with more, too little of the column is known."""
-    most_compared: int = 100
-    """Most columns that are compared by least squares: time grows with the square of their number."""
-    rows_per_column: int = 10
-    """Fewest rows for each column of a relation that holds up to noise: with fewer, patterns in residuals are not
-    seen."""
-    most_rows: int = 20_000
-    """Most rows in sums; of more rows an evenly spread subset is used, or the first rows where neighbours matter."""
+    sample: int = 400
+    """Most rows, values or windows that are compared with each other: time grows with the square of their number."""
+    least_rows: int = 30
+    """Fewest rows for which correlations and neighbours are examined."""
     alike: float = 0.05
     """Residual of a relation that holds up to noise, at most, as a share of the column's standard deviation. With twice
     as much, chance relations of slow motions were reported in 2 of 563 drawn tables (residuals of 6 and 8 %)."""
-    digits_read: int = 500
-    """Most values of a column whose digits are examined."""
-    least_rows: int = 30
-    """Fewest rows for which correlations and neighbours are examined."""
-    significant: float = 3.0
-    """Standard errors beyond which a finding is significant (p = 0.003)."""
-    jumps: float = 0.75
-    """Mean square step over twice the variance from which on rows jump: a wave then has fewer than five rows in a
-    period (1 - cos(2 pi / 5) = 0.69)."""
-    followed: float = 0.1
-    """Largest unexplained share of the variance of the next row, predicted from neighbours, if rows are steps of a
-    map."""
-    most_positions: int = 4
-    """Most states for which neighbours are sought: with more, no rows are near each other in positions and
-    velocities."""
-    least_window: int = 5
-    """Rows of the shortest window with a curvature and residuals."""
-    most_windows: int = 400
-    """Most windows that are compared with each other: time grows with the square of their number."""
     clear: float = 0.3
     """Noise of curvatures, as a share of their median size, below which they are compared. Of 128 tables of
     full states none was mistaken for positions (with half this value, one); of 128 tables of positions 71 were
     recognised."""
-    near: float = 0.1
-    """Distance of neighbours, in standard deviations of each coordinate."""
-    least_pairs: int = 20
-    """Fewest pairs of neighbours for a finding."""
-    open_share: float = 0.5
-    """Share of the variance unexplained by neighbours from which on another variable must matter."""
-    closed_share: float = 0.1
-    """Share of the variance unexplained by neighbours up to which no other variable matters."""
 
 
 @dataclass(frozen=True)
@@ -194,8 +88,6 @@ class RowSettings:
     """Share of the rows that is kept regardless of uncertainty, and that pieces between gaps must contain."""
     most_uneven: float = 2.0
     """Root mean square of the uncertainty over its mean, at most, on the rows selected."""
-    most_divided: float = 0.1
-    """Largest share of averaged rows that are in no mean, because inputs change too fast."""
 
 
 @dataclass(frozen=True)
@@ -278,10 +170,9 @@ class SparseSettings:
     """Larger libraries are not tried: eliminating their terms costs the fourth power of their number."""
     rows_per_term: float = 2.0
     """Fewest independent rows for each term of a library: with fewer, a full library fits anything."""
-    most_rows: int = 20_000
-    """Larger tables are subsampled in blocks of `stretch` rows: a law of a hundred products needs a few hundred
-    windows."""
     stretch: int = 1_000
+    """Larger tables are subsampled in blocks of this many rows: a law of a hundred products needs a few hundred
+    windows."""
     smoothness: int = 4
     """Power of the test functions (1 - s^2)^p: the trapezoidal rule errs by its order in the step."""
     step: float = 0.25
@@ -426,8 +317,6 @@ class ProcessSettings:
     """Fewest steps from row to row for which a process is sought: they give a variance within 14 %."""
     least_noise: float = 1e-4
     """Least noise as a share of the median step: with less, the process counts as deterministic."""
-    significant: float = 3.0
-    """Standard errors beyond which measurement noise, and a correlation between states, are significant (p = 0.003)."""
     bins: int = 512
     """Bins of steps to which candidates are fitted: enough to decide some twenty terms of two or three states."""
     compared: int = 8
@@ -447,12 +336,7 @@ class Settings:
     """The numbers of all stages: preparing data, then choosing the model."""
 
     common: CommonSettings = CommonSettings()
-    checks: CheckSettings = CheckSettings()
     smoothing: SmoothingSettings = SmoothingSettings()
-    robustness: RobustnessSettings = RobustnessSettings()
-    interpolation: InterpolationSettings = InterpolationSettings()
-    held_inputs: HeldInputSettings = HeldInputSettings()
-    quantisation: QuantisationSettings = QuantisationSettings()
     columns: ColumnSettings = ColumnSettings()
     rows: RowSettings = RowSettings()
     effort: EffortSettings = EffortSettings()

@@ -6,6 +6,8 @@ die, and ends with them; see `atoll_island_worker.processes`.
 
 import argparse
 import contextlib
+import gc
+import importlib
 import os
 import re
 import sys
@@ -213,11 +215,28 @@ def work_together(connect: "Destination", names: Sequence[str], options: argpars
             with exiting():
                 if options.parent is not None:
                     processes.request_parent_death_signal()
-                processes.load_ahead()
+                load_ahead()
                 if options.parent not in (None, os.getppid()):
                     return 0
         starts = {name: partial(start, connect, name, options, end, exit_reasons) for name in names}
         return processes.supervise(starts, exit_reasons, options.parent, options.grace)
+
+
+def load_ahead() -> None:
+    """Load libraries, and kernels if they have been compiled; errors are ignored: every worker reports them.
+
+    The workers compile, because they can report this to the coordinator.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
+    with contextlib.suppress(Exception):
+        importlib.import_module("atoll_core.wire.bus.zenoh_bus")
+        importlib.import_module("atoll_island_worker.worker")
+        from atoll_core.compilation.cache import is_compiled
+        from atoll_island_worker.compute.warmup import run_small_epochs
+
+        if is_compiled("atoll_island_worker"):
+            run_small_epochs()
+    gc.freeze()  # all workers share this memory as long as the garbage collector does not write to it
 
 
 def _start(

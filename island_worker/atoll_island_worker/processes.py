@@ -1,6 +1,6 @@
 """The processes of several workers on one machine: started, watched, restarted, ended.
 
-One process loads libraries and kernels once (`load_ahead`) and forks the workers, so that they need not load them.
+One process loads libraries and kernels once (`cli.load_ahead`) and forks the workers, so that they need not load them.
 Neither a bus nor a thread survives a fork: this process opens no bus and starts no thread before the last worker is
 forked, and every worker opens its own bus. Where a fork is not safe (macOS, Windows), workers are new interpreters.
 
@@ -16,8 +16,6 @@ them.
 
 import contextlib
 import ctypes
-import gc
-import importlib
 import os
 import signal
 import subprocess
@@ -61,23 +59,6 @@ Start = Callable[[], Child]
 def can_fork() -> bool:
     """Tell whether workers may be forked on this system."""
     return sys.platform == "linux"
-
-
-def load_ahead() -> None:
-    """Load libraries, and kernels if they have been compiled; errors are ignored: every worker reports them.
-
-    The workers compile, because they can report this to the coordinator.
-    """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # otherwise numpy's library starts threads
-    with contextlib.suppress(Exception):
-        importlib.import_module("atoll_core.wire.bus.zenoh_bus")
-        importlib.import_module("atoll_island_worker.worker")
-        from atoll_core.compilation.cache import is_compiled
-        from atoll_island_worker.compute.warmup import run_small_epochs
-
-        if is_compiled("atoll_island_worker"):
-            run_small_epochs()
-    gc.freeze()  # all workers share this memory as long as the garbage collector does not write to it
 
 
 class Forked:

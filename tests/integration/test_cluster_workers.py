@@ -15,10 +15,10 @@ from atoll.workers import Handle
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError
 from atoll_core.wire.messages.views import FINAL_STATES
-from benchmarks.dask_trial.cluster import Cluster
 from benchmarks.harness.jobs import UNENDING, configured
 from benchmarks.harness.service import Machines, running
 from benchmarks.harness.systems import table_of, trajectories
+from tests.integration.dask_cluster import dask_cluster
 from tests.programs import all_gone, children, until
 
 pytestmark = [
@@ -162,7 +162,7 @@ def without_atoll(tmp_path: Path) -> str:
 def test_a_dask_cluster_without_atoll_is_told_so(without_atoll: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setenv("PYTHONPATH", without_atoll)
-    with Cluster(1) as cluster, cluster.client() as dask:
+    with dask_cluster(1) as dask:
         with pytest.raises(AtollError, match=r"did not start island workers .*No module named atoll.*same version"):
             atoll.workers.start_on(dask, connect="tcp/127.0.0.1:9")
         assert len(dask.run(os.getpid)) == 1

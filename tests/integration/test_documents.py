@@ -91,8 +91,6 @@ for program in coordinator island-worker make docker kubectl sbatch srun python 
 done
 """
 """In which the programs write down what they are called with."""
-_FOLDERS = re.compile(r"(?<![\w/.-])(?:[\w.-]+/)+(?=(?:coordinator|island-worker|python|pip|make-authority) )")
-"""The folders of programs, which are called without them."""
 
 
 class Command(NamedTuple):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from benchmarks.harness.systems import trajectories, write_csv
 from tests.programs import LIMIT_S, done
 

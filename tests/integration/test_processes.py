@@ -13,9 +13,6 @@ from pathlib import Path
 import pytest
 
 from atoll.client.client import connected
-from atoll_coordinator.data.reading.files import read_table
-from atoll_core.config import DataConfig, JobConfig
-from atoll_core.errors import RefusedError
 from atoll_core.wire.addresses import bindable, parse_address
 from tests.programs import LIMIT_S, ROOT, all_gone, children, done, environment, serving, started, until
 
@@ -122,20 +119,6 @@ def test_a_worker_whose_coordinator_stays_away_says_so_and_ends_with_3(place: Pa
     assert "the coordinator has not answered for 1 s" in (place / "island_worker.log").read_text()
 
 
-@pytest.mark.slow
-def test_two_coordinators_share_neither_a_port_nor_a_store(place: Path) -> None:
-    with serving(place, "four") as (address, _):
-        same_port = done(place, "coordinator", "serve", "--listen", address, "--state", "five")
-        assert same_port.returncode == 1, "it may pass: a supervisor starts it again"
-        assert "the port is in use" in same_port.stderr
-        same_store = done(place, "coordinator", "serve", "--listen", "tcp/127.0.0.1:0", "--state", "four")
-        assert same_store.returncode == 1
-        assert "is in use by another coordinator" in same_store.stderr
-        for answer in (same_port, same_store):
-            assert answer.stderr.count("\n") == 1
-            assert answer.stdout == ""
-
-
 def test_a_process_that_is_killed_is_started_again_under_its_name(place: Path) -> None:
     with serving(place, "six") as (address, _), connected(address) as coordinator:
         family = started(place, "island_worker", "--connect", address, "--processes", "2", "--name", "again")
@@ -168,21 +151,6 @@ def test_a_coordinator_that_is_killed_while_it_refines_refines_again(place: Path
         with started(place, "island_worker", "--connect", address, "--processes", "1"):
             until(lambda: coordinator.status("j").state == "done")
             assert coordinator.result("j")["digest"] == digest
-
-
-@pytest.mark.slow
-def test_a_job_in_the_line_is_cancelled_and_the_others_stay_in_it(place: Path) -> None:
-    with serving(place, "eight") as (address, _), connected(address) as coordinator:
-        table = coordinator.upload(read_table([place / "data.csv"], DataConfig()).to_bytes())
-        for number in range(7):
-            coordinator.submit(f"j{number}", "in the line", JobConfig(), table, -number)
-        until(lambda: coordinator.status("j6").ahead == 2)  # the first four have places, and wait for a worker
-        answer = done(place, "coordinator", "cancel", "j5", "--connect", address)
-        assert (answer.returncode, answer.stdout) == (0, "job j5 is cancelled, before it found any equation\n")
-        assert coordinator.status("j5").state == "cancelled"
-        assert coordinator.status("j6").ahead == 1
-        with pytest.raises(RefusedError, match="was cancelled before its search began"):
-            coordinator.result("j5")
 
 
 @contextlib.contextmanager

@@ -10,7 +10,6 @@ from examples.quotes import (
     MARK,
     PAGES,
     ROOT,
-    QuoteError,
     compared_block,
     numbers_of,
     printed_lines,
@@ -49,13 +48,6 @@ def test_lines_and_numbers_are_written_where_they_stand() -> None:
     ).replace("hare 1 %", "hare 9 %")
 
 
-def test_what_the_example_does_not_have_is_named() -> None:
-    with pytest.raises(QuoteError, match="no longer prints 'noise'; edit the page"):
-        requoted(PAGE, printed_lines(PRINTED.replace("noise", "other")), {"rest": "6"})
-    with pytest.raises(QuoteError, match="there is no number 'rest'"):
-        requoted(PAGE, printed_lines(PRINTED), {"balance": "1"})
-
-
 def test_a_comparison_is_quoted_as_it_is_printed_but_for_equations() -> None:
     """The numbers of the comparison in docs/analysis.md came of no program, and were those of an earlier version."""
     text = "A = the first: dx/dt = x\nB = the second: dx/dt = 2*x\ndx/dt: another form\n  A: 5 constants; dx/dt = x"
@@ -75,12 +67,6 @@ def test_pages_agree_with_each_other() -> None:
     assert {name: texts for name, texts in said.items() if len(texts) > 1} == {}
     balance, error = said["balance"], said["balance.error"]
     assert any(f"({balance.copy().pop()} ± {error.copy().pop()})" in line for lines in said.values() for line in lines)
-
-
-def test_how_long_kernels_take_is_said_alike() -> None:
-    pages = [(ROOT / "docs" / name).read_text("utf-8") for name in ("troubleshooting.md", "how-to/notebooks.md")]
-    doctor = (ROOT / "coordinator" / "atoll" / "cli" / "doctor.py").read_text("utf-8")
-    assert all("about a minute" in text for text in (*pages, doctor))
 
 
 @pytest.mark.slow

@@ -10,8 +10,6 @@ from atoll_core.expression.operators import CONSTANT
 from atoll_core.expression.program import Program
 from tests.oracles.tapes import node_values
 
-UNIT_ROUNDING = 2.3e-16
-
 
 def errors(output: FloatArray, target: FloatArray) -> tuple[float, float]:
     """Return mean absolute and mean squared error; infinite unless both are finite."""

@@ -3,14 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from atoll_core.expression.operators import ARITY, CONSTANT, VARIABLE
 from atoll_core.search.seeding import Stream
 from atoll_island_worker.evolution.structures import Lists, Space
 
-Values = npt.NDArray[np.float64]
 Node = tuple[int, int, int, float]
 
 

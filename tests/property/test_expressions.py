@@ -27,9 +27,9 @@ from atoll_core.expression.operators import (
     TANH,
     VARIABLE,
 )
-from atoll_core.expression.program import Program, check_program_bytes
+from atoll_core.expression.program import Program, check_program_bytes, tree_size
 from atoll_core.expression.simplification import complexity, simplify_program
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_code, to_infix, tree_size
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_code, to_infix
 from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.evaluate import evaluate
 from tests.property.programs import HOSTILE_NAMES, NAMES, ROWS, programs

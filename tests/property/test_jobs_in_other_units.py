@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.experiments.designs import DesignRequest
 from atoll.experiments.identifiability import identify
 from atoll.experiments.suggestion import suggest
-from atoll.model.model import Model
 from atoll.report.findings import Findings
 from atoll.report.markup import to_text
 from atoll.report.trajectories import trajectories

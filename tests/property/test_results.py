@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll.text.render import render
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import AtollError

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.analysis.analysis import analyse
+from atoll.analysis.analyse import analyse
 from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
 from atoll.analysis.continuation import ContinuationParameter, continuation, special_points
 from atoll.analysis.cycle_continuation import cycle_continuation
@@ -20,7 +20,7 @@ from atoll.analysis.fixed_points import fixed_points
 from atoll.analysis.flow import Box, Flow
 from atoll.analysis.limit_cycles import limit_cycles
 from atoll.analysis.lyapunov import lyapunov_spectrum
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll.model.simulation import simulate
 from atoll.model.vector_field import JointErrors, VectorField
 from atoll_core.data.dataset import FloatArray

@@ -7,7 +7,7 @@ import pytest
 
 from atoll_coordinator.service.store.store import Store
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
-from atoll_core.errors import DataError, RefusedError
+from atoll_core.errors import DataError
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Reply
 from atoll_core.wire.codec import decode, encode
@@ -22,9 +22,6 @@ from atoll_core.wire.messages.workers import (
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import OURS
-
-BLOB = "0" * 64
-
 
 config = partial(short_job, islands=4, generations=100, max_epochs=14)
 
@@ -178,21 +175,6 @@ def test_ended_jobs_are_still_known_after_a_restart(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------------------------- clients
 
 
-def test_the_same_job_again_is_the_same_job_and_other_contents_are_refused() -> None:
-    world = World(workers=1)
-    world.submit(config())
-    world.submit(config())
-    with pytest.raises(RefusedError, match="other contents"):
-        world.submit(config(2))
-    assert len(world.client.jobs()) == 1
-
-
-def test_a_job_without_its_table_is_refused() -> None:
-    world = World(workers=1)
-    with pytest.raises(RefusedError, match="has not been uploaded"):
-        world.client.submit("job", "", config(), BLOB)
-
-
 def test_a_job_whose_table_has_gone_fails_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World(workers=1)
     gone = [False]
@@ -212,20 +194,6 @@ def test_epochs_for_a_variable_that_is_not_sought_fail_the_job_as_a_data_error()
     assert "'z'" in (view.reason or "")
     with pytest.raises(DataError, match="'z'"):
         world.result()
-
-
-def test_a_cancelled_job_keeps_its_best_equations() -> None:
-    world = World(workers=2)
-    world.submit(config(3, max_epochs=1000, stagnation=1000))
-    world.client.pause(1.5)
-    assert world.result()["state"] == "running"
-    view = world.client.cancel("job")
-    assert view.state == "cancelled"
-    assert world.result()["state"] == "cancelled"
-    assert all(equation["front"] for equation in world.result()["equations"])
-    assert world.client.cancel("job").state == "cancelled"
-    world.client.pause(3.0)
-    assert all(not worker.session.assignment_statuses() for worker in world.workers.values())
 
 
 # ------------------------------------------------------------------------------------ foreign messages

@@ -194,6 +194,9 @@ def test_no_event_costs_more_for_a_large_table_or_for_many_stored_jobs(monkeypat
     compare(small, effort(monkeypatch, SMALL, MANY))
 
 
-@pytest.mark.parametrize("end", [end for end in get_args(End) if end != "refined"])
+@pytest.mark.parametrize(
+    "end",
+    [pytest.param(end, marks=[pytest.mark.slow] * (end != "cancelled")) for end in get_args(End) if end != "refined"],
+)
 def test_nor_does_one_where_a_job_ends_without_being_refined(end: End, monkeypatch: pytest.MonkeyPatch) -> None:
     compare(effort(monkeypatch, SMALL, 0, end), effort(monkeypatch, LARGE, 0, end))

@@ -4,18 +4,10 @@ import pytest
 
 from tests.simulation.bus.fault_plan import Partition, Plan
 from tests.simulation.harness.simulated_cluster import World, comparable, patiently
-from tests.simulation.test_same_answer import FEW_SEEDS, answer, config, undisturbed
+from tests.simulation.test_same_answer import answer, config, undisturbed
 
 CUT_S = 0.8
 """When a cut begins: in the midst of the search, which ends after 1.2 s where nothing is cut."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("duration_s", [0.5, 1.9, 5.0, 30.0])
-def test_a_worker_cut_off_for_a_while_does_not_change_the_answer(duration_s: float) -> None:
-    for seed in FEW_SEEDS:
-        plan = Plan(partitions=(Partition("w1", CUT_S, CUT_S + duration_s),))
-        assert answer(World(workers=3, seed=seed, plan=plan), seed) == undisturbed(seed)
 
 
 @pytest.mark.parametrize("duration_s", [1.0, 15.0])
@@ -25,14 +17,6 @@ def test_all_workers_cut_off_at_once_do_not_change_the_answer(duration_s: float)
     assert answer(world, 1) == undisturbed(1)
     assert world.network.now > CUT_S + duration_s
     assert sorted(view.worker for view in world.client.workers()) == ["w0", "w1", "w2"]
-
-
-@pytest.mark.parametrize("duration_s", [1.0, 15.0])
-def test_a_coordinator_cut_off_from_its_router_goes_on_with_the_job(duration_s: float) -> None:
-    plan = Plan(partitions=(Partition("coordinator", CUT_S, CUT_S + duration_s),))
-    world = World(workers=2, seed=2, plan=plan, has_own_router=True)
-    assert answer(world, 2) == undisturbed(2)
-    assert world.network.now > CUT_S + duration_s
 
 
 def test_the_job_of_a_client_that_is_cut_off_ends_and_its_result_is_there_afterwards() -> None:

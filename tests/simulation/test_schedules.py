@@ -8,7 +8,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from inspect import getmembers, isfunction, signature
+from inspect import signature
 from typing import get_args
 
 import pytest
@@ -17,7 +17,6 @@ from atoll_coordinator.service.store.jobs import JobRecord, Viewer
 from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.schema import _prepare
 from atoll_coordinator.service.store.store import Store
-from tests.simulation.bus.fault_plan import Plan
 from tests.simulation.harness.fault_schedule import (
     Fault,
     GuestKind,
@@ -31,10 +30,9 @@ from tests.simulation.harness.fault_schedule import (
 from tests.simulation.harness.guests import Guest
 from tests.simulation.harness.participants import Cast
 from tests.simulation.harness.schedule_run import Outcome, ScheduleRun, calm_schedule
-from tests.simulation.harness.shrink import shrunk
 from tests.simulation.harness.simulated_disk import READS, CoordinatorDied, Disk
 from tests.simulation.harness.stub_islands import StubCompute
-from tests.simulation.soak import ROOT, Tally, chunks, is_real, play
+from tests.simulation.soak import ROOT, is_real, play
 
 SEEDS = 20
 """The first ones of those that ``make soak`` plays."""
@@ -305,44 +303,4 @@ def test_what_reads_the_store_needs_no_room(name: str) -> None:
     connection.close()
 
 
-def test_whatever_else_the_store_does_needs_room() -> None:
-    public = {name for name, _ in getmembers(Store, isfunction) if not name.startswith("_")}
-    assert public - READS == {
-        "keep_served", "add_job", "update_job", "keep_prepared", "commit_result", "delete_job", "begin_terms",
-        "commit_cuts", "add_deaths", "take_back_deaths", "add_events", "commit_checkpoint", "put_chunk",
-        "delete_unused_blobs", "keep_views", "share_job", "cordon", "add_usage", "pause_queue",
-    }  # fmt: skip
-
-
 # ------------------------------------------------------------------------------------- shrinking, tallies
-
-
-def test_a_failing_schedule_is_shrunk_to_what_it_needs() -> None:
-    faults = tuple(Fault(float(at), "cut" if at % 2 else "kill", "w0", 1.0) for at in range(9))
-    jobs = (JobPlan(1), JobPlan(2, cancel_s=3.0))
-    schedule = replace(disturbed(*faults, jobs=jobs), plan=Plan(drop=0.1, late=0.1))
-
-    def fails(schedule: Schedule) -> Outcome:
-        is_bad = {3.0, 6.0} <= {fault.at_s for fault in schedule.faults} and schedule.plan.late > 0.0
-        return Outcome(schedule, ["job-7 is lost"] if is_bad else [], [], Counter(), 0.0, "")
-
-    shortest = shrunk(schedule, fails)
-    assert [fault.at_s for fault in shortest.faults] == [3.0, 6.0]
-    assert len(shortest.jobs) == shortest.workers == 1
-    assert shortest.plan == Plan(late=0.1)
-    assert shrunk(disturbed(), fails) == disturbed()
-
-
-def test_tallies_are_added_and_histories_compared() -> None:
-    total = Tally()
-    for history in ("same", "same", "other"):
-        tally = Tally(histories={5: history})
-        schedule = disturbed(Fault(0.0, "kill", "w0"))
-        tally.take(Outcome(schedule, ["it broke"], [], Counter(["kill"]), 3.0, history), 0.25)
-        total.add(Tally.from_json(tally.to_json()))
-    assert (total.schedules, total.jobs, total.cpu_s, total.virtual_s) == (3, 3, 0.75, 9.0)
-    assert total.struck == Counter({"kill": 3})
-    assert total.faults == Counter({1: 3})
-    assert total.failed == {0: "it broke", 5: "its history is another one with another PYTHONHASHSEED"}
-    assert "3 schedules" in str(total)
-    assert list(chunks(0, 500)) == [(0, 201), (200, 401), (400, 500)]

@@ -106,20 +106,6 @@ def test_a_search_that_was_under_way_is_shown_and_kept_from_its_last_checkpoint(
     world.close()
 
 
-def test_the_answer_is_the_same_once_workers_are_there_again() -> None:
-    calm = World(workers=2)
-    expected = comparable(calm.run(SHORT))
-    calm.close()
-    world = refining()
-    kill_all(world)
-    start_alone(world)
-    world.background_s = 0.001
-    world.start_worker("w9")
-    assert world.finish().state == "done"
-    assert comparable(world.result()) == expected
-    world.close()
-
-
 def test_nothing_is_thrown_away_where_only_another_version_could_read_it() -> None:
     """Of a store of an earlier version what preparing gave is not kept, and it is made again by the first worker."""
     world = refining()

@@ -5,7 +5,6 @@ from functools import cache, partial
 import pytest
 
 from atoll_coordinator.service.requests.authorization import Authorization
-from atoll_coordinator.service.scheduling.fair_share import FairShare
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Total
 from atoll_core.wire.messages.clients import Submit
 from tests.simulation.harness.schedule_run import hurried
@@ -80,23 +79,6 @@ def test_time_stands_still_for_a_job_that_is_paused() -> None:
         assert world.finish().state == "done"
 
 
-def test_a_paused_job_stays_so_when_the_coordinator_is_started_again() -> None:
-    with hurried():
-        world = World(workers=1, seed=1, slowness=5.0)
-        world.submit(config(1), VARIABLE)
-        world.client.pause(2.0)
-        world.client.pause_job("job")
-        world.client.pause(10.0)
-        world.network.crash("coordinator")
-        world.service = world.start_service()
-        world.client.pause(10.0)
-        view = world.client.status("job")
-        assert (view.state, view.paused, view.held, view.workers) == ("running", True, True, 0)
-        world.client.pause_job("job", paused=False)
-        assert world.finish().state == "done"
-    assert comparable(world.result()) == alone()
-
-
 def test_a_worker_that_is_drained_hands_over_and_gets_nothing_until_it_is_taken_back() -> None:
     with hurried():
         world = World(workers=2, seed=1, slowness=5.0)
@@ -121,24 +103,6 @@ def test_a_cordoned_worker_keeps_its_islands_and_gets_no_more() -> None:
     world.submit(config(2, max_epochs=100_000, stagnation=100_000), VARIABLE, job="two")
     world.client.pause(10.0)
     assert islands(world) == {"w0": 2, "w1": 6}
-
-
-def test_endless_jobs_of_many_users_have_places_in_turn() -> None:
-    with hurried():
-        world = World(workers=2, seed=1, slowness=10.0)
-        queue = world.service.controller.queue
-        queue.limits, queue._fair_share = Limits(total=Total(running=2)), FairShare(quantum_s=5.0)
-        for user in ("ann", "bob", "cem", "dan"):
-            submit_as(world, user, f"of-{user}")
-        seen: set[str] = set()
-        points: dict[str, int] = {}
-        for _ in range(60):
-            world.client.pause(1.0)
-            views = world.client.jobs()
-            seen |= {view.job for view in views if view.workers}
-            points = {view.job: view.point_evaluations for view in views}
-        assert len(seen) == 4
-        assert min(points.values()) > 0.5 * max(points.values())
 
 
 @pytest.mark.slow

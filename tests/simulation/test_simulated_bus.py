@@ -1,9 +1,6 @@
 """The simulated network: faults come as planned, and a seed is a history."""
 
-import pytest
-
-from atoll_core.errors import LocalProtocolError
-from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Presence, Query, Reply, Timer
+from atoll_core.wire.bus.interface import Event, Link, Message, Presence, Query, Reply, Timer
 from tests.simulation.bus.fault_plan import Crash, Partition, Plan
 from tests.simulation.bus.network import SimulatedNetwork
 from tests.simulation.bus.participant import SimulatedBus
@@ -81,39 +78,6 @@ def test_who_is_cut_off_neither_sends_nor_receives_and_both_sides_are_told() -> 
     network.run(5.0)
     assert heard_one == [Presence("alive/two", present) for present in (True, False, True)]
     assert heard_two == [Link(False), Reply(1, None), Link(True), Message("x", b"heard")]
-
-
-def test_who_crashes_falls_silent_and_its_name_is_free_again() -> None:
-    network, one, two = pair(Plan(crashes=(Crash("two", 1.0), Crash("nobody", 1.0)), detection_s=0.5))
-    two.announce("alive/two")
-    two.call_later(2.0, "never")
-    one.watch("alive/*")
-    heard: list[Event] = []
-    two.handle_with(heard.append)
-    assert everything(one, until_s=1.4) == [Presence("alive/two", True)]
-    assert everything(one, until_s=1.6) == [Presence("alive/two", False)]
-    network.bus("two").announce("alive/two")
-    assert everything(one, until_s=5.0) == [Presence("alive/two", True)]
-    assert heard == []
-
-
-def test_when_the_router_crashes_every_client_is_told_and_told_again_when_it_is_back() -> None:
-    network = SimulatedNetwork()
-    network.bus("router", is_router=True)
-    one, two = network.bus("one"), network.bus("two")
-    two.subscribe("x")
-    network.at(1.0, lambda: network.crash("router"))
-    network.at(1.5, lambda: one.put("x", b"lost"))
-    network.at(2.0, lambda: network.bus("router", is_router=True) and None)
-    network.at(2.5, lambda: one.put("x", b"heard"))
-    assert everything(two, until_s=5.0) == [Link(False), Link(True), Message("x", b"heard")]
-    with pytest.raises(LocalProtocolError, match="router itself"):
-        network.disconnect("router")
-
-
-def test_it_is_a_bus() -> None:
-    bus: Bus = SimulatedNetwork().bus("one")
-    assert bus.now() == 0.0
 
 
 def test_who_hangs_takes_in_later_what_has_come_and_a_line_that_is_given_up_carries_nothing() -> None:

@@ -1,28 +1,15 @@
-"""Every entrance is under the rules: a verb or a request over HTTP that is added is tried, too.
-
-Who sees and changes what is tested in `service/requests/test_users.py`, `web/test_hostile_requests.py` and
-`cli/test_verbs_of_others.py`, which ask every question, request and verb.
-"""
+"""Every request over HTTP is under the rules of tokens and origins; `cli/test_verbs_of_others.py` tries every verb."""
 
 from typing import Final
 
 import pytest
 
-from atoll.cli.options import VERBS as ALL_VERBS
 from atoll.web.api import Api
 from tests.http import ask
-from tests.unit.library.cli.test_verbs_of_others import ASKED, ASKS_NOTHING
 from tests.unit.library.web.made import AUTHORIZED, READERS, Asked, application
-
-PROGRAMS: Final = {"run", "serve", "web", "router", "restore", "backup"}
-"""Verbs that are entrances themselves: they ask no other coordinator."""
 
 OPEN: Final = {"/version", "/session", "/health", "/openapi.json"}
 """What is answered to everybody: nothing of any job."""
-
-
-def test_every_verb_is_asked_as_another_user_or_asks_nothing() -> None:
-    assert set(ALL_VERBS) == PROGRAMS | set(ASKED) | set(ASKS_NOTHING)
 
 
 ROUTES: Final = [(min(route.methods), route.path) for route in Api(READERS).routes()]  # type: ignore[attr-defined]

@@ -110,7 +110,13 @@ class _Rewriting(ProgramBuilder):
             case "+":
                 return self._joined(op.SUBTRACT, left, right)
             case "/":
-                return self._quotient(left, right)
+                value = self._value(right)
+                if value and abs(1.0 / value) < float("inf"):
+                    return self._product(left, self.append(op.CONSTANT, value=1.0 / value))
+                if op.INVERSE not in self._operators:
+                    return None
+                inverse = self.add(op.INVERSE, right)
+                return inverse if self._value(left) == 1.0 else self._product(left, inverse)
             case "inverse" if op.DIVIDE in self._operators:
                 return self.add(op.DIVIDE, self.constant(1.0), left)
         return None
@@ -137,15 +143,6 @@ class _Rewriting(ProgramBuilder):
         """Return ``left - right`` as a sum, or ``left + right`` as a difference; `code` is the operator to use."""
         negated = self._negated(right) if code in self._operators else None
         return None if negated is None else self.add(code, left, negated)
-
-    def _quotient(self, left: int, right: int) -> int | None:
-        value = self._value(right)
-        if value and abs(1.0 / value) < float("inf"):
-            return self._product(left, self.append(op.CONSTANT, value=1.0 / value))
-        if op.INVERSE not in self._operators:
-            return None
-        inverse = self.add(op.INVERSE, right)
-        return inverse if self._value(left) == 1.0 else self._product(left, inverse)
 
 
 def _names(operators: Collection[int]) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_core.errors import RemoteProtocolError
-from atoll_core.expression.operators import ARITY, CONSTANT, OPERATORS, VARIABLE
+from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, OPERATORS, VARIABLE
 
 MAX_NODES = 240
 
@@ -225,3 +225,16 @@ def operators_in(expression: Expression) -> Iterator[int]:
             yield code
             for argument in arguments:
                 yield from operators_in(argument)
+
+
+def tree_size(program: Program) -> int:
+    """Return the number of nodes of `program` printed as a tree; both operands of a*a and a + a count once."""
+    sizes: list[int] = []
+    for code, left, right, _ in program.nodes():
+        size = 1
+        if ARITY[code]:
+            size += sizes[left]
+        if ARITY[code] == 2 and (left != right or code not in (ADD, MULTIPLY)):
+            size += sizes[right]
+        sizes.append(size)
+    return sizes[-1]

@@ -1,39 +1,48 @@
-"""The dynamics of a model in one object: fixed points, cycles, basins, comparison with the data, branches."""
+"""The dynamics of a model in one object, with its text, tables and plain data.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+``analyse --json`` prints the plain data; text and report render the sentences and tables.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from atoll.analysis.basins import Attractor, Basins, basins
-from atoll.analysis.conserved import ConservedQuantity, conserved_quantities, is_volume_preserving
-from atoll.analysis.continuation import Branch, Coefficients, ContinuationParameter, continuation
-from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
-from atoll.analysis.dynamics import MeasuredTrajectory, TrajectoryComparison, compared, measured_trajectories
-from atoll.analysis.fixed_points import FixedPoints, fixed_points
-from atoll.analysis.flow import Box, Flow
-from atoll.analysis.limit_cycles import LimitCycle, LimitCycles, limit_cycles
-from atoll.analysis.lyapunov import LyapunovSpectrum, lyapunov_spectrum
-from atoll.analysis.nullclines import nullclines
-from atoll.model.arguments import by_name, interval, number
-from atoll.model.model import Model
+from atoll.analysis.basins import Attractor, Basins
+from atoll.analysis.conserved import ConservedQuantity
+from atoll.analysis.continuation import Branch, Coefficients, ContinuationParameter
+from atoll.analysis.cycle_continuation import CycleBranch
+from atoll.analysis.dynamics import TrajectoryComparison
+from atoll.analysis.fixed_points import FixedPoints
+from atoll.analysis.flow import Box
+from atoll.analysis.limit_cycles import LimitCycle, LimitCycles
+from atoll.analysis.lyapunov import LyapunovSpectrum
 from atoll.model.vector_field import VectorField
-from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.frames import FrameLibrary, frame_of
-from atoll_core.errors import UsageError
-from atoll_core.quoting import did_you_mean, first_lines, shown
+from atoll_core.quoting import first_lines
 
 if TYPE_CHECKING:
     import polars
 
-MOST_STATES: Final = 12
-"""The Lorenz 96 model with 12 states takes 8 s of one core, near the 10 s that an analysis may take."""
+import math
+from collections.abc import Iterable, Iterator
 
-_MARGIN: Final = 0.5
-"""Widths of the measured range by which the default box is larger on either side. It decides where the analysis
-searches, which is reported, and not the results there."""
+from atoll.analysis.basins import NO_VALUE, RUNS_AWAY, UNDECIDED
+from atoll.analysis.fixed_points import NON_HYPERBOLIC, TOLERANCE, Complexes, FixedPoint, FixedSet
+from atoll.terminal.output import attributes, plain
+
+SCHEMA: Final = 1
+
+CODES: Final[Mapping[int, str]] = {UNDECIDED: "undecided", RUNS_AWAY: "runs away", NO_VALUE: "no value"}
+"""The ends of simulations without an attractor, in the order in which they are listed."""
+
+_ENDINGS: Final = {
+    UNDECIDED: "reach none of these within the simulated time",
+    RUNS_AWAY: "run away",
+    NO_VALUE: "reach a point where a rate is undefined",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +74,6 @@ class Analysis:
     caveat: str = ""
 
     def __str__(self) -> str:
-        from atoll.analysis.rendering import as_text
-
         return as_text(self)
 
     def __repr__(self) -> str:
@@ -84,8 +91,6 @@ class Analysis:
 
     def as_dict(self) -> dict[str, object]:
         """Return the analysis as plain data, as ``coordinator analyse --json`` prints it."""
-        from atoll.analysis.rendering import as_data
-
         return as_data(self)
 
     @property
@@ -94,127 +99,348 @@ class Analysis:
         return self.basins.attractors
 
 
-@np.errstate(all="ignore")  # rates may overflow in a part of the box
-def analyse(
-    field: VectorField,
-    box: Box,
-    *,
-    inputs: FloatArray | None = None,
-    measured: Sequence[MeasuredTrajectory] = (),
-    vary: tuple[str, tuple[float, float]] | None = None,
-) -> Analysis:
-    """Return the dynamics of `field` in `box`; every part is bounded in steps and reports its extent.
+@dataclass(frozen=True)
+class TextRow:
+    """One row of a table: its `cells`, "" where there is nothing to tell, and the same as one `line`."""
 
-    The `inputs` (U,) are held, by default at 0; the model is compared with `measured` trajectories; `vary` is the name
-    of a parameter, as `Coefficients.find` takes it, and its range. Raises UsageError for more than `MOST_STATES` states
-    and for an unknown name.
-    """
-    if len(field.states) > MOST_STATES:
-        raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
-    flow, coefficients = Flow.of(field, inputs), Coefficients.of(field)
-    varied, parameter = (flow, None) if vary is None else coefficients.find(flow, vary[0])
-    branches: tuple[Branch, ...] = ()
-    cycle_branches: tuple[CycleBranch, ...] = ()
-    fixed = fixed_points(flow, box)
-    cycles = limit_cycles(flow, box, fixed.points, fixed.sets)
-    stable: list[Attractor] = [point for point in (*fixed.points, *cycles.resting) if point.attracts_in_box]
-    stable += [fixed_set for fixed_set in fixed.sets if fixed_set.attracts_in_box]
-    stable += [cycle for cycle in cycles.cycles if cycle.is_stable]
-    reached = basins(flow, box, stable)
-    is_open = flow.size > 2 and len(cycles.unsettled) > 0
-    if vary is not None and parameter is not None:
-        branches, cycle_branches = _continued(box, varied, parameter, vary[1], cycles.cycles)
-    return Analysis(
-        field,
-        box,
-        flow.inputs,
-        fixed,
-        nullclines(flow, box) if flow.size == 2 else (),
-        cycles,
-        lyapunov_spectrum(flow, box, cycles.unsettled) if is_open else None,
-        reached,
-        conserved_quantities(flow, box),
-        is_volume_preserving(flow, box),
-        compared(flow, box, stable, measured, reached.duration, has_family=cycles.has_family),
-        coefficients,
-        parameter,
-        branches,
-        cycle_branches,
-        tuple(trajectory.name for trajectory in measured if field.inputs and trajectory.inputs is None),
+    cells: tuple[str, ...]
+    line: str
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Rows under a `title`, with a cell for each of `heads`; without a heading only the lines are printed."""
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[TextRow, ...]
+    has_heading: bool = True
+
+
+def as_text(analysis: Analysis) -> str:
+    """Return the analysis as lines for a person."""
+    lines: list[str] = []
+    for part in describe(analysis):
+        if isinstance(part, str):
+            lines.append(part)
+        elif part.has_heading:
+            lines += [part.title, *(f"  {row.line}" for row in part.rows)]
+        else:
+            lines += [row.line for row in part.rows]
+    return "\n".join(lines)
+
+
+def describe(analysis: Analysis) -> list[str | TextTable]:
+    """Return the sentences and tables of an analysis, in order; sentences begin with a small letter."""
+    return [*_described(analysis)]
+
+
+def _described(analysis: Analysis) -> Iterator[str | TextTable]:
+    box, field, spectrum = analysis.box, analysis.field, analysis.lyapunov
+    if analysis.caveat:
+        yield analysis.caveat
+    sides = zip(field.states, box.lower, box.upper, strict=True)
+    yield "box: " + ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, low, high in sides)
+    if field.inputs:
+        held = zip(field.inputs, analysis.inputs, strict=True)
+        yield "inputs held: " + ", ".join(f"{name} = {value:g}" for name, value in held)
+    yield _fixed_points(analysis)
+    yield _cycles(analysis)
+    if spectrum is not None:
+        pairs = zip(spectrum.exponents, spectrum.standard_errors, strict=True)
+        exponents = ", ".join(f"{value:.3g} ± {error:.1g}" for value, error in pairs)
+        yield f"Lyapunov exponents: {exponents}" + (", chaotic" if spectrum.is_chaotic else "")
+    yield _basins(analysis)
+    if analysis.is_volume_preserving:
+        yield "the flow preserves volume (the divergence is 0)"
+    yield from (f"conserved (a hint): {quantity.text}" for quantity in analysis.conserved)
+    if analysis.comparisons:
+        heads = ("trajectory", "bounds", "period", "amplitudes", "phases", "end")
+        rows = tuple(_comparison(comparison, analysis) for comparison in analysis.comparisons)
+        yield TextTable("the model, simulated freely, compared with the data", heads, rows, has_heading=False)
+    if analysis.not_compared:
+        names = ", ".join(analysis.not_compared)
+        yield f"the model is not compared with trajectory {names}: the result does not contain its inputs"
+    parameter = analysis.continuation_parameter
+    if parameter is not None:
+        columns = ("branch", "special points")
+        fixed = tuple(_branch(branch) for branch in analysis.branches)
+        yield TextTable(f"fixed points as {parameter.name} (now {parameter.value:.6g}) varies:", columns, fixed)
+        cycles = tuple(_cycle_branch(branch) for branch in analysis.cycle_branches)
+        yield TextTable(f"limit cycles as {parameter.name} varies: {len(cycles)} branches", columns, cycles)
+
+
+def _destinations(analysis: Analysis) -> list[int]:
+    reached = analysis.basins.reached
+    return [*range(len(analysis.attractors)), *(code for code in CODES if (reached == code).any())]
+
+
+def _destination_text(which: int, analysis: Analysis) -> str:
+    return CODES[which] if which < 0 else _attractor_text(analysis.attractors[which])
+
+
+def _attractor_text(attractor: Attractor) -> str:
+    if isinstance(attractor, LimitCycle):
+        return f"limit cycle of period {attractor.period:.6g}"
+    if isinstance(attractor, FixedSet):
+        return _set_text(attractor)
+    return f"{attractor.kind} {_point_text(attractor.point)}"
+
+
+def _set_text(fixed: FixedSet) -> str:
+    if fixed.dimension > 1:
+        return f"surface of fixed points of {fixed.dimension} dimensions"
+    name = "line" if fixed.is_straight else "curve"
+    return f"{name} of fixed points from {_point_text(fixed.course[0])} to {_point_text(fixed.course[-1])}"
+
+
+def _point_text(point: FloatArray) -> str:
+    return f"({', '.join(f'{value:.6g}' for value in point)})"
+
+
+def _complex_text(numbers: Iterable[complex]) -> str:
+    texts = []
+    for number in numbers:
+        if number.imag < 0.0:
+            texts.append(f"{number.real:.4g} ± {-number.imag:.4g}i")
+        elif number.imag == 0.0 or not math.isfinite(number.imag):
+            texts.append(f"{number.real:.4g}")
+    return ", ".join(texts)
+
+
+def _fixed_points(analysis: Analysis) -> TextTable:
+    search, resting = analysis.fixed_points, analysis.cycles.resting
+    curves = sum(fixed.dimension == 1 for fixed in search.sets)
+    counts = ((curves, "curve"), (len(search.sets) - curves, "surface"))
+    many = " and ".join(f"{count} {name}{'s' if count > 1 else ''}" for count, name in counts if count)
+    more = f" and {many} of them" if many else ""
+    title = f"fixed points: {len(search.points)}{more} (Newton steps from {search.starts} starts)"
+    heads = (f"({', '.join(analysis.field.states)})", "kind", "eigenvalues")
+    rows = [_fixed_point(point, analysis) for point in (*search.points, *resting)]
+    for fixed in search.sets:
+        attracts = {point.attracts_in_box for point in fixed.points}
+        share = "attracts in parts" if len(attracts) > 1 else "attracts" if True in attracts else "does not attract"
+        rows.append(TextRow((_set_text(fixed), share, ""), f"{_set_text(fixed)}, {share}; on it"))
+        rows += [_fixed_point(point, analysis, across="across it ") for point in fixed.points[::2]]
+    return TextTable(title, heads, tuple(rows))
+
+
+def _fixed_point(fixed: FixedPoint, analysis: Analysis, across: str = "") -> TextRow:
+    kind = fixed.kind
+    if kind == NON_HYPERBOLIC and fixed.attracts_in_box:  # an eigenvalue is 0: simulations decide
+        node = "attracts" if fixed.eigenvalues.imag.any() else "a stable node"
+        kind += f", by simulations {node}{'' if fixed.is_stable else ' within the box'}"
+    outside = "" if analysis.box.contains(fixed.point, 1e-6) else ", outside the box"
+    cells = (_point_text(fixed.point), f"{across}{kind}{outside}", _complex_text(fixed.eigenvalues))
+    return TextRow(cells, f"{cells[0]}  {cells[1]}, eigenvalues {cells[2]}")
+
+
+def _cycles(analysis: Analysis) -> TextTable:
+    search, states = analysis.cycles, analysis.field.states
+    family = "; there are closed orbits that are not isolated" if search.has_family else ""
+    rows = []
+    for cycle in search.cycles:
+        extents = zip(cycle.points.min(axis=0), cycle.points.max(axis=0), strict=True)
+        ranges = [f"{low:.4g} to {high:.4g}" for low, high in extents]
+        period, stability = f"{cycle.period:.6g}", "stable" if cycle.is_stable else "unstable"
+        multipliers = _complex_text(cycle.multipliers)
+        named = ", ".join(f"{name} {ends}" for name, ends in zip(states, ranges, strict=True))
+        line = f"period {period}, {stability}, multipliers {multipliers}; {named}"
+        rows.append(TextRow((period, stability, multipliers, *ranges), line))
+    heads = ("period", "stability", "Floquet multipliers", *states)
+    return TextTable(f"limit cycles: {len(search.cycles)} ({search.starts} simulations){family}", heads, tuple(rows))
+
+
+def _basins(analysis: Analysis) -> TextTable:
+    rows = []
+    for which in _destinations(analysis):
+        part, error = analysis.basins.fraction(which)
+        without_error = {0.0: "none", 1.0: "all"}
+        share = without_error.get(part, f"{100 * part:.1f} ± {100 * error:.1f} %")
+        ending = _ENDINGS[which] if which < 0 else f"reach the {_destination_text(which, analysis)}"
+        if which == UNDECIDED and analysis.cycles.has_family:
+            ending = "follow closed orbits, or reach none of these within the simulated time"
+        rows.append(TextRow((share, ending), f"{share} {ending}"))
+    title = f"basins: of {len(analysis.basins.reached)} initial states in the box"
+    return TextTable(title, ("share", "of the initial states"), tuple(rows))
+
+
+def _comparison(comparison: TrajectoryComparison, analysis: Analysis) -> TextRow:
+    period, phases = "", ""
+    if comparison.has_same_period is not None:
+        periods = (comparison.simulated.period, comparison.measured.period)
+        simulated, measured = (f"{value:.4g}" if value else "none" for value in periods)
+        period = f"has period {simulated} (measured {measured})"
+    if comparison.has_same_phases is not None:
+        phases = "phases agree" if comparison.has_same_phases else "phases differ"
+    is_same = comparison.has_same_amplitudes
+    held = ", inputs held" if analysis.field.inputs else ""
+    reached = analysis.attractors[comparison.reaches] if comparison.reaches >= 0 else None
+    is_in_set = isinstance(reached, FixedSet) and comparison.end is not None
+    at = f", at {_point_text(comparison.end)}" if is_in_set and comparison.end is not None else ""
+    end = f"reaches{held}: {_destination_text(comparison.reaches, analysis)}{at}"
+    if comparison.orbit_period is not None:
+        end = f"follows a closed orbit of period {comparison.orbit_period:.4g}{held}"
+    facts = (
+        "is bounded" if comparison.is_bounded else "is not bounded",
+        period,
+        "has the amplitudes of the data" if is_same else "has other amplitudes than the data",
+        phases,
+        end,
+    )
+    line = f"from trajectory {comparison.name} the model {', '.join(filter(None, facts))}"
+    return TextRow((comparison.name, *facts), line)
+
+
+def _branch(branch: Branch) -> TextRow:
+    unstable = sorted(set(branch.unstable.tolist()))
+    counts = f"{unstable[0]} to {unstable[-1]}" if len(unstable) > 1 else f"{unstable[0]}"
+    special = []
+    for point in branch.special:
+        frequency = f", frequency {point.frequency:.6g}" if point.frequency is not None else ""
+        special.append(f"{point.kind} at {point.value:.8g} {_point_text(point.point)}{frequency}")
+    return _branch_row(branch.values, f"unstable eigenvalues: {counts}", special)
+
+
+def _cycle_branch(branch: CycleBranch) -> TextRow:
+    first, last = branch.cycles[0].period, branch.cycles[-1].period
+    stable = sum(cycle.is_stable for cycle in branch.cycles)
+    stability = "stable" if stable == len(branch.cycles) else "unstable" if not stable else "stable in parts"
+    ends = f"begins: {branch.ends[0]}; ends: {branch.ends[1]}"
+    special = [f"{point.kind} at {point.value:.8g}, period {point.cycle.period:.6g}" for point in branch.special]
+    return _branch_row(branch.values, f"period {first:.6g} to {last:.6g}, {stability}", [ends, *special])
+
+
+def _branch_row(values: FloatArray, character: str, special: list[str]) -> TextRow:
+    extent = f"from {values[0]:.4g} to {values[-1]:.4g}, least {np.min(values):.4g}, greatest {np.max(values):.4g}"
+    branch = f"a branch {extent}; {character}"
+    return TextRow((branch, "; ".join(special)), "\n".join([branch, *(f"    {text}" for text in special)]))
+
+
+# --------------------------------------------------------------------------------------------------------- plain data
+
+
+def as_data(analysis: Analysis) -> dict[str, object]:
+    """Return the analysis as dictionaries, lists, texts and numbers; null is not finite, or unknown."""
+    field, box, fixed, cycles = analysis.field, analysis.box, analysis.fixed_points, analysis.cycles
+    return plain(
+        {
+            "schema": SCHEMA,
+            "caveat": analysis.caveat,
+            "states": field.states,
+            "inputs": dict(zip(field.inputs, analysis.inputs, strict=True)),
+            "box": {name: ends for name, *ends in zip(field.states, box.lower, box.upper, strict=True)},
+            "parameters": [attributes(constant, "name", "variable", "value") for constant in field.parameters],
+            "unit_coefficients": analysis.coefficients.units,
+            "fixed_points": [_fixed_point_data(point) for point in fixed.points],
+            "fixed_sets": [
+                attributes(fixed_set, "dimension", "is_straight", "attracts_in_box", "course")
+                | {"points": [_fixed_point_data(point) for point in fixed_set.points]}
+                for fixed_set in fixed.sets
+            ],
+            "fixed_points_search": {
+                **attributes(fixed, "starts", "converged"),
+                "tolerance": TOLERANCE,
+                "are_isolated": fixed.are_isolated,
+                "reached_outside_box": [_fixed_point_data(point) for point in cycles.resting],
+            },
+            "nullclines": dict(zip(field.states, analysis.nullclines, strict=False)),
+            "limit_cycles": [_cycle_data(cycle) for cycle in cycles.cycles],
+            "limit_cycles_search": {
+                **attributes(cycles, "starts", "duration", "has_family"),
+                "unsettled": len(cycles.unsettled),
+            },
+            "lyapunov": None
+            if analysis.lyapunov is None
+            else attributes(analysis.lyapunov, "exponents", "standard_errors", "is_chaotic", "starts", "duration"),
+            "basins": _basins_data(analysis),
+            "conserved": [quantity.text for quantity in analysis.conserved],
+            "is_volume_preserving": analysis.is_volume_preserving,
+            "dynamics": [
+                {
+                    "trajectory": comparison.name,
+                    **attributes(comparison, "is_bounded", "measured", "simulated"),
+                    **attributes(comparison, "has_same_period", "has_same_amplitudes", "has_same_phases"),
+                    "reaches": _destination_text(comparison.reaches, analysis),
+                    **attributes(comparison, "orbit_period", "end"),
+                }
+                for comparison in analysis.comparisons
+            ],
+            "not_compared": analysis.not_compared,
+            "continuation": _continuation_data(analysis),
+        }
     )
 
 
-def _continued(
-    box: Box, flow: Flow, parameter: ContinuationParameter, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
-) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
-    branches = continuation(flow, box, parameter, bounds)
-    value = parameter.value
-    if not bounds[0] <= value <= bounds[1]:
-        value = 0.5 * (bounds[0] + bounds[1])
-        shifted = parameter.at(flow, value)
-        shifted_points = fixed_points(shifted, box)
-        cycles = limit_cycles(shifted, box, shifted_points.points, shifted_points.sets).cycles
-    known = [(value, cycle) for cycle in cycles]
-    return branches, cycle_continuation(flow, box, parameter, bounds, branches=branches, known=known)
+def _fixed_point_data(fixed: FixedPoint) -> dict[str, object]:
+    known = attributes(fixed, "point", "kind", "is_stable", "attracts_in_box")
+    return {**known, "eigenvalues": _pairs(fixed.eigenvalues)}
 
 
-def analyse_model(
-    model: Model,
-    box: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    inputs: Mapping[str, float] | None = None,
-    vary: tuple[str, tuple[float, float]] | None = None,
-) -> Analysis:
-    """Return the dynamics of a model; see `atoll.Model.analyse`."""
-    model.require_one_group()
-    bounds = {name: interval(ends, f"the bounds of {name!r}") for name, ends in by_name(box, "the box").items()}
-    held = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
-    if vary is not None and not (isinstance(vary, tuple) and len(vary) == 2 and isinstance(vary[0], str)):
-        raise UsageError(f"vary must be a name and a range, such as ('c1', (0.0, 1.0)), but {shown(vary)} was given")
-    varied = None if vary is None else (vary[0], interval(vary[1], f"the range of {vary[0]!r}"))
-    field = model.field
-    for name in held:
-        if name not in field.inputs:
-            raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
-    values = np.array([held.get(name, 0.0) for name in field.inputs])
-    measured = measured_trajectories(model.result, field)
-    sides = [equation.lhs for equation in model.result.equations if equation.verdict == "no model"]
-    caveat = f"The verdict on {', '.join(sides)} is no model: these equations do not fit the data." if sides else ""
-    found = analyse(field, box_of(model.result, field, measured, bounds), inputs=values, measured=measured, vary=varied)
-    return replace(found, caveat=caveat)
+def _pairs(values: Complexes) -> FloatArray:
+    """Return the real and imaginary parts (n, 2) of complex numbers (n,)."""
+    return np.stack([values.real, values.imag], axis=-1)
 
 
-def box_of(
-    result: Result,
-    field: VectorField,
-    measured: Sequence[MeasuredTrajectory],
-    bounds: Mapping[str, tuple[float, float]],
-) -> Box:
-    """Return the box to search: `bounds` by state, otherwise the measured range, wider by half on either side.
+def _cycle_data(cycle: LimitCycle) -> dict[str, object]:
+    return {
+        **attributes(cycle, "period", "is_stable"),
+        "multipliers": _pairs(cycle.multipliers),
+        "log_multiplier_product": cycle.log_multiplier_product,
+        "minimum": cycle.points.min(axis=0),
+        "maximum": cycle.points.max(axis=0),
+        "points": cycle.points,
+    }
 
-    The box does not reach below 0 if no value below 0 was measured. Raises UsageError for a state with neither bounds
-    nor measurements.
-    """
-    ranges = {name: ends for name, ends in result.ranges.items() if name in field.states}
-    if measured:
-        states = np.vstack([trajectory.states for trajectory in measured])
-        ends = zip(states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True)
-        ranges |= dict(zip(field.states, ends, strict=True))
-    known: dict[str, tuple[float, float]] = {}
-    for name, (low, high) in ranges.items():
-        # a state that was measured at one value has the width of that value, or 1 if it is 0
-        beyond = _MARGIN * (high - low) or _MARGIN * abs(high) or 1.0
-        known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
-    for name in bounds:
-        if name not in field.states:
-            hint = did_you_mean(name, field.states)
-            raise UsageError(f"there is no state '{name}' to bound; the states are {', '.join(field.states)}{hint}")
-    known |= bounds
-    for name in field.states:
-        if name not in known:
-            raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")
-        low, high = known[name]
-        if not (np.isfinite([low, high]).all() and low < high):
-            raise UsageError(f"the bounds {low:g} and {high:g} of '{name}' are not an interval; give the lower first")
-    lower, upper = np.array([known[name] for name in field.states], dtype=np.float64).T.copy()
-    return Box(lower, upper)
+
+def _basins_data(analysis: Analysis) -> dict[str, object]:
+    basins = analysis.basins
+    fractions = []
+    for which in _destinations(analysis):
+        share, error = basins.fraction(which)
+        fractions.append({"reaches": _destination_text(which, analysis), "fraction": share, "std_error": error})
+    data: dict[str, object] = {
+        "attractors": [_attractor_text(attractor) for attractor in basins.attractors],
+        "starts": len(basins.reached),
+        "duration": basins.duration,
+        "fractions": fractions,
+        "codes": {str(code): text for code, text in CODES.items()},
+    }
+    return data if basins.grid is None else data | {"grid": basins.reached.reshape(basins.grid, basins.grid)}
+
+
+def _continuation_data(analysis: Analysis) -> dict[str, object] | None:
+    parameter = analysis.continuation_parameter
+    if parameter is None:
+        return None
+    named = {constant.name: constant.variable for constant in analysis.field.parameters}
+    return {
+        "parameter": {"name": parameter.name, "variable": named.get(parameter.name), "value": parameter.value},
+        "branches": [
+            {
+                **attributes(branch, "values", "points"),
+                "unstable_eigenvalues": branch.unstable,
+                "special": branch.special,
+            }
+            for branch in analysis.branches
+        ],
+        "cycle_branches": [_cycle_branch_data(branch) for branch in analysis.cycle_branches],
+    }
+
+
+def _cycle_branch_data(branch: CycleBranch) -> dict[str, object]:
+    cycles = branch.cycles
+    return {
+        "values": branch.values,
+        "periods": [cycle.period for cycle in cycles],
+        "minima": [cycle.points.min(axis=0) for cycle in cycles],
+        "maxima": [cycle.points.max(axis=0) for cycle in cycles],
+        "multipliers": [_pairs(cycle.multipliers) for cycle in cycles],
+        "is_stable": [cycle.is_stable for cycle in cycles],
+        "special": [
+            attributes(special, "kind", "value")
+            | {"period": special.cycle.period, "multipliers": _pairs(special.cycle.multipliers)}
+            for special in branch.special
+        ],
+        "ends": branch.ends,
+    }

@@ -190,16 +190,6 @@ def _sampled(states: Callable[[FloatArray], FloatArray], mesh: FloatArray) -> Or
     return Orbit(mesh, values[:, 0].copy(), values[:, 1:].copy())
 
 
-def _adapted_mesh(orbit: Orbit) -> FloatArray:
-    """Return a mesh with equal shares of the derivative of order M + 1, which the error is proportional to."""
-    lengths = orbit.lengths
-    slopes = np.einsum("k,nkd->nd", _DIFFERENCES, orbit.knots) / lengths[:, None] ** GAUSS_POINTS
-    jumps = np.abs(np.roll(slopes, -1, axis=0) - slopes) / (0.5 * (np.roll(lengths, -1) + lengths))[:, None]
-    size = np.maximum(jumps, np.roll(jumps, 1, axis=0)).max(axis=1) ** (1.0 / (GAUSS_POINTS + 1))
-    weight = (size + 0.1 * max(float((size * lengths).sum()), 1e-12)) * lengths  # every part keeps some intervals
-    return _even_mesh(orbit.mesh, weight, len(weight))
-
-
 def _even_mesh(mesh: FloatArray, weight: FloatArray, intervals: int) -> FloatArray:
     """Return a mesh of intervals with equal shares of `weight` (n,), given on the intervals of another mesh."""
     total = np.append(0.0, np.cumsum(weight))
@@ -470,7 +460,13 @@ class _CycleCurve:
             self._set_phase(point.orbit)
             return point
         kept = self._mesh, self._reference, self._phase
-        mesh = _adapted_mesh(point.orbit)
+        # intervals get equal shares of the derivative of order M + 1, which the error is proportional to
+        lengths = point.orbit.lengths
+        slopes = np.einsum("k,nkd->nd", _DIFFERENCES, point.orbit.knots) / lengths[:, None] ** GAUSS_POINTS
+        jumps = np.abs(np.roll(slopes, -1, axis=0) - slopes) / (0.5 * (np.roll(lengths, -1) + lengths))[:, None]
+        size = np.maximum(jumps, np.roll(jumps, 1, axis=0)).max(axis=1) ** (1.0 / (GAUSS_POINTS + 1))
+        weight = (size + 0.1 * max(float((size * lengths).sum()), 1e-12)) * lengths  # every part keeps some intervals
+        mesh = _even_mesh(point.orbit.mesh, weight, len(weight))
         orbit = _sampled(point.orbit.at, mesh)
         along = _sampled(Orbit(point.orbit.mesh, *self._split(point.tangent[:-2] / self._weights)).at, mesh)
         tangent = self._z_change(_OrbitChange(along.mesh_states, along.nodes, *point.tangent[-2:].tolist()))

@@ -20,6 +20,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, Final, Self
 
+from atoll.api.model import Model
 from atoll.api.tables import NAME, files_of, in_python, python_words, table_of
 from atoll.client.client import connected
 from atoll.client.configure import configure
@@ -27,7 +28,6 @@ from atoll.client.follower import Display, Follower
 from atoll.client.local_processes import start_apart
 from atoll.client.options import MOST_WORKERS, OPTIONS
 from atoll.client.over_http import Whereabouts, coordinator_at
-from atoll.model.model import Model
 from atoll.terminal.output import note
 from atoll.terminal.progress import is_screen, open_display, plain_lines
 from atoll_coordinator.data.reading.typed_formats import check_sheet

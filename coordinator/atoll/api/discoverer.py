@@ -9,10 +9,10 @@ import numpy.typing as npt
 from pydantic import JsonValue
 
 from atoll.api.discover import discover
+from atoll.api.model import Model
 from atoll.api.tables import numbers_of
 from atoll.model.arguments import GivenInputs, numbers, read_columns
 from atoll.model.equations import DIGITS
-from atoll.model.model import Model
 from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import DataError, UsageError
 from atoll_core.redaction import without_secrets

@@ -14,7 +14,7 @@ from atoll_core.errors import UsageError
 from atoll_core.redaction import without_secrets
 
 if TYPE_CHECKING:
-    from atoll.model.model import Model
+    from atoll.api.model import Model
 
 try:
     from sklearn.base import BaseEstimator, RegressorMixin

@@ -333,7 +333,15 @@ class Adapting:
                 self._look(time.monotonic())
                 self._failed_since = None
             except (UnreachableError, BatchError) as error:
-                self._tolerate(error, time.monotonic())
+                now = time.monotonic()
+                # raised if it lasts, or if the system has never accepted a job with these options
+                if isinstance(error, BatchError) and not self._has_submitted:
+                    raise error
+                if self._failed_since is None:
+                    self._failed_since = now
+                    _LOG.warning("nothing is changed for now", extra=fields(reason=str(error)))
+                elif now - self._failed_since > self._patience_s:
+                    raise error
             stop.wait(interval_s)
 
     def _look(self, now: float) -> None:
@@ -359,16 +367,6 @@ class Adapting:
             except BatchError as error:
                 self._policy.forget(job)
                 _LOG.warning("not ended", extra=fields(batch_job=job, reason=str(error)))
-
-    def _tolerate(self, error: UnreachableError | BatchError, now: float) -> None:
-        """Log a failure; raise it if it lasts, or if the system has never accepted a job with these options."""
-        if isinstance(error, BatchError) and not self._has_submitted:
-            raise error
-        if self._failed_since is None:
-            self._failed_since = now
-            _LOG.warning("nothing is changed for now", extra=fields(reason=str(error)))
-        elif now - self._failed_since > self._patience_s:
-            raise error
 
 
 def need_of(client: Client, jobs: set[str]) -> Need:

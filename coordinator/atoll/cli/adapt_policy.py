@@ -78,7 +78,15 @@ class AdaptPolicy:
             AtollError: jobs keep ending before one of their workers has joined.
         """
         self._watch(need.islands.keys(), jobs)
-        target = self._target(now, self._needed(need))
+        needed = self._needed(need)
+        # at least as many jobs as are needed now, at most as many as were needed recently
+        if self._began_at is None:
+            self._began_at = now
+        self._needs = [(at, count) for at, count in self._needs if now - at < self._limits.idle_s]
+        self._needs.append((now, needed))
+        has_seen_enough = now - self._began_at >= self._limits.idle_s
+        most = max(count for _, count in self._needs) if has_seen_enough else self._limits.maximum
+        target = _Target(needed, most)
         failed = [job for job in jobs if job.state == "failed" and job.id not in self._told]
         kept = [job for job in jobs if job.state in ("pending", "running") and job.id not in self._told]
         ends = sorted(kept, key=lambda job: self._order(job, need))[: max(0, len(kept) - target.most)]
@@ -98,16 +106,6 @@ class AdaptPolicy:
         workers = max(0, need.workers - need.others)
         jobs = -(-workers // self._limits.workers)
         return min(max(jobs, self._limits.minimum), self._limits.maximum)
-
-    def _target(self, now: float, needed: int) -> "_Target":
-        """Return the range of the number of jobs: at least the current need, at most the largest recent need."""
-        if self._began_at is None:
-            self._began_at = now
-        self._needs = [(at, count) for at, count in self._needs if now - at < self._limits.idle_s]
-        self._needs.append((now, needed))
-        has_seen_enough = now - self._began_at >= self._limits.idle_s
-        most = max(count for _, count in self._needs) if has_seen_enough else self._limits.maximum
-        return _Target(needed, most)
 
     def _order(self, job: BatchJob, need: Need) -> tuple[bool, int, int]:
         """Sort by the cost of ending: pending jobs, the last one first; then running jobs, fewest islands first.

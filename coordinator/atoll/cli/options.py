@@ -543,14 +543,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """
     parser = build_parser()
     complete(parser)
-    options = parser.parse_args(_join_leading_minus(argv))
-    if options.verb is None:
-        raise UsageError(f"no command was given, expected one of {', '.join(VERBS)}; see coordinator --help")
-    return options
-
-
-def _join_leading_minus(argv: Sequence[str]) -> list[str]:
-    """Write ``--operators -,+`` or ``--range -1:1`` as one word, since argparse takes a leading minus for an option."""
+    # argparse takes a leading minus for an option, so ``--operators -,+`` and ``--range -1:1`` become one word
     words: list[str] = []
     for word in argv:
         is_list = words[-1:] == ["--operators"] and (word == "-" or word.startswith("-,"))
@@ -559,7 +552,10 @@ def _join_leading_minus(argv: Sequence[str]) -> list[str]:
             words[-1] = f"{words[-1]}={word}"
         else:
             words.append(word)
-    return words
+    options = parser.parse_args(words)
+    if options.verb is None:
+        raise UsageError(f"no command was given, expected one of {', '.join(VERBS)}; see coordinator --help")
+    return options
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -31,7 +31,14 @@ def write_result(folder: Path, result: "Result") -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         draft.write_text(as_json(result.as_dict()) + "\n", "utf-8")
-        _publish(draft, path)
+        try:
+            path.hardlink_to(draft)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            draft.replace(path)
+        else:
+            draft.unlink()
     except FileExistsError:
         raise UsageError(f"{path} exists already; name another folder with --out, or remove it") from None
     except OSError as error:
@@ -48,19 +55,7 @@ def write_report(path: Path, result: "Result") -> None:
 
 def write_page(path: Path, page: str) -> None:
     """Write a page, and print where; raises UsageError if it cannot be written."""
-    from atoll.model.shortcuts import write_text
+    from atoll_core.quoting import write_text
 
     write_text(path, page)
     note(f"report in {path}")
-
-
-def _publish(draft: Path, path: Path) -> None:
-    """Rename `draft` in one step; raises FileExistsError if the file exists."""
-    try:
-        path.hardlink_to(draft)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links
-        draft.replace(path)
-    else:
-        draft.unlink()

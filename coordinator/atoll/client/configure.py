@@ -8,12 +8,13 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from atoll.client.options import OPTIONS
-from atoll_core.config import PRESETS, DataConfig, JobConfig
+from atoll_coordinator.data.roles.columns import check_options
+from atoll_core.config import PRESETS, JobConfig
 from atoll_core.errors import Field, UsageError
 from atoll_core.expression.operators import BY_NAME
 from atoll_core.quoting import did_you_mean
@@ -44,8 +45,7 @@ def configure(values: Mapping[str, object], job_file: object = None) -> JobConfi
     for operators in (config.space.operators, *config.space.operators_of.values()):
         if operators is not None:
             _check_operators(operators)
-    _check_modes(config.data)
-    _check_columns(config.data)
+    check_options(config.data)
     return config
 
 
@@ -75,30 +75,22 @@ def _refusal(error: ValidationError, given: Mapping[str, object], file: object) 
     """Turn pydantic's first error into a sentence: the option, the allowed and the found value."""
     complaint = error.errors()[0]
     path = [str(part) for part in complaint["loc"] if isinstance(part, str) and part != "[key]"]
-    place = _place(path, given, file)
+    keys = {".".join(path[:2]), path[0]} & set(given)
+    option = next((option for option in OPTIONS.values() if keys & set(option.settings.split())), None)
+    place = Field(option.name) if option is not None else f"{'.'.join(path)} in {file}"
     value = complaint.get("input")
     if complaint["type"] == "extra_forbidden":
-        known = _settings(path[:-1])
+        group = path[:-1]
+        fields = JobConfig.model_fields
+        for name in group:
+            kind = fields[name].annotation
+            fields = kind.model_fields if isinstance(kind, type) and issubclass(kind, BaseModel) else {}
+        known = tuple(fields)
         hint = did_you_mean(path[-1], known)
         return UsageError("%s is not a known setting; known here: %s%s", place, ", ".join(known), hint)
     what = complaint["msg"].removeprefix("Input should be ").replace("a valid tuple", "a list")
     hint = did_you_mean(str(value), re.findall("'([^']*)'", what)) if complaint["type"] == "literal_error" else ""
     return UsageError("%s must be %s, but %r was given%s", place, what, value, hint)
-
-
-def _settings(group: Sequence[str]) -> tuple[str, ...]:
-    fields = JobConfig.model_fields
-    for name in group:
-        kind = fields[name].annotation
-        fields = kind.model_fields if isinstance(kind, type) and issubclass(kind, BaseModel) else {}
-    return tuple(fields)
-
-
-def _place(path: Sequence[str], given: Mapping[str, object], file: object) -> Field | str:
-    """Return the option that was given, or the key of the job file."""
-    keys = {".".join(path[:2]), path[0]} & set(given)
-    option = next((option for option in OPTIONS.values() if keys & set(option.settings.split())), None)
-    return Field(option.name) if option is not None else f"{'.'.join(path)} in {file}"
 
 
 def _check_operators(operators: Sequence[str]) -> None:
@@ -110,54 +102,3 @@ def _check_operators(operators: Sequence[str]) -> None:
             raise UsageError(f"the operators name {name!r}, which is unknown; {known}")
         if operators.count(name) > 1:
             raise UsageError(f"the operators name {name!r} twice; name every operator once")
-
-
-def _check_modes(data: DataConfig) -> None:
-    derivatives, second_order, target = Field("derivatives"), Field("order", 2), Field("target")
-    if data.target is not None and data.derivatives is not None:
-        raise _contradiction(target, derivatives, "; give the one that the data hold")
-    if data.order == 2 and data.target is not None:
-        raise _contradiction(second_order, target, ": an explicit regression has no derivative")
-    if data.order == 2 and data.derivatives is not None:
-        raise UsageError(
-            f"{_CONTRADICT}; name the velocities as %s instead", second_order, derivatives, Field("states")
-        )
-    if data.derivatives is not None and data.states is not None and len(data.derivatives) != len(data.states):
-        counts = f"{len(data.derivatives)} columns for {len(data.states)} states"
-        raise UsageError("%s gives %s; give one for each state, in the same order", derivatives, counts)
-    if data.holdout is not None and data.target is not None:
-        raise _contradiction(Field("holdout"), target, ": an explicit regression has no trajectories")
-
-
-_CONTRADICT: Final = "%s and %s contradict each other"
-
-
-def _contradiction(one: Field, other: Field, reason: str) -> UsageError:
-    return UsageError(_CONTRADICT + reason, one, other)
-
-
-def _check_columns(data: DataConfig) -> None:
-    """Refuse a column with two roles, and an angle that is named twice."""
-    roles = {
-        "states": data.states or (),
-        "inputs": data.inputs,
-        "derivatives": data.derivatives or (),
-        "target": (data.target,),
-        "trajectory": (data.trajectory,),
-        "weights": (data.weights,),
-        "group": (data.group,) if data.group != data.trajectory else (),
-    }
-    first: dict[str, str] = {}
-    pairs = [(role, column) for role, columns in roles.items() for column in columns if column is not None]
-    if data.time is not None and data.time not in data.inputs:
-        pairs.append(("time", data.time))
-    for role, column in pairs:
-        if column in first:
-            raise UsageError(
-                "%r is named by both %s and %s; a column has one role", column, Field(first[column]), Field(role)
-            )
-        first[column] = role
-    angles = [angle.column for angle in data.angles]
-    twice = next((column for column in angles if angles.count(column) > 1), None)
-    if twice is not None:
-        raise UsageError("%s names %r twice; name every angle once", Field("angle"), twice)

@@ -26,7 +26,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import AtollError
 
 if TYPE_CHECKING:
-    from atoll.model.model import Model
+    from atoll.model.core import ModelCore
 
 
 def label(result: Result, column: str) -> str:
@@ -98,7 +98,7 @@ class _ListedRows:
         return sizes[:, None]
 
 
-def curves_of(model: "Model | None", part: Simulated) -> ModelCurves:
+def curves_of(model: "ModelCore | None", part: Simulated) -> ModelCurves:
     """Return the curves of a simulated trajectory of a result, with its `model`.
 
     Without a model, or where it cannot be simulated, these are the listed rows. Raises nothing.
@@ -177,7 +177,7 @@ _Found = tuple[FloatArray, FloatArray, int]
 """Times (M,), values (D, M) of the listed states, NaN between pieces, and the number of pieces."""
 
 
-def _from_start(model: "Model", part: Simulated, known: _ListedRows, inputs: Inputs | None) -> _Found | None:
+def _from_start(model: "ModelCore", part: Simulated, known: _ListedRows, inputs: Inputs | None) -> _Found | None:
     """Return the simulation from the fitted initial state; None where it differs from the listed rows."""
     columns = [model.result.columns_by_symbol[state] for state in model.states]
     start = np.array([(part.start or {}).get(column) for column in columns], dtype=np.float64)
@@ -214,7 +214,7 @@ def _is_fine(scaled: FloatArray, grid: FloatArray) -> bool:
     )  # half the distance: a quarter of the error
 
 
-def _between_rows(model: "Model", known: _ListedRows, inputs: Inputs | None) -> _Found | None:
+def _between_rows(model: "ModelCore", known: _ListedRows, inputs: Inputs | None) -> _Found | None:
     """Return the model integrated from each listed row to the next; a piece ends where it misses the next row.
 
     None where the rows do not list all states, as for equations of second order.
@@ -250,7 +250,7 @@ def _between_rows(model: "Model", known: _ListedRows, inputs: Inputs | None) -> 
 
 
 def _runge_kutta(
-    model: "Model", states: FloatArray, times: FloatArray, steps: FloatArray, inputs: Inputs | None
+    model: "ModelCore", states: FloatArray, times: FloatArray, steps: FloatArray, inputs: Inputs | None
 ) -> FloatArray:
     """Return the states (S + 1, N, D) along S equal substeps from `states` (N, D) at `times` (N,), all together."""
 

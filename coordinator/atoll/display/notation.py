@@ -14,14 +14,14 @@ from atoll_core.redaction import without_secrets
 if TYPE_CHECKING:
     import sympy
 
+    from atoll.model.core import ModelCore
     from atoll.model.equations import Parameter
-    from atoll.model.model import Model
 
 _MATH: Final = '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">'
 _HEADS: Final = ("constant", "value", "standard error", "95 % interval", "equation of")
 
 
-def summary(model: "Model") -> str:
+def summary(model: "ModelCore") -> str:
     """Return equations with verdicts, constants with errors, and the origin of the model."""
     lines = []
     for equation in model.equations:
@@ -40,12 +40,12 @@ def summary(model: "Model") -> str:
     return "\n".join(lines)
 
 
-def latex(model: "Model") -> str:
+def latex(model: "ModelCore") -> str:
     """Return the equations in an ``aligned`` environment."""
     return r"\begin{aligned}" + r" \\ ".join(latex_lines(model.result)) + r"\end{aligned}"
 
 
-def sympy_expressions(model: "Model") -> "dict[str, sympy.Expr]":
+def sympy_expressions(model: "ModelCore") -> "dict[str, sympy.Expr]":
     """Return the right-hand sides as sympy expressions, by left-hand side."""
     from atoll_core.expression.text.export import to_sympy
 
@@ -53,7 +53,7 @@ def sympy_expressions(model: "Model") -> "dict[str, sympy.Expr]":
     return {equation.lhs: to_sympy(from_infix(equation.exact, names), names) for equation in model.equations}
 
 
-def mathml(model: "Model") -> str:
+def mathml(model: "ModelCore") -> str:
     """Return the equations as the rows of a table in presentation MathML."""
     names = model.result.names
     parts = [_mathml_parts(equation.lhs, equation.variable, equation.expression, names) for equation in model.equations]
@@ -61,7 +61,7 @@ def mathml(model: "Model") -> str:
     return f"{_MATH}<mtable>{''.join(rows)}</mtable></math>"
 
 
-def html(model: "Model") -> str:
+def html(model: "ModelCore") -> str:
     """Return equations, verdicts and a table of constants for a notebook."""
     parts = [mathml(model)]
     if model.remark:

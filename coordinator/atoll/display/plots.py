@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from atoll.analysis.analysis import MOST_STATES, box_of
+from atoll.analysis.analyse import MOST_STATES, box_of
 from atoll.analysis.dynamics import measured_trajectories
 from atoll.analysis.fixed_points import fixed_points
 from atoll.analysis.flow import Box, Flow
@@ -19,7 +19,7 @@ from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
-    from atoll.model.model import Model
+    from atoll.model.core import ModelCore
 
 Axes = npt.NDArray[np.object_]
 """Axes of matplotlib."""
@@ -28,7 +28,7 @@ _GRID = 24
 """Arrows along each side of a phase plane."""
 
 
-def plot_fit(model: "Model", axes: object = None) -> Axes:
+def plot_fit(model: "ModelCore", axes: object = None) -> Axes:
     """Plot each state over time: measured, and simulated with its 95 % band; a row of axes for each state."""
     parts = _trajectories(model)
     states = list(parts[0].values or {})
@@ -51,7 +51,7 @@ def plot_fit(model: "Model", axes: object = None) -> Axes:
     return each
 
 
-def plot_residuals(model: "Model", axes: object = None) -> Axes:
+def plot_residuals(model: "ModelCore", axes: object = None) -> Axes:
     """Plot measured minus simulated values over time, for each state, along each trajectory."""
     parts = [part for part in _trajectories(model) if part.values and part.measured]
     if not parts:
@@ -66,7 +66,7 @@ def plot_residuals(model: "Model", axes: object = None) -> Axes:
     return each
 
 
-def plot_phase(model: "Model", axes: object = None) -> Axes:
+def plot_phase(model: "ModelCore", axes: object = None) -> Axes:
     """Plot the plane of the first two states around the measured range, with the other states at their middle.
 
     It has the directions of the flow, measured points, simulated trajectories and fixed points, full if stable.
@@ -107,7 +107,7 @@ def plot_phase(model: "Model", axes: object = None) -> Axes:
     return each
 
 
-def _add_fixed_points(at: Any, model: "Model", box: Box) -> None:
+def _add_fixed_points(at: Any, model: "ModelCore", box: Box) -> None:
     """Mark the fixed points in `box`, of models that can be analysed."""
     if len(model.states) > MOST_STATES:
         return
@@ -120,7 +120,7 @@ def _add_fixed_points(at: Any, model: "Model", box: Box) -> None:
         at.legend(loc="best")
 
 
-def plot_front(model: "Model", axes: object = None) -> Axes:
+def plot_front(model: "ModelCore", axes: object = None) -> Axes:
     """Plot for each equation the error of its front over complexity; the selected member is marked."""
     equations = model.result.equations
     each = _axes(axes, [f"error of {equation.lhs}" for equation in equations], "complexity")
@@ -130,7 +130,7 @@ def plot_front(model: "Model", axes: object = None) -> Axes:
     return each
 
 
-def _axes_over_time(model: "Model", states: Sequence[str], axes: object) -> Axes:
+def _axes_over_time(model: "ModelCore", states: Sequence[str], axes: object) -> Axes:
     return _axes(axes, [label(model.result, state) for state in states], label(model.result, model.time))
 
 
@@ -154,7 +154,7 @@ def _axes(axes: object, heights: Sequence[str], width: str) -> Axes:
     return each
 
 
-def _trajectories(model: "Model") -> Sequence[Simulated]:
+def _trajectories(model: "ModelCore") -> Sequence[Simulated]:
     parts = model.result.simulated
     if not parts:
         raise UsageError("the result has no simulated trajectory; only a model of trajectories can be plotted so")

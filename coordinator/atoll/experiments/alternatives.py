@@ -160,7 +160,12 @@ def without_poles(program: Program, equations: EquationSet, measured: FitData) -
             continue
         whole = right if code == DIVIDE else left
         below = _without_constant(nodes, whole)
-        size = _size(program, below, equations, measured)
+        measurements = measured.measurements  # the denominator over the data must not change its sign
+        rows = [measurements.variables.index(name) for name in equations.names]
+        points = np.ascontiguousarray(np.concatenate([measurements.smoothed, measurements.inputs])[rows])
+        values = values_of(Program.of(live_nodes(program.nodes(), below)), points)
+        is_one_sided = np.all(values > 0.0) or np.all(values < 0.0)
+        size = float(values.mean()) if is_one_sided and np.isfinite(values).all() and np.ptp(values) > 0.0 else None
         if size is not None:
             if below == whole:
                 yield _rebuilt(program, index, below, _FIRST_SHARE * size, is_square=False)
@@ -173,16 +178,6 @@ def _without_constant(nodes: Sequence[Node], node: int) -> int:
     if code == ADD and nodes[left][0] == CONSTANT:
         return right
     return left if code == ADD and nodes[right][0] == CONSTANT else node
-
-
-def _size(program: Program, node: int, equations: EquationSet, measured: FitData) -> float | None:
-    """Return the mean of a part of a program over the data; None where it is constant or changes its sign."""
-    measurements = measured.measurements
-    rows = [measurements.variables.index(name) for name in equations.names]
-    points = np.ascontiguousarray(np.concatenate([measurements.smoothed, measurements.inputs])[rows])
-    values = values_of(Program.of(live_nodes(program.nodes(), node)), points)
-    is_one_sided = np.all(values > 0.0) or np.all(values < 0.0)
-    return float(values.mean()) if is_one_sided and np.isfinite(values).all() and np.ptp(values) > 0.0 else None
 
 
 def _rebuilt(program: Program, index: int, divisor: int, constant: float, *, is_square: bool) -> Program:

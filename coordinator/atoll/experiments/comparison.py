@@ -15,12 +15,13 @@ import numpy as np
 from atoll.experiments.alternatives import half_akaike, weighed_pair
 from atoll.experiments.fits import FittedEquations, equations_of, fit_equations, fit_shown, measured_of
 from atoll.experiments.suggestion import equations_text, which_of_two
+from atoll.model.core import ModelCore
 from atoll.model.equations import Parameter
-from atoll.model.model import Model
 from atoll.terminal.output import attributes, plain
 from atoll_coordinator.result.result import Result
 from atoll_core.data.table import Table
 from atoll_core.errors import UsageError
+from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.program import structure, variables_of
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import first_lines
@@ -129,7 +130,7 @@ def compare(
         UsageError: they have different states or targets, or there are no measurements.
         AtollError: one cannot be simulated along the data.
     """
-    models = Model(first), Model(second)
+    models = ModelCore(first), ModelCore(second)
     for model in models:
         model.require_one_group()
     sides = [[equation.lhs for equation in model.equations] for model in models]
@@ -147,7 +148,7 @@ def compare(
     return Comparison(names, (shown[0], shown[1]), _forms(*models), tuple(data))
 
 
-def _forms(first: Model, second: Model) -> dict[str, str]:
+def _forms(first: ModelCore, second: ModelCore) -> dict[str, str]:
     """Return for each equation whether both models have the same form, and the difference of its constants."""
     others = {equation.lhs: equation for equation in second.equations}
     forms = {}
@@ -242,9 +243,9 @@ def _regressions(holder: Result, other: Result, letter: str, table: Table | None
     by_symbol = {holder.symbols.get(column, column): curve for column, curve in rows.variables.items()}
     sides, lengths = [], []
     for result in (holder, other):
-        model, unused = Model(result), (0.0,) * len(target)
-        columns = {name: np.array(by_symbol.get(name, unused), dtype=np.float64) for name in result.names}
-        residuals = target - model.predict(columns)
+        model, unused = ModelCore(result), (0.0,) * len(target)
+        columns = np.array([by_symbol.get(name, unused) for name in result.names], dtype=np.float64)
+        residuals = target - values_of(from_infix(model.equations[0].exact, result.names), columns)
         known = np.isfinite(residuals)
         square = float(np.mean(residuals[known] ** 2)) if known.all() else math.inf
         spread = float(np.nanstd(target)) or 1.0

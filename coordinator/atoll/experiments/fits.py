@@ -449,7 +449,7 @@ def _fitted(measured: FitData, equations: EquationSet, starts: FloatArray | None
     degrees_of_freedom = max(decided - best.system.values.size - best.starts.size, 1.0)
     # the variance of a row in the fit, corrected for fitted numbers and for correlated or unlisted rows
     widened = np.sqrt(counts.sum() / left / measured.share)
-    least = SETTINGS.interpolation.smallest_noise * measurements.scales[measurements.observed]
+    least = SETTINGS.smoothing.smallest_noise * measurements.scales[measurements.observed]
     sigmas = np.maximum(np.sqrt(best.squares), least) * widened
     errors = replace(best.errors, sigmas=sigmas, is_known=True)
     held = estimator.fit(best.system, None, SETTINGS.effort.steps, best.starts, errors, is_stiff=best.is_stiff)

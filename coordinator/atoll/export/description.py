@@ -19,7 +19,7 @@ from atoll_core.expression.program import Program, constant_places
 from atoll_core.expression.text.parsing import from_infix
 
 if TYPE_CHECKING:
-    from atoll.model.model import Model
+    from atoll.model.core import ModelCore
 
 Times = npt.ArrayLike | None
 """Ascending times, only the last time, or the measured times."""
@@ -119,7 +119,7 @@ class Description:
 
 
 def describe(
-    model: "Model", x0: Given | None = None, t: Times = None, u: HeldInputs = None, without_tables: str = ""
+    model: "ModelCore", x0: Given | None = None, t: Times = None, u: HeldInputs = None, without_tables: str = ""
 ) -> Description:
     """Return the description of `model`, with an initial state, times and inputs as `Model.simulate` takes them.
 
@@ -172,7 +172,7 @@ def _is_named(constant: Parameter) -> bool:
     return constant.stderr is not None or constant.bounds is not None or not constant.value.is_integer()
 
 
-def _formulas(model: "Model") -> dict[str, Formula]:
+def _formulas(model: "ModelCore") -> dict[str, Formula]:
     """Return the right-hand sides by variable, with the names of constants in `Model.params`."""
     formulas, count = {}, 0
     for equation in model.equations:
@@ -185,7 +185,7 @@ def _formulas(model: "Model") -> dict[str, Formula]:
 
 
 def _states(
-    model: "Model", formulas: Mapping[str, Formula], start: FloatArray, sizes: FloatArray
+    model: "ModelCore", formulas: Mapping[str, Formula], start: FloatArray, sizes: FloatArray
 ) -> tuple[ExportedState, ...]:
     """Return the states; for order 2 the rates of positions are the velocities."""
     symbols, names = model.result.symbols, model.result.names
@@ -201,12 +201,12 @@ def _states(
     )
 
 
-def _unit(model: "Model", symbol: str) -> str:
+def _unit(model: "ModelCore", symbol: str) -> str:
     return model.result.units.get(model.result.columns_by_symbol[symbol], "")
 
 
 def _input(
-    model: "Model",
+    model: "ModelCore",
     name: str,
     given: Mapping[str, npt.ArrayLike | InputCurve],
     times: FloatArray,
@@ -250,7 +250,7 @@ def _zeros(inputs: tuple[ExportedInput, ...], without_tables: str) -> tuple[str,
     )
 
 
-def _origin(model: "Model") -> tuple[str, ...]:
+def _origin(model: "ModelCore") -> tuple[str, ...]:
     result, data = model.result, model.result.data
     lines = [f"Written by Atoll {VERSION}. Result: job {result.job}, seed {result.seed}, digest {result.digest}."]
     if data and data.digest:

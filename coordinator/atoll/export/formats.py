@@ -22,7 +22,7 @@ from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import enumerated
 
 if TYPE_CHECKING:
-    from atoll.model.model import Model
+    from atoll.model.core import ModelCore
 
 _COLUMNS: Final[tuple[str, ...]] = (
     "variable", "lhs", "pick", "selected", "shown", "origin", "complexity", "error", "normalized_error", "r2",
@@ -117,7 +117,7 @@ PETAB: Final = "petab"
 NAMES: Final = (*LANGUAGES, *OF_RESULTS, PETAB)
 
 
-def written(model: "Model", name: str, x0: Given | None = None, t: Times = None, u: HeldInputs = None) -> str:
+def written(model: "ModelCore", name: str, x0: Given | None = None, t: Times = None, u: HeldInputs = None) -> str:
     """Return the model in a format of one file, by its name; see `atoll.Model.export`."""
     if name in OF_RESULTS:
         return OF_RESULTS[name](model.result)

@@ -26,7 +26,7 @@ from atoll_core.data.dataset import FloatArray
 from atoll_core.errors import UsageError
 
 if TYPE_CHECKING:
-    from atoll.model.model import Model
+    from atoll.model.core import ModelCore
 
 _REACH: Final = 10.0
 """Bounds of a constant: standard errors on either side, or multiples of its size where no error is known."""
@@ -43,7 +43,7 @@ problems:
 _Row = tuple[str | float, ...]
 
 
-def export_petab(model: "Model", folder: str | Path, data: Sequence[Columns] | None = None) -> None:
+def export_petab(model: "ModelCore", folder: str | Path, data: Sequence[Columns] | None = None) -> None:
     """Write a PEtab problem into a folder; see `atoll.Model.to_petab`."""
     trajectories = [] if data is None else _given(model, data)
     start, times = (trajectories[0].start, trajectories[0].times) if trajectories else (None, None)
@@ -85,7 +85,7 @@ class PetabTrajectory:
     inputs: Mapping[str, FloatArray]
 
 
-def _recorded(model: "Model") -> list[PetabTrajectory]:
+def _recorded(model: "ModelCore") -> list[PetabTrajectory]:
     """Return the measurements in a result, without held-out trajectories, with their fitted initial states.
 
     A trajectory without a fitted initial state begins at its first row with every state, and is left out without one.
@@ -114,7 +114,7 @@ def _recorded(model: "Model") -> list[PetabTrajectory]:
     return trajectories
 
 
-def _given(model: "Model", data: Sequence[Columns]) -> list[PetabTrajectory]:
+def _given(model: "ModelCore", data: Sequence[Columns]) -> list[PetabTrajectory]:
     """Return given measurements, each with the initial state of its first row."""
     if not data:
         raise UsageError("no trajectory of measurements was given; give at least one")
@@ -128,7 +128,7 @@ def _given(model: "Model", data: Sequence[Columns]) -> list[PetabTrajectory]:
 
 
 class _Tables:
-    def __init__(self, model: "Model", description: Description, trajectories: Sequence[PetabTrajectory]) -> None:
+    def __init__(self, model: "ModelCore", description: Description, trajectories: Sequence[PetabTrajectory]) -> None:
         self._description = description
         self._words = Wording(description, SBML)
         self._trajectories = trajectories
@@ -200,7 +200,7 @@ class _Tables:
         return float(np.nanmax(values) - np.nanmin(values)) or 1.0
 
 
-def _errors(model: "Model", state: ExportedState, name: str, values: FloatArray) -> tuple[float, str]:
+def _errors(model: "ModelCore", state: ExportedState, name: str, values: FloatArray) -> tuple[float, str]:
     """Return the standard deviation of the errors of a state, and the noise formula of PEtab.
 
     A share of the variance may grow with the square of the state, relative to the mean square of its measured values.

@@ -1,6 +1,7 @@
 """A model as users hold it after it was found.
 
-``model`` has the class `atoll.Model`, made of a result; ``shortcuts`` its methods that use other packages.
+``core`` has `ModelCore`, a result with names, right-hand sides and constants; `atoll.Model` (``atoll.api.model``) adds
+the methods of users.
 ``equations`` has equations and constants for display, ``vector_field`` the right-hand sides as functions with their
 derivatives, ``arguments`` checks arguments of users, ``simulation`` integrates and draws paths of stochastic processes.
 """

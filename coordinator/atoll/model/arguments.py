@@ -28,7 +28,7 @@ from atoll_core.errors import Field, UsageError
 from atoll_core.quoting import did_you_mean, shown
 
 if TYPE_CHECKING:
-    from atoll.model.model import Model
+    from atoll.model.core import ModelCore
 
 Columns = Mapping[str, npt.ArrayLike]
 """Measured columns by name, or a frame of pandas or polars."""
@@ -121,7 +121,7 @@ class ReadColumns(Mapping[str, npt.ArrayLike]):
         return sum(1 for _ in self)
 
 
-def read_columns(model: "Model", part: Columns) -> ReadColumns:
+def read_columns(model: "ModelCore", part: Columns) -> ReadColumns:
     """Return the measured columns of one trajectory as the fit of the model has read them."""
     if isinstance(part, ReadColumns):
         return part
@@ -133,7 +133,7 @@ def read_columns(model: "Model", part: Columns) -> ReadColumns:
     return ReadColumns(part, {**angles, **named, **velocities}, frozenset([*angles, *named]))
 
 
-def rows_of(model: "Model", part: Columns) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
+def rows_of(model: "ModelCore", part: Columns) -> tuple[FloatArray, dict[str, FloatArray], dict[str, float]]:
     """Return the times (N,) of measured rows, the measured states (N,) by name, and the state of the first row.
 
     Velocities of equations of second order that were not measured are slopes of the positions.
@@ -165,7 +165,7 @@ def rows_of(model: "Model", part: Columns) -> tuple[FloatArray, dict[str, FloatA
     return times, values, start
 
 
-def points_of(model: "Model", given: object, names: Sequence[str]) -> FloatArray:
+def points_of(model: "ModelCore", given: object, names: Sequence[str]) -> FloatArray:
     """Return rows (N, len(names)) from an array or from columns by name."""
     if has_columns(given):
         columns = model.result.columns_by_symbol
@@ -228,7 +228,7 @@ class InitialConditions:
     times: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
-def initial_conditions(model: "Model") -> InitialConditions:
+def initial_conditions(model: "ModelCore") -> InitialConditions:
     """Return the initial conditions of the first simulated trajectory, else of a process or measured trajectory."""
     result = model.result
     for part in result.simulated:
@@ -244,7 +244,7 @@ def initial_conditions(model: "Model") -> InitialConditions:
     return next(filter(None, measured), InitialConditions())
 
 
-def measured_conditions(model: "Model", part: Recorded | Simulated) -> InitialConditions | None:
+def measured_conditions(model: "ModelCore", part: Recorded | Simulated) -> InitialConditions | None:
     """Return the initial conditions of the complete rows of a trajectory; None where no row has all states."""
     columns = {name: values_of_curve(curve) for name, curve in part.measured.items()}
     times = values_of_curve(part.times)
@@ -257,7 +257,7 @@ def measured_conditions(model: "Model", part: Recorded | Simulated) -> InitialCo
     return InitialConditions(part.name, start, rows[model.time])
 
 
-def start_of(model: "Model", x0: Given | None) -> FloatArray:
+def start_of(model: "ModelCore", x0: Given | None) -> FloatArray:
     """Return a given initial state (D,), by default the measured one; raises UsageError."""
     given = initial_conditions(model).start if x0 is None else x0
     if x0 is None and not given:
@@ -283,7 +283,7 @@ def start_of(model: "Model", x0: Given | None) -> FloatArray:
     return np.array([number(named[name], f"the initial value of {name!r}") for name in model.states])
 
 
-def times_of(model: "Model", t: npt.ArrayLike | float | None) -> FloatArray:
+def times_of(model: "ModelCore", t: npt.ArrayLike | float | None) -> FloatArray:
     """Return given times (N,), by default the measured ones; raises UsageError."""
     first = initial_conditions(model).times
     if t is None:
@@ -323,7 +323,7 @@ class Driving:
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0)
 
 
-def recorded_inputs(model: "Model") -> dict[str, InputCurve]:
+def recorded_inputs(model: "ModelCore") -> dict[str, InputCurve]:
     """Return the inputs recorded along the first trajectory, by symbol."""
     name = initial_conditions(model).name
     part = next((part for part in model.result.recorded if part.name == name), None)
@@ -346,7 +346,7 @@ def input_curves(result: Result, part: Recorded) -> dict[str, InputCurve]:
     return curves
 
 
-def require_inputs(model: "Model", names: Iterable[str]) -> None:
+def require_inputs(model: "ModelCore", names: Iterable[str]) -> None:
     """Raise UsageError where one of `names`, symbols or columns, is not an input."""
     symbols = model.result.symbols
     unknown = next((name for name in names if symbols.get(name, name) not in model.inputs), None)
@@ -356,7 +356,7 @@ def require_inputs(model: "Model", names: Iterable[str]) -> None:
 
 
 def inputs_along(
-    model: "Model", u: GivenInputs, times: FloatArray, recorded: Mapping[str, InputCurve]
+    model: "ModelCore", u: GivenInputs, times: FloatArray, recorded: Mapping[str, InputCurve]
 ) -> Inputs | None:
     """Return all inputs as one function of time, by default the `recorded` ones; None for a model without inputs.
 
@@ -383,7 +383,7 @@ def inputs_along(
 
 
 def _input(
-    model: "Model", name: str, given: _InputsByName, times: FloatArray, recorded: InputCurve | None
+    model: "ModelCore", name: str, given: _InputsByName, times: FloatArray, recorded: InputCurve | None
 ) -> Callable[[float], float]:
     column = model.result.columns_by_symbol[name]
     key = next((key for key in (name, column) if has(given, key)), None)
@@ -422,7 +422,7 @@ class FileStart:
     inputs: Mapping[str, InputCurve] = field(default_factory=dict)
 
 
-def start_of_file(model: "Model", path: Path) -> FileStart:
+def start_of_file(model: "ModelCore", path: Path) -> FileStart:
     """Return the first row, the times and the inputs of the first trajectory of a data file.
 
     Raises:
@@ -460,7 +460,7 @@ def start_of_file(model: "Model", path: Path) -> FileStart:
     return FileStart({name: state[name] for name in model.states}, times, inputs)
 
 
-def times_until(model: "Model", start: FileStart, end: float | None, step: float | None) -> FloatArray:
+def times_until(model: "ModelCore", start: FileStart, end: float | None, step: float | None) -> FloatArray:
     """Return the times (N,) of a simulation: up to `end` by `step`, where they are given; raises UsageError."""
     known = start.times if start.times is not None else initial_conditions(model).times
     if end is None and step is None and len(known):

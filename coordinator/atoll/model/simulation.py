@@ -41,7 +41,7 @@ from atoll_core.quoting import shown
 if TYPE_CHECKING:
     import polars
 
-    from atoll.model.model import Model
+    from atoll.model.core import ModelCore
 
 Status = Literal["finished", "blow-up", "stiff", "undefined"]
 """How a simulation ended: at the last time; with a state that grows without bounds in finite time; with all evaluations
@@ -176,7 +176,13 @@ def simulate(
     course = _integrated(task, x0, t)
     states, count = course.rows, len(course.rows)
     status: Status = "finished" if course.is_whole else _ending(task, course, _sizes(task, x0, t), float(t[-1] - t[0]))
-    sentence = _sentence(status, course.reached, most)
+    where = f"time {course.reached:.6g}"
+    sentence = {
+        "finished": f"it reached {where}",
+        "blow-up": f"a state grows without bounds near {where}",
+        "stiff": f"{most} evaluations reach {where} only: the model is stiff or very fast there; simulate less time",
+        "undefined": f"a rate is undefined near {where}",
+    }[status]
     sentence += "" if course.is_whole else f"; {count} of {len(t)} times were reached"
     sentence += _ROUGH if course.is_rough else ""
     if bands is None or status != "finished" or (spread := _standard_errors(task, bands[0], course, t)) is None:
@@ -369,16 +375,6 @@ def _ending(task: _RateTask, course: _Integration, sizes: FloatArray, span: floa
     return "stiff" if course.is_spent else "undefined"
 
 
-def _sentence(status: Status, reached: float, most: int) -> str:
-    where = f"time {reached:.6g}"
-    return {
-        "finished": f"it reached {where}",
-        "blow-up": f"a state grows without bounds near {where}",
-        "stiff": f"{most} evaluations reach {where} only: the model is stiff or very fast there; simulate less time",
-        "undefined": f"a rate is undefined near {where}",
-    }[status]
-
-
 def _standard_errors(task: _RateTask, errors: JointErrors, course: _Integration, t: FloatArray) -> FloatArray | None:
     """Return the standard errors (N, D) of the simulated states (N, D), by the sensitivities S' = J S + df/dc.
 
@@ -461,7 +457,7 @@ MOST_STEPS: Final = 200_000
 
 
 def ensemble_of(
-    model: "Model", x0: FloatArray, times: FloatArray, inputs: Inputs | None, drawn: tuple[int, int]
+    model: "ModelCore", x0: FloatArray, times: FloatArray, inputs: Inputs | None, drawn: tuple[int, int]
 ) -> Ensemble:
     """Return paths from `x0` (D,) at the first of the ascending `times` (N,).
 
@@ -482,7 +478,7 @@ def ensemble_of(
 
 
 def density_of_process(
-    model: "Model", x0: FloatArray, inputs: Sequence[float], drawn: tuple[int, int]
+    model: "ModelCore", x0: FloatArray, inputs: Sequence[float], drawn: tuple[int, int]
 ) -> StationaryDensity | None:
     """Return the density of settled paths from `x0` (D,) with held `inputs` (U,); None where they do not settle."""
     simulator = _simulator(model, *drawn, least=2)  # one path gives no error of its means
@@ -495,7 +491,7 @@ def density_of_process(
     return None if paths is None else density_of(model.states, paths)
 
 
-def process_of(model: "Model") -> Process:
+def process_of(model: "ModelCore") -> Process:
     """Return the process; raises UsageError where the model has no noise, or its result has no 'process'."""
     process = model.result.process
     if not model.components:
@@ -505,7 +501,7 @@ def process_of(model: "Model") -> Process:
     return process
 
 
-def _simulator(model: "Model", paths: int, seed: int, *, least: int = 1) -> Simulator:
+def _simulator(model: "ModelCore", paths: int, seed: int, *, least: int = 1) -> Simulator:
     for name, value, lower in (("paths", paths, least), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < lower:
             raise UsageError(f"{name} must be a whole number of at least {lower}, but {value!r} was given")

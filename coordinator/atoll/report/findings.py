@@ -3,20 +3,20 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import Final, TypeVar
 
+from atoll.analysis.analyse import analyse_model
+from atoll.analysis.analysis import Analysis
 from atoll.display.curves import ModelCurves, chosen, curves_of, label
-from atoll.model.model import Model
+from atoll.experiments.designs import DesignRequest
+from atoll.experiments.identifiability import Identifiability, identify
+from atoll.experiments.suggestion import Suggestions, suggest
+from atoll.model.core import ModelCore
+from atoll.model.equations import LEVEL
 from atoll.report.markup import Axis, Chart
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import DataError, UsageError
-
-if TYPE_CHECKING:
-    from atoll.analysis.analysis import Analysis
-    from atoll.experiments.identifiability import Identifiability
-    from atoll.experiments.suggestion import Suggestions
-
 
 Found = TypeVar("Found")
 MOST_PROFILES: Final = 12
@@ -32,25 +32,26 @@ class Findings:
     """
 
     result: Result
-    model: Model | None
-    analysis: "Analysis | None" = None
+    model: ModelCore | None
+    analysis: Analysis | None = None
     unanalysed: str = ""
-    identifiability: "Identifiability | None" = None
-    suggestions: "Suggestions | None" = None
+    identifiability: Identifiability | None = None
+    suggestions: Suggestions | None = None
 
     @classmethod
     def of(cls, result: Result) -> "Findings":
         """Return the findings of a result; this takes a few seconds for two states."""
         try:
-            model = Model(result)
+            model = ModelCore(result)
         except UsageError as error:
             return cls(result, None, None, str(error))
         if model.is_regression:
             return cls(result, model, None, "the model has no time")
-        identifiability = _found(model.identifiability) if count_constants(result) <= MOST_PROFILES else None
-        suggestions = _found(model.suggest)
+        has_few = count_constants(result) <= MOST_PROFILES and not model.groups
+        identifiability = _found(lambda: identify(result, None, LEVEL)) if has_few else None
+        suggestions = _found(lambda: suggest(result, DesignRequest(bounds={})))
         try:
-            return cls(result, model, model.analyse(), "", identifiability, suggestions)
+            return cls(result, model, analyse_model(model), "", identifiability, suggestions)
         except UsageError as error:
             return cls(result, model, None, str(error), identifiability, suggestions)
 

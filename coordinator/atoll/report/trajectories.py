@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from atoll.analysis.rendering import TextTable, describe
+from atoll.analysis.analysis import TextTable, describe
 from atoll.display.curves import SHOWN, residuals
 from atoll.model.equations import differing_groups
 from atoll.report.findings import Findings

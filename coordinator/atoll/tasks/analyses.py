@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from atoll.experiments.designs import DesignRequest
+from atoll.model.core import ModelCore
 from atoll.model.equations import LEVEL
-from atoll.model.model import Model
 from atoll.terminal.output import as_json
 from atoll_coordinator.model.batches import Spread
 from atoll_coordinator.result.result import Result
@@ -104,8 +104,10 @@ def answer(result: Result, question: Question, table: Table | None = None, sprea
     """
     match question:
         case AnalyseDynamics():
+            from atoll.analysis.analyse import analyse_model
+
             model = _model(result, question)
-            analysis = model.analyse(question.box, inputs=question.inputs, vary=question.vary)
+            analysis = analyse_model(model, question.box, inputs=question.inputs, vary=question.vary)
             return _formed(question.form, analysis.as_dict, analysis.__str__)
         case Profile():
             from atoll.experiments.identifiability import identify
@@ -147,8 +149,8 @@ def answered(outcome: bytes) -> Analysed:
     return made.analysed
 
 
-def _model(result: Result, question: Question) -> Model:
-    return Model(result) if question.group is None else Model(result).of_group(question.group)
+def _model(result: Result, question: Question) -> ModelCore:
+    return ModelCore(result) if question.group is None else ModelCore(result).of_group(question.group)
 
 
 def _formed(form: Form, as_dict: Callable[[], object], as_text: Callable[[], str]) -> Analysed:

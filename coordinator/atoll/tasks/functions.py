@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Final
 from atoll_core.wire.messages.tasks import AnalysisFunction, TaskFunction
 
 if TYPE_CHECKING:
-    from atoll.tasks.process import Team
+    from atoll_coordinator.model.batches import Batches
 
 _LOG = logging.getLogger(__name__)
 
-Call = Callable[[Sequence[bytes], float | None, "Team"], bytes]
+Call = Callable[[Sequence[bytes], float | None, "Batches"], bytes]
 """Runs a function with its inputs, its time limit in seconds (None: none), and the team that computes batches."""
 
 
@@ -58,14 +58,14 @@ def ready_preparation() -> None:
         _LOG.exception("warm-up failed")
 
 
-def _prepare(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> bytes:
+def _prepare(inputs: Sequence[bytes], seconds: float | None, team: "Batches") -> bytes:
     from atoll_coordinator.tasks.preparing import prepare
 
     table, specification = inputs
     return prepare(table, specification)
 
 
-def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> bytes:
+def _refine(inputs: Sequence[bytes], seconds: float | None, team: "Batches") -> bytes:
     from atoll_coordinator.model.pipeline import refine_all
     from atoll_coordinator.tasks.refining import refine
 
@@ -79,7 +79,7 @@ def load_analyses() -> None:
 
 
 def _analysis(function: AnalysisFunction) -> TaskHandler:
-    def call(inputs: Sequence[bytes], seconds: float | None, team: "Team") -> bytes:
+    def call(inputs: Sequence[bytes], seconds: float | None, team: "Batches") -> bytes:
         from atoll.tasks.analyses import analyse
         from atoll_coordinator.model.batches import spreading
         from atoll_coordinator.model.deadline import Deadline

@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
+from atoll.tasks.functions import FUNCTIONS as TASK_FUNCTIONS
 from atoll_core import task_frames as frames
 from atoll_core.logs import fields
 from atoll_core.machine import collect_rarely, memory_bytes
@@ -133,7 +134,12 @@ class Team:
             while not call.is_complete and (end is None or self._clock() < end):
                 place = self._next(call, end)
                 if place is not None:
-                    self._compute_here(call, place)
+                    began = self._clock()
+                    result = _computed(call.function, call.context, call.items[place])
+                    with self._changed:
+                        call.longest_s = max(call.longest_s, self._clock() - began)
+                        if self._settle(call, place, result):
+                            self._here += 1
         finally:
             with self._changed:
                 self._calls.remove(call)
@@ -155,14 +161,6 @@ class Team:
                 return None
             call.given[place] = now
             return place
-
-    def _compute_here(self, call: _Call, place: int) -> None:
-        began = self._clock()
-        result = _computed(call.function, call.context, call.items[place])
-        with self._changed:
-            call.longest_s = max(call.longest_s, self._clock() - began)
-            if self._settle(call, place, result):
-                self._here += 1
 
     # ----------------------------------------------------------------------------------- the reading thread
 
@@ -275,16 +273,12 @@ def serve(connection: "Connection[frames.FromProcess, frames.ToProcess]", level:
         with contextlib.suppress(OSError):  # where memory runs out, this is to go before its worker
             Path("/proc/self/oom_score_adj").write_text(_MORE_LIKELY, "ascii")
     collect_rarely()
-    _turn_away_streams()
-    TaskLoop(connection, level).work()
-
-
-def _turn_away_streams() -> None:
-    """Close stdin, and send printed text to stderr, because stdout belongs to the worker."""
+    # stdout belongs to the worker: printed text goes to stderr
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, _STDIN)
     os.close(nothing)
     os.dup2(_STDERR, _STDOUT)
+    TaskLoop(connection, level).work()
 
 
 class TaskLoop:
@@ -314,17 +308,13 @@ class TaskLoop:
                     del batch
 
     def _load(self, load: frames.Load) -> None:
-        from atoll.tasks.functions import FUNCTIONS
-
         if self._waiting.empty():
-            FUNCTIONS[load.function].load()  # type: ignore[index]  # a name of the table, by the type of the message
+            TASK_FUNCTIONS[load.function].load()  # type: ignore[index]  # a name of the table, by the type of the message
 
     def _run(self, run: frames.Run) -> None:
-        from atoll.tasks.functions import FUNCTIONS
-
         about = {"job": run.job or None, "task": run.task[:_SHOWN], "function": run.function}
         try:
-            function = FUNCTIONS[run.function]  # type: ignore[index]
+            function = TASK_FUNCTIONS[run.function]  # type: ignore[index]
             (function.load if run.seconds is None else function.ready)()
             self._send(frames.Begun(run.task))
             self._team.begin(run.task, run.threads)
@@ -384,12 +374,9 @@ class _LogSender(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Send a record; errors are printed on stderr, as by any handler."""
         try:
-            self._send(self._logged(record))
+            values: Mapping[str, object] = dict(vars(record))
+            if record.exc_info:
+                values = {**values, "exc_text": logging.Formatter().formatException(record.exc_info)}
+            self._send(frames.Logged({**values, "msg": record.getMessage(), "args": None, "exc_info": None}))
         except Exception:
             self.handleError(record)
-
-    def _logged(self, record: logging.LogRecord) -> frames.Logged:
-        values: Mapping[str, object] = dict(vars(record))
-        if record.exc_info:
-            values = {**values, "exc_text": logging.Formatter().formatException(record.exc_info)}
-        return frames.Logged({**values, "msg": record.getMessage(), "args": None, "exc_info": None})

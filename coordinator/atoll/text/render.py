@@ -25,7 +25,7 @@ from atoll.model.equations import (
     words_of,
 )
 from atoll_coordinator.result.equations import Candidate, Check, Constant, Equation, Member, SimpleTogether, Units
-from atoll_coordinator.result.findings import Density, Errors, ExcludedRows, Noise, PathEnsemble, Place
+from atoll_coordinator.result.findings import Errors, Noise, PathEnsemble, Place
 from atoll_coordinator.result.listed_trajectories import Simulated
 from atoll_coordinator.result.result import Result
 from atoll_core.data.notes import with_kind
@@ -273,7 +273,8 @@ def _noise_text(noise: Noise) -> str:
         texts.append(f"derivatives doubtful on {noise.doubtful_rows} rows")
     if noise.outliers:
         texts.append("1 outlier" if noise.outliers == 1 else f"{noise.outliers} outliers")
-    reasons = _reasons(noise.doubtful)
+    counts = {reason: sum(len(rows.times) for rows in noise.doubtful if rows.reason == reason) for reason in _PLACES}
+    reasons = ", ".join(f"{count} {_PLACES[reason]}" for reason, count in counts.items() if count)
     return "; ".join([*texts, f"not used: {reasons}"] if reasons else texts)
 
 
@@ -284,12 +285,6 @@ def _residual_texts(noise: Noise) -> list[str]:
         return []
     where = f"t = {largest.time or 0.0:.6g} of trajectory {largest.trajectory}"
     return [f"residuals {noise.residual_rms or 0.0:.3g}, the largest {largest.value:.3g} at {where}"]
-
-
-def _reasons(doubtful: Sequence[ExcludedRows]) -> str:
-    """Return the number of unused rows for each reason, such as ``8 near ends, 3 outliers``."""
-    counts = {reason: sum(len(rows.times) for rows in doubtful if rows.reason == reason) for reason in _PLACES}
-    return ", ".join(f"{count} {_PLACES[reason]}" for reason, count in counts.items() if count)
 
 
 def simulation_table(result: Result) -> list[str]:
@@ -350,7 +345,10 @@ def process_lines(result: Result) -> list[str]:
         reason = "not sought: there are inputs" if result.columns.inputs else "none that simulations settle into"
         lines.append(f"stationary density: {reason}")
     for state, density in (process.stationary or {}).items():
-        lines += _density_lines(state, density)
+        sizes = f"{number_text(density.mean)} ± {number_text(density.sd)}"
+        overlap = f"overlap with the measured density {percent(density.overlap)}"
+        bars = f"    {number_text(density.edges[0])} {_bars(density.density)} {number_text(density.edges[-1])}"
+        lines += [f"stationary density of {state}: {sizes}, {overlap}", bars]
     return lines
 
 
@@ -361,13 +359,6 @@ def _ensemble_line(ensemble: PathEnsemble) -> str:
     ]
     start = f"{ensemble.finite_paths} paths from the initial state of trajectory {ensemble.trajectory}"
     return f"ensemble: {start}; at t = {number_text(ensemble.times[-1], 6)} 90 % have {', '.join(ranges)}"
-
-
-def _density_lines(state: str, density: Density) -> list[str]:
-    sizes = f"{number_text(density.mean)} ± {number_text(density.sd)}"
-    overlap = f"overlap with the measured density {percent(density.overlap)}"
-    bars = f"    {number_text(density.edges[0])} {_bars(density.density)} {number_text(density.edges[-1])}"
-    return [f"stationary density of {state}: {sizes}, {overlap}", bars]
 
 
 def _bars(values: Sequence[float | None]) -> str:

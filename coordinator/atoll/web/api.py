@@ -24,10 +24,10 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import BaseRoute, Route
 
+from atoll.api.model import Model
 from atoll.client.client import Client
 from atoll.client.over_http import MESSAGE
 from atoll.export.formats import LANGUAGES, OF_RESULTS, written
-from atoll.model.model import Model
 from atoll.tasks.analyses import FUNCTIONS, Report, answered
 from atoll.text.render import parse_picks, pick
 from atoll.web.access import gateway_of

@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from atoll.api.model import Model
 from atoll.display.curves import chosen, curves_of, label
 from atoll.display.notation import equation_mathml
 from atoll.model.arguments import initial_conditions
 from atoll.model.equations import r2_text, rounded
-from atoll.model.model import Model
 from atoll.model.simulation import Simulation
 from atoll.text.conclusion import conclusion
 from atoll.text.render import constants_line

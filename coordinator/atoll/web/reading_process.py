@@ -120,7 +120,14 @@ def _answer(task: Reading) -> int:
     """Write the answer and, next to it, the name of the data; return the exit code."""
     with suppress(OSError):
         os.setpgid(0, 0)
-    _limit(task.limits)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (task.limits.processor_s, task.limits.processor_s + 1))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_UPLOAD, MAX_UPLOAD))
+    if sys.platform == "linux":  # elsewhere address space cannot be limited
+        pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
+        most = pages * os.sysconf("SC_PAGE_SIZE") + task.limits.memory
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        Path("/proc/self/oom_score_adj").write_text("1000", "ascii")
     paths, answer, code = [Path(file) for file in task.files], Path(task.answer), 0
     submission = None
     try:
@@ -134,18 +141,6 @@ def _answer(task: Reading) -> int:
         content, code = json.dumps(refusal).encode(), REFUSED
     answer.write_bytes(content)
     return code
-
-
-def _limit(limits: Limits) -> None:
-    """Limit memory, time and file sizes of this process; the system kills it first when memory runs out."""
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (limits.processor_s, limits.processor_s + 1))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_UPLOAD, MAX_UPLOAD))
-    if sys.platform == "linux":  # elsewhere address space cannot be limited
-        pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
-        most = pages * os.sysconf("SC_PAGE_SIZE") + limits.memory
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-        Path("/proc/self/oom_score_adj").write_text("1000", "ascii")
 
 
 def _refusal(error: BaseException, name: str, limits: Limits) -> tuple[int, str]:

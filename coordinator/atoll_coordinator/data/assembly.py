@@ -134,7 +134,7 @@ def _target(name: str, lhs: str, estimate: StateEstimate, rows: list[int]) -> Ta
 
 def _remarks(measurements: Measurements, estimates: Sequence[StateEstimate], selected: SelectedRows) -> list[str]:
     states = measurements.roles.states
-    if len(selected.searched) < SETTINGS.checks.min_rows:
+    if len(selected.searched) < SETTINGS.common.fewest_rows:
         named = ", ".join(states)
         raise DataError(f"only {len(selected.searched)} rows of {named} can be differentiated; sample more of them")
     remarks = []

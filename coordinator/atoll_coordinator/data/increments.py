@@ -188,7 +188,7 @@ def correlated_pairs(steps: Steps, bins: Sequence[Rows]) -> list[Pair]:
     rough = [state for state in range(len(steps.increments)) if not is_driven(steps, state)]
     pairs = [*combinations(rough, 2)]
     doublings = (_TESTS * len(pairs) - 1).bit_length()
-    limit = math.sqrt(LIMITS.significant**2 + _DOUBLED * doublings)
+    limit = math.sqrt(SETTINGS.common.significant**2 + _DOUBLED * doublings)
     windows = separate_windows(steps, _WINDOW_STEPS)
     places = [np.flatnonzero(np.isin(windows.first, rows)) for rows in bins]
     differences = {state: windows.differences(state) for state in rough}
@@ -354,7 +354,7 @@ def measurement_noise(residuals: FloatArray, steps: Steps) -> FloatArray:
     for state, residual in enumerate(residuals):
         neighbours = residual[rows] * residual[rows - 1]
         covariance, square = total(neighbours), total(neighbours * neighbours)
-        if covariance < 0.0 and covariance * covariance > LIMITS.significant**2 * square:
+        if covariance < 0.0 and covariance * covariance > SETTINGS.common.significant**2 * square:
             variances[state] = -covariance / len(rows)
     return variances
 

@@ -19,10 +19,10 @@ from atoll_core.data.dataset import Dataset
 from atoll_core.errors import UsageError
 from atoll_core.expression.operation_list import placed_text
 from atoll_core.expression.operators import BY_NAME, VARIABLE
-from atoll_core.expression.program import Program
+from atoll_core.expression.program import Program, tree_size
 from atoll_core.expression.restrictions import ALL_EQUATIONS, parse_bound
 from atoll_core.expression.simplification import complexity, simplify_program
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.quoting import did_you_mean
 

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from atoll_core.expression.program import MAX_NODES, Program
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll_core.expression.program import MAX_NODES, Program, tree_size
+from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.search.pareto import FrontEntry
 
 Origin = Literal["front", "runner-up", "guess", "library", "descent", "known"]

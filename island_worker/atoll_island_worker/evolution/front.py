@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_core.expression.operators import ADD, ARITY, CONSTANT, MULTIPLY, NEGATE, SUBTRACT
-from atoll_core.expression.program import Program, constant_places
+from atoll_core.expression.program import Program, constant_places, tree_size
 from atoll_core.expression.restrictions import EquationBounds, Restrictions
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, tree_size
+from atoll_core.expression.text.infix import PRINTABLE_SIZE
 from atoll_core.expression.writing.shortest import collected
 from atoll_core.search.pareto import FrontEntry, merge, runners_up
 from atoll_island_worker.evolution.kernels.measured_rows import padded_rows

@@ -1,15 +1,12 @@
 """The rehearsal's own promises: every process is ended, what is missing is named, every step is described."""
 
-import json
 import signal
-import sys
 from pathlib import Path
 
 import pytest
 
-from deploy.rehearsal import job
-from deploy.rehearsal.__main__ import STEPS, main
-from deploy.rehearsal.machine import FailedError, Machine, NotPossibleError, command_line, wait_until
+from deploy.rehearsal.__main__ import STEPS
+from deploy.rehearsal.machine import Machine, NotPossibleError, command_line, wait_until
 from tests.unit.documents import ROOT
 
 
@@ -46,26 +43,6 @@ def test_a_missing_program_is_named_with_its_package(machine: Machine) -> None:
         machine.need({"no-such-program": "its-package", "sh": "dash"})
     with pytest.raises(NotPossibleError, match="no-such-tool not found; --install fetches the Python package its-name"):
         machine.python_tool("no-such-tool", "its-name")
-
-
-def test_a_program_that_fails_is_quoted(machine: Machine) -> None:
-    with pytest.raises(FailedError, match=r"ended with 3:\nfor a reason"):
-        machine.run(sys.executable, "-c", "import sys; print('for a reason', file=sys.stderr); sys.exit(3)")
-
-
-def test_a_digest_is_compared_with_the_checkouts(machine: Machine) -> None:
-    same, other, reference = (machine.work / name for name in ("same", "other", f"reference-{machine.id}"))
-    for folder, letter in ((same, "a"), (other, "b"), (reference, "a")):
-        folder.mkdir()
-        (folder / "result.json").write_text(json.dumps({"digest": letter * 64}))
-    job.check_digest(machine, same)
-    with pytest.raises(FailedError, match="digest bbbb"):
-        job.check_digest(machine, other)
-
-
-def test_a_step_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["compos", "--work", str(tmp_path)]) == 2
-    assert "unknown step compos" in capsys.readouterr().err
 
 
 def test_the_documents_describe_every_step_and_name_the_rehearsal() -> None:

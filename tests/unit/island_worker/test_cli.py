@@ -90,7 +90,7 @@ def test_a_worker_leaves_after_its_lifetime_and_has_some_grace(
 def loads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What was loaded ahead."""
     calls: list[str] = []
-    monkeypatch.setattr(processes, "load_ahead", lambda: calls.append("all"))
+    monkeypatch.setattr(cli, "load_ahead", lambda: calls.append("all"))
     return calls
 
 
@@ -168,22 +168,6 @@ def test_a_file_names_the_coordinator_and_comes_before_the_environment(
         (tmp_path / "f").write_text(address)
         assert cli.main(["--connect-file", str(tmp_path / "f"), "--processes", "1", "--name", "w"]) == 0
     assert worked == [(address, "w", None)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "name"), [(["--name", "lab1"], "lab1"), (["--name", "lab1-gpu"], "lab1-gpu"), ([], "lab1-host-7")]
-)
-def test_a_worker_with_a_certificate_bears_its_name(
-    options: list[str],
-    name: str,
-    worked: list[tuple[str, str, float | None]],
-    lab: Lab,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(cli, "_default_name", lambda: "host-7")
-    assert cli.main(["--connect", "tls/a:1", "--processes", "1", *options, *lab.options("lab1")]) == 0
-    assert worked == [("tls/a:1", name, None)]
 
 
 def test_a_long_name_of_a_host_keeps_the_certificate_in_front_and_the_process_behind() -> None:

@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import Any, Final, Generic, TypeVar
 
 from atoll_core.expression import operators as op
-from atoll_core.expression.program import Program, constant_places, with_constants
+from atoll_core.expression.program import Program, constant_places, tree_size, with_constants
 from atoll_core.expression.text.parsing import LARGEST_POWER
 
 TANGENT: Final = -1
@@ -333,19 +333,6 @@ def _check_size(program: Program) -> None:
     size = tree_size(program)
     if size > PRINTABLE_SIZE:
         raise ValueError(f"an expression of {size} operations is too long to print; at most {PRINTABLE_SIZE} are")
-
-
-def tree_size(program: Program) -> int:
-    """Return the number of nodes of `program` printed as a tree; both operands of a*a and a + a count once."""
-    sizes: list[int] = []
-    for code, left, right, _ in program.nodes():
-        size = 1
-        if op.ARITY[code]:
-            size += sizes[left]
-        if op.ARITY[code] == 2 and (left != right or code not in (op.ADD, op.MULTIPLY)):
-            size += sizes[right]
-        sizes.append(size)
-    return sizes[-1]
 
 
 class _Text(Renderer[str]):

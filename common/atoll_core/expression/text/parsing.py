@@ -101,7 +101,12 @@ class _Parser:
             self._values.append(self._natural_power(self._values.pop(), int(token.text)))
             return False
         if token.text == ")":
-            self._close(token)
+            self._reduce(0)
+            if not self._pending:
+                self._fail(token, "an operator or the end")
+            opening = self._pending.pop()
+            if opening.kind == "call":
+                self._values.append(self._call(opening, self._values.pop()))
             return False
         if token.kind == "end":
             self._reduce(0)
@@ -129,14 +134,6 @@ class _Parser:
         raise UsageError(
             f"{token.text!r} {self._where(token)} is unknown; known: {known}{did_you_mean(token.text, self._variables)}"
         )
-
-    def _close(self, token: _Token) -> None:
-        self._reduce(0)
-        if not self._pending:
-            self._fail(token, "an operator or the end")
-        opening = self._pending.pop()
-        if opening.kind == "call":
-            self._values.append(self._call(opening, self._values.pop()))
 
     def _call(self, token: _Token, argument: int) -> int:
         if token.text in _CALLS:

@@ -17,9 +17,8 @@ import numpy as np
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression import operators as op
 from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder
+from atoll_core.expression.program import MAX_NODES, Program, ProgramBuilder, tree_size
 from atoll_core.expression.simplification import simplify_program
-from atoll_core.expression.text.infix import tree_size
 from atoll_core.expression.writing.identities import equal_sums
 from atoll_core.expression.writing.layout import NODE, written
 from atoll_core.expression.writing.sums_of_products import (

@@ -15,14 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from atoll.api.model import Model
 from atoll.cli.exit_codes import DONE
 from atoll.cli.options import finite_number, if_given, interval, intervals, natural_number, numbers
 from atoll.cli.request import CONNECT_LIMIT_S, address_of, is_saved, load_result, result_of
 from atoll.cli.result_files import REPORT, write_page
 from atoll.client.client import connected
 from atoll.model.arguments import FileStart, ReadColumns, start_of_file, times_until
-from atoll.model.model import Model
-from atoll.model.shortcuts import write_text
 from atoll.model.simulation import SimulationWarning
 from atoll.terminal.output import as_json, note, say
 from atoll_coordinator.data.differentiation.inputs import InputCurve
@@ -30,6 +29,7 @@ from atoll_coordinator.result.result import Result
 from atoll_core.data.dataset import FloatArray
 from atoll_core.data.table import Table
 from atoll_core.errors import AtollError, UsageError
+from atoll_core.quoting import write_text
 from atoll_core.wire.values import encode_value
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Final, cast
@@ -207,7 +207,11 @@ def run_locally(options: argparse.Namespace, folder: Path, endpoint: str, worker
                 if proposed is not None:
                     note(f"next: {proposed}")
             if stays:
-                _stay(client, check_processes)
+                note("the page stays open until Ctrl-C")
+                with contextlib.suppress(KeyboardInterrupt):
+                    while True:
+                        check_processes()
+                        client.pause(1.0)
             return finish(view) if forced is None else forced
 
 
@@ -232,15 +236,6 @@ def program_of(path: Path, here: Path) -> str:
     if path.name != "coordinator" or shutil.which("coordinator") is not None:
         return "coordinator"
     return str(path.relative_to(here) if path.is_relative_to(here) else path)
-
-
-def _stay(client: Client, check_processes: Callable[[], object]) -> None:
-    """Keep the page until an interrupt, for a user at a terminal; workers make its report."""
-    note("the page stays open until Ctrl-C")
-    with contextlib.suppress(KeyboardInterrupt):
-        while True:
-            check_processes()
-            client.pause(1.0)
 
 
 def _times(result: Result, phases: dict[str, float], total: float) -> str:

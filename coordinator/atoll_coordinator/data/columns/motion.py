@@ -27,6 +27,14 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray, IntArray
 
 LIMITS = SETTINGS.columns
+_RELEVANT: Final = SETTINGS.inference.part
+"""Share of a variance, or of a standard deviation, from which on something else matters."""
+_MOST_POSITIONS: Final = 4
+"""Most states for which neighbours are sought: with more, no rows are near each other in positions and velocities."""
+_FEWEST_PAIRS: Final = 20
+"""Fewest pairs of neighbours for a finding."""
+_JUMPS: Final = 0.75
+"""Roughness from which on rows jump: a wave then has fewer than five rows in a period (1 - cos(2 pi / 5) = 0.69)."""
 _ROOT_70: Final = math.sqrt(70.0)
 """Size of the fourth difference of white noise of size one."""
 
@@ -38,13 +46,13 @@ def check_second_order(columns: ExaminedColumns) -> Iterator[Finding]:
     """Yield a finding if velocities are not a function of the states, but accelerations are a function of both."""
     roles = columns.roles
     is_first = columns.is_in_time and roles.order == 1 and not columns.config.data.stochastic
-    if not is_first or len(roles.states) > LIMITS.most_positions:
+    if not is_first or len(roles.states) > _MOST_POSITIONS:
         return
     slopes = local_slopes(columns.times, columns.values, roles.states)
     if slopes is None:
         return
     first, second = disagreements(slopes, columns)
-    is_closed = all(one is not None and one.share < LIMITS.closed_share for one in second)
+    is_closed = all(one is not None and one.share < _RELEVANT for one in second)
     if not is_closed or any(one is None for one in first) or not any(one is not None and one.is_open for one in first):
         return
     passes, its = ("passes", "its acceleration follows") if len(roles.states) == 1 else (
@@ -59,9 +67,9 @@ def check_second_order(columns: ExaminedColumns) -> Iterator[Finding]:
 def check_map(columns: ExaminedColumns) -> Iterator[Finding]:
     """Yield a finding where states jump from row to row, and yet each row determines the next: x(n + 1) = f(x(n))."""
     states = columns.roles.states
-    if not columns.is_in_time or columns.config.data.stochastic or not 0 < len(states) <= LIMITS.most_positions:
+    if not columns.is_in_time or columns.config.data.stochastic or not 0 < len(states) <= _MOST_POSITIONS:
         return
-    is_jumping = all(roughness(columns.values[name]) > LIMITS.jumps for name in states)
+    is_jumping = all(roughness(columns.values[name]) > _JUMPS for name in states)
     if is_jumping and all(_determines_next(columns, name) for name in states):
         yield Finding(
             f"{quoted(states)} jump{'s' if len(states) == 1 else ''} from row to row, yet each row decides the next, "
@@ -78,12 +86,12 @@ def _determines_next(columns: ExaminedColumns, name: str) -> bool:
     now = [np.concatenate([along[:-1] for along in values[other]]) for other in (*roles.states, *roles.inputs)]
     after = np.concatenate([along[1:] for along in values[name]])
     is_known = np.logical_and.reduce([np.isfinite(array) for array in (*now, after)])
-    rows = np.flatnonzero(is_known)[: LIMITS.most_windows]
+    rows = np.flatnonzero(is_known)[: LIMITS.sample]
     if len(rows) < LIMITS.least_rows:
         return False
     pairs = neighbours([array[rows] for array in now], part[rows], 1)
     found = None if pairs is None else disagreement(pairs, after[rows])
-    return found is not None and found.share < LIMITS.followed
+    return found is not None and found.share < _RELEVANT
 
 
 # --------------------------------------------------------------------------------------------------------- neighbours
@@ -103,7 +111,7 @@ class Disagreement:
     @property
     def is_open(self) -> bool:
         """Whether something else determines at least half of the response, and the difference is not negligible."""
-        return self.share > LIMITS.open_share and self.size > LIMITS.open_share**2
+        return self.share > 0.5 and self.size > 0.25
 
 
 def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) -> tuple[list[int], list[int]] | None:
@@ -115,8 +123,8 @@ def neighbours(coordinates: Sequence[FloatArray], part: IntArray, apart: int) ->
     scaled = [values / math.sqrt(variance(values)) for values in coordinates if variance(values) > 0.0]
     pairs = [pair for row in range(len(part)) if (pair := _neighbour(scaled, part, row, apart)) is not None]
     pairs.sort()
-    pairs = pairs[: max(LIMITS.least_pairs, len(pairs) // 2)]
-    if len(pairs) < LIMITS.least_pairs or not scaled:
+    pairs = pairs[: max(_FEWEST_PAIRS, len(pairs) // 2)]
+    if len(pairs) < _FEWEST_PAIRS or not scaled:
         return None
     return [one for _, one, _ in pairs], [other for _, _, other in pairs]
 
@@ -129,7 +137,7 @@ def _neighbour(
     for values in coordinates:
         away = values - values[row]
         distance = distance + away * away
-    limit = LIMITS.near * LIMITS.near * len(coordinates)
+    limit = _RELEVANT * _RELEVANT * len(coordinates)
     left = np.flatnonzero((distance > limit) | (part != part[row]))
     place = int(np.searchsorted(left, row))
     first = int(left[place - 1]) if place else -1
@@ -190,7 +198,7 @@ def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str
 
     Slopes are least-squares slopes in the number of the row; time steps are treated as even within a window.
     """
-    width = LIMITS.least_window
+    width = SETTINGS.common.fewest_rows
     noises = {name: _noise(values[name]) for name in states}
     while all(len(part) > width for part in times):
         slopes = _slopes_over(times, values, states, width)
@@ -214,7 +222,7 @@ def _slopes_over(times: Parts, values: Mapping[str, Parts], states: Sequence[str
     bends: dict[str, list[FloatArray]] = {name: [] for name in states}
     numbers: list[IntArray] = []
     rows = sum(len(part) - width + 1 for part in times)
-    every = max(1, rows // LIMITS.most_windows)
+    every = max(1, rows // LIMITS.sample)
     for number, part in enumerate(times):
         firsts = np.arange(0, len(part) - width + 1, every)
         steps = (part[firsts + width - 1] - part[firsts]) / (width - 1)
@@ -247,6 +255,6 @@ def _weighted(values: FloatArray, firsts: IntArray, weights: FloatArray) -> Floa
 
 def _noise(parts: Parts) -> float:
     """Return the size of the noise of a state by its fourth differences, infinite where there are none."""
-    differences = np.concatenate([np.diff(part[: LIMITS.most_rows], 4) for part in parts])
+    differences = np.concatenate([np.diff(part[: SETTINGS.common.most_rows], 4) for part in parts])
     differences = differences[np.isfinite(differences)]
     return math.sqrt(dot(differences, differences) / len(differences)) / _ROOT_70 if len(differences) else math.inf

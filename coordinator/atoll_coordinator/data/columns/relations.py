@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,10 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.columns
+_MOST_COLUMNS: Final = 100
+"""Most columns that are compared by least squares: time grows with the square of their number."""
+_ROWS_PER_COLUMN: Final = 10
+"""Fewest rows for each column of a relation that holds up to noise: with fewer, patterns in residuals are not seen."""
 Values = Mapping[str, FloatArray]
 
 
@@ -87,17 +92,17 @@ def linear_relations(columns: ExaminedColumns) -> list[Relation]:
     """Return the relations that determine columns, each by the columns before it."""
     roles = columns.roles
     names = [name for name in roles.variables if name in columns.values and name != roles.target]
-    if len(names) > LIMITS.most_compared or (columns.roles.order == 2 and len(names) < 2):
+    if len(names) > _MOST_COLUMNS or (columns.roles.order == 2 and len(names) < 2):
         return []
     rows = np.flatnonzero(np.logical_and.reduce([np.isfinite(columns.whole[name]) for name in names] or [np.zeros(0)]))
-    some = rows[:: -(-len(rows) // LIMITS.most_rows) or 1]
+    some = rows[:: -(-len(rows) // SETTINGS.common.most_rows) or 1]
     sampled = {name: columns.whole[name][some] for name in names}
     whole = {name: columns.whole[name][rows] for name in names}
     basis = _Basis()
     relations: list[Relation] = []
     for name in names:
         spread = variance(sampled[name])
-        if len(rows) <= len(basis.names) + LIMITS.few_values or not spread > 0.0:
+        if len(rows) <= len(basis.names) + SETTINGS.common.few_values or not spread > 0.0:
             continue
         found = basis.relation(name, sampled, whole, math.sqrt(spread))
         if found is None:
@@ -160,7 +165,7 @@ def _exact(
     for terms in (_without_small(coefficients, sampled, least) or coefficients, coefficients):
         steps = [abs(factor) * _step(sampled[other]) for other, factor in terms.items()]
         written = 2.0 * (_step(sampled[name]) + sum(steps))
-        tolerance = written if written <= least else SETTINGS.interpolation.smallest_noise * deviation
+        tolerance = written if written <= least else SETTINGS.smoothing.smallest_noise * deviation
         rest = whole[name] - _weighted_sum(terms, whole)
         constant = mean(sampled[name] - _weighted_sum(terms, sampled))
         if float(np.max(np.abs(rest - constant))) <= tolerance:
@@ -175,15 +180,15 @@ def _noisy(
 ) -> Relation | None:
     """Return the relation if its residuals are small and without a pattern from row to row."""
     rows, size = len(rest), math.sqrt(variance(rest))
-    least = 1.0 - LIMITS.significant / math.sqrt(rows)
+    least = 1.0 - SETTINGS.common.significant / math.sqrt(rows)
     above = rest > upper_median(
         rest
     )  # few rows far out, as at the begin of a motion, decide a mean square, but not this
     sign_changes = int(np.count_nonzero(above[1:] != above[:-1])) / max(1, rows - 1)
     is_white = min(roughness([rest]), 2.0 * sign_changes) > least
-    if rows < LIMITS.rows_per_column * (len(coefficients) + 1) or not is_white:
+    if rows < _ROWS_PER_COLUMN * (len(coefficients) + 1) or not is_white:
         return None
-    error = LIMITS.significant * size / math.sqrt(rows)
+    error = SETTINGS.common.significant * size / math.sqrt(rows)
     kept = _without_small(coefficients, sampled, max(error, SETTINGS.common.negligible * deviation))
     if not kept:
         return None
@@ -208,7 +213,7 @@ def _weighted_sum(coefficients: Mapping[str, float], values: Values) -> FloatArr
 
 def _step(values: FloatArray) -> float:
     """Return the step in which the largest values of a column were written down."""
-    some = values[:: max(1, len(values) // LIMITS.digits_read)]
+    some = values[:: max(1, len(values) // LIMITS.sample)]
     largest = float(np.max(np.abs(values)))
     numbers = [Decimal(repr(value)).normalize() for value in some.tolist() if value != 0.0]
     digits = max((len(number.as_tuple().digits) for number in numbers), default=1)

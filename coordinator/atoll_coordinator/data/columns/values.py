@@ -21,6 +21,17 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.columns
+_FEW: Final = SETTINGS.common.few_values
+_REPEATS: Final = 2
+"""Fewest rows with a placeholder of missing values, and fewest jumps of a held column: chance does not repeat."""
+_RUN: Final = 3
+"""Fewest equal rows in sequence that count as clipped: two may be a rounded turning point."""
+_STEEP_STEPS: Final = 10.0
+"""Next to clipped rows the column moves by more than this many steps of its values. At a smooth turning point a
+parabola stays within one step for m rows and moves by at most 2.7 steps (m = 3) in the next rows; a flat turning point
+(fourth power) moves by 7."""
+_MOST_CLIPPED: Final = 4
+"""Most clipped values for each value that is not clipped: with more, too little of the column is known."""
 _ROUNDING: Final = 1e-12
 """Guard: values that differ by less than this share of their size are one value."""
 
@@ -53,7 +64,7 @@ def _fill_value(values: FloatArray) -> float | None:
     switch; they are most of the rows. One row is enough for a number that is written in nines, as fill values are.
     """
     unique, counts = np.unique(values, return_counts=True)
-    if len(unique) <= LIMITS.few_values:
+    if len(unique) <= _FEW:
         return None
     gaps = np.diff(unique)
     for end, gap, rest in ((0, gaps[0], unique[1:]), (-1, gaps[-1], unique[:-1])):
@@ -61,7 +72,7 @@ def _fill_value(values: FloatArray) -> float | None:
         value, count = float(unique[end]), int(counts[end])
         digits = f"{abs(value):.15g}".replace(".", "")
         is_nines = len(digits) > 1 and set(digits) == {"9"}
-        enough = 1 if is_nines else LIMITS.least_repeats
+        enough = 1 if is_nines else _REPEATS
         if gap > others > _ROUNDING * size and enough <= count < len(values) // 2:
             return value
     return None
@@ -79,7 +90,7 @@ def check_clipping(columns: ExaminedColumns) -> Iterator[Finding]:
             continue
         clipped = _clipped(columns.values[name])
         rows = sum(int(np.count_nonzero(columns.whole[name] == value)) for value in clipped)
-        if not clipped or len(columns.finite(name)) - rows < rows // LIMITS.most_clipped:
+        if not clipped or len(columns.finite(name)) - rows < rows // _MOST_CLIPPED:
             continue
         bounds = " and ".join(f"{value:.6g}" for value in clipped)
         yield Finding(
@@ -97,14 +108,14 @@ def _clipped(parts: Parts) -> list[float]:
     """
     values = np.concatenate(list(parts))
     unique = np.unique(values[np.isfinite(values)])
-    if len(unique) <= LIMITS.few_values:
+    if len(unique) <= _FEW:
         return []
-    steep = LIMITS.steep_steps * float(np.min(np.diff(unique)))
+    steep = _STEEP_STEPS * float(np.min(np.diff(unique)))
     abrupt = {float(unique[-1]): False, float(unique[0]): False}
     for part in parts:
         begins = np.flatnonzero(np.concatenate([[True], part[1:] != part[:-1]]))
         ends = np.append(begins[1:], len(part))
-        is_long = ends - begins >= LIMITS.least_run
+        is_long = ends - begins >= _RUN
         for first, last in zip(begins[is_long].tolist(), ends[is_long].tolist(), strict=True):
             value = float(part[first])
             if value not in abrupt:
@@ -189,8 +200,8 @@ def has_few_levels(parts: Parts) -> bool:
     """
     values = _finite(parts)
     levels = len(np.unique(values))
-    by_chance = math.log2(1.0 / SETTINGS.quantisation.improbable)
-    if not 1 < levels < SETTINGS.quantisation.fewest_values or len(values) - levels < by_chance:
+    by_chance = math.log2(1.0 / SETTINGS.common.improbable)
+    if not 1 < levels < _FEW or len(values) - levels < by_chance:
         return False
     return levels == 2 or not repeats_in_step(parts)
 
@@ -227,7 +238,7 @@ def is_held(parts: Parts) -> bool:
     steps = np.abs(np.concatenate([np.diff(part) for part in parts]))
     steps, levels = steps[np.isfinite(steps)], np.unique(_finite(parts))
     jumps = steps[steps > 0.0]
-    if len(jumps) < LIMITS.least_repeats or 2 * len(jumps) > len(steps):
+    if len(jumps) < _REPEATS or 2 * len(jumps) > len(steps):
         return False
     typical, least = upper_median(jumps), 1.5 * upper_median(np.diff(levels))
     return typical > SETTINGS.inference.part * float(levels[-1] - levels[0]) and typical > least
@@ -247,4 +258,4 @@ def _is_white(parts: Parts) -> bool:
         return False
     product = variance(rows) * variance(around)
     covariance = dot(rows - mean(rows), around - mean(around)) / len(rows)
-    return product > 0.0 and covariance * covariance < LIMITS.significant**2 * product / len(rows)
+    return product > 0.0 and covariance * covariance < SETTINGS.common.significant**2 * product / len(rows)

@@ -36,7 +36,7 @@ from atoll_coordinator.data.differentiation.smoothing import (
     weigh_by,
 )
 from atoll_coordinator.data.recording import STENCIL_ROWS, Quantisation
-from atoll_coordinator.data.trajectories.checks import check_size
+from atoll_coordinator.data.trajectories.checks import SMALLEST, check_size
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
@@ -44,6 +44,13 @@ from atoll_core.errors import DataError
 
 ROUNDING: Final = 1e-12
 """Guard: a column that varies less than this share of its mean is judged by the mean, for it may well be constant."""
+
+
+_NARROWER: Final = 0.6
+"""The bias of a derivative is estimated from a second derivative, whose span is this many times as wide."""
+_QUIET_SHARE: Final = 0.5
+"""The share of rows on which interpolation is judged if only rows that change little show that there is no noise: on
+fast transients the errors of interpolation are larger than smoothing estimates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +108,7 @@ class StateEstimate:
     @property
     def target_noise(self) -> float:
         """The relative noise that the search assumes: 0.0 when interpolated, or too small to be determined."""
-        is_free = self.is_interpolated or self.relative_noise < SETTINGS.interpolation.smallest_noise
+        is_free = self.is_interpolated or self.relative_noise < SETTINGS.smoothing.smallest_noise
         return 0.0 if is_free else self.relative_noise
 
 
@@ -140,7 +147,7 @@ def estimate_states(
             for times, values, part in zip(measurements.trajectories.times, along, parts, strict=True)
         ]
         if not any(signal.is_long_enough for signal in _searched(signals, measurements.held_out)):
-            few = SETTINGS.checks.min_rows
+            few = SETTINGS.common.fewest_rows
             raise DataError(f"state '{state}' has fewer than {few} values along every trajectory; sample more of them")
         quantisation = find_quantisation(along)
         if quantisation is not None and is_refuted(quantisation, [part for part in signals if part.is_long_enough]):
@@ -186,13 +193,13 @@ def _estimate(
     if not options.paper and not is_weighted and not (options.robust and is_tailed):
         errors, gains = predict_left_out([signal.measured for signal in searched])
         moving = are_moving([signal.measured.values for signal in searched])
-        moving = moving if np.count_nonzero(moving) >= SETTINGS.checks.min_rows else np.ones_like(moving)
+        moving = moving if np.count_nonzero(moving) >= SETTINGS.common.fewest_rows else np.ones_like(moving)
         noise = max(estimate_value_noise(errors[moving], gains[moving]), least)
         deviation = _standard_deviation(searched)
-        largest, shares = SETTINGS.interpolation.largest_noise * deviation, SETTINGS.interpolation.judged_shares
+        largest, shares = SETTINGS.smoothing.largest_noise * deviation, SETTINGS.smoothing.judged_shares
         if noise > largest:
             noise = max(estimate_value_noise(errors[moving], gains[moving], is_quiet=True), least)
-            shares = (*shares, SETTINGS.interpolation.quiet_share)
+            shares = (*shares, _QUIET_SHARE)
         if noise <= largest and is_interpolation_better(searched, errors, smoothed, shares):
             return _by_interpolation(signals, options.order, noise, deviation)
     fit = fit_robustly(searched, options.degrees) if options.robust else None
@@ -221,7 +228,7 @@ def _by_loess(
     smoothed = [smooth(signal, smoother) for signal in signals]
     fits = np.concatenate([part.fits for part in smoothed], axis=1)
     gains = np.concatenate([part.gains for part in smoothed], axis=1)
-    span = max(int(SETTINGS.smoothing.narrower * smoother.span), smoother.degree + 2)
+    span = max(int(_NARROWER * smoother.span), smoother.degree + 2)
     narrower = replace(smoother, span=span)
     narrower_noise = max(estimate_noise(searched, narrower), least)
     narrower_fits = np.concatenate([smooth(signal, narrower).fits for signal in signals], axis=1)
@@ -285,7 +292,7 @@ def _without_unknown(estimate: StateEstimate, signals: Sequence[Signal], gains: 
 def bounded_standard_deviation(values: FloatArray, least: float = ROUNDING) -> float:
     """Return the standard deviation, or `least` times the mean's size where the values hardly vary."""
     mean, deviation = moments(values)
-    return max(deviation, least * abs(mean), SETTINGS.checks.smallest)
+    return max(deviation, least * abs(mean), SMALLEST)
 
 
 def representable_standard_deviation(name: str, values: FloatArray) -> float:

@@ -26,7 +26,10 @@ from atoll_coordinator.data.trajectories.measurements import Measurements, Range
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
-LIMITS: Final = SETTINGS.held_inputs
+_DEGREES: Final = (1, 2, 3)
+"""Degrees of the polynomials in all variables that estimate the errors of slopes; the best fit is used."""
+_STEPS_PER_TERM: Final = 3
+"""Fewest steps for each term of a polynomial: fifty steps then give the residual variance within a quarter."""
 _NEIGHBOURS: Final = Smoother(2, 1, 0.0)
 """A line through two neighbouring rows, as a smoother."""
 
@@ -41,7 +44,7 @@ def estimate_driven_states(
     if not measurements.roles.held:
         return estimate_states(measurements, weights, options)
     pieces = pieces_between_switches(measurements)
-    long = [[piece for piece in its if piece[1] - piece[0] >= SETTINGS.checks.min_rows] for its in pieces]
+    long = [[piece for piece in its if piece[1] - piece[0] >= SETTINGS.common.fewest_rows] for its in pieces]
     rows = [
         begin + row
         for (begin, _), its in zip(measurements.ranges, long, strict=True)
@@ -115,10 +118,10 @@ def _over_all_rows(
 def _is_hidden(estimate: StateEstimate) -> bool:
     """Tell whether errors are most of the variance of a derivative: then smoothing across jumps is more accurate."""
     known = np.flatnonzero(estimate.is_known)
-    if len(known) < SETTINGS.checks.min_rows:
+    if len(known) < SETTINGS.common.fewest_rows:
         return True
     error, spread = moments(estimate.total_uncertainty[known])
-    return error * error + spread * spread > LIMITS.most_noise * moments(estimate.derivative[known])[1] ** 2
+    return error * error + spread * spread > 0.5 * moments(estimate.derivative[known])[1] ** 2
 
 
 def _by_differences(
@@ -141,7 +144,7 @@ def _by_differences(
         for name, values in zip(measurements.roles.inputs, map(np.concatenate, measurements.inputs), strict=True)
     ]
     searched = np.flatnonzero(np.isin(steps, measurements.searched_rows))
-    sample = searched[np.linspace(0, len(searched) - 1, min(len(searched), LIMITS.most_steps)).astype(np.int64)]
+    sample = searched[np.linspace(0, len(searched) - 1, min(len(searched), SETTINGS.rows.most)).astype(np.int64)]
     estimates = []
     for values, middle, estimate in zip(states, points, smoothed, strict=True):
         slopes = (values[steps + 1] - values[steps]) / lengths
@@ -177,9 +180,9 @@ def _noise(slopes: FloatArray, gains: FloatArray, variables: Sequence[FloatArray
     """
     columns = [(values - mean) / (deviation or 1.0) for values in variables for mean, deviation in [moments(values)]]
     least: float | None = None
-    for degree in LIMITS.degrees:
+    for degree in _DEGREES:
         powers = [power for size in range(degree + 1) for power in combinations_with_replacement(columns, size)]
-        if LIMITS.steps_per_term * len(powers) > len(slopes):
+        if _STEPS_PER_TERM * len(powers) > len(slopes):
             break
         rest, basis = slopes / gains, list[FloatArray]()
         for power in powers:

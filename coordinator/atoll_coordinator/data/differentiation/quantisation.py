@@ -18,7 +18,11 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 _ROOT_12: Final = math.sqrt(12.0)
-LIMITS = SETTINGS.quantisation
+LIMITS = SETTINGS.common
+_WRITTEN_STEPS: Final = 3.0
+"""Differences of at most this many steps of the last digit are rounding in writing."""
+_SHARES_OF_LEAST: Final = (1, 2, 3)
+"""The step is the least difference of two values, or one of these shares of it."""
 
 
 def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
@@ -31,9 +35,9 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     unique = np.unique(values)
     if len(unique) <= 2:
         return None  # a switch, which has no derivative: differentiation refuses it
-    if len(unique) < LIMITS.fewest_values and repeats_in_step(parts):
+    if len(unique) < LIMITS.few_values and repeats_in_step(parts):
         return None
-    if len(unique) < LIMITS.fewest_values and has_few_levels(parts):
+    if len(unique) < LIMITS.few_values and has_few_levels(parts):
         # with this number of rows, a finer step would have given values in between
         least = float(np.diff(unique).min())
         multiples = (unique - unique[0]) / least
@@ -44,7 +48,7 @@ def find_quantisation(parts: Sequence[FloatArray]) -> Quantisation | None:
     roundings = [decimal, *(rounding for rounding in (binary, step) if rounding is not None)]
     coarsest = max(roundings, key=lambda rounding: rounding.error)
     spread = float(unique[-1] - unique[0])
-    return coarsest if coarsest.error > SETTINGS.interpolation.smallest_noise * spread else None
+    return coarsest if coarsest.error > SETTINGS.smoothing.smallest_noise * spread else None
 
 
 def is_refuted(quantisation: Quantisation, signals: Sequence[Signal]) -> bool:
@@ -91,12 +95,12 @@ def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
     """
     written = finest + 4.0 * float(np.spacing(np.abs(values).max()))
     offsets = values - values[0]
-    nearest = max(LIMITS.written_steps * finest, written)  # nearer ones are one value, rounded in two ways
+    nearest = max(_WRITTEN_STEPS * finest, written)  # nearer ones are one value, rounded in two ways
     offsets = offsets[np.concatenate([[True], np.diff(values) > nearest])]
-    if len(offsets) < LIMITS.fewest_values:
+    if len(offsets) < LIMITS.few_values:
         return None
     least = float(np.diff(offsets).min())
-    for share in LIMITS.shares_of_least:
+    for share in _SHARES_OF_LEAST:
         step = least / share
         for lengths in (np.sort(np.diff(offsets)), offsets[1:]):  # least squares over ever more differences
             products, squares = 0.0, 0.0
@@ -106,7 +110,7 @@ def _common_step(values: FloatArray, finest: float) -> Quantisation | None:
                 step = products / squares if squares * step > step else step
         multiples = offsets / step
         away = float(np.abs(multiples - np.round(multiples)).max())
-        probability = (2.0 * away) ** (len(offsets) - 2) * len(LIMITS.shares_of_least)
-        if step > LIMITS.written_steps * finest and away * step <= written and probability < LIMITS.improbable:
+        probability = (2.0 * away) ** (len(offsets) - 2) * len(_SHARES_OF_LEAST)
+        if step > _WRITTEN_STEPS * finest and away * step <= written and probability < LIMITS.improbable:
             return Quantisation("steps", step, step / _ROOT_12)
     return None

@@ -30,12 +30,19 @@ from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 
 LIMITS = SETTINGS.smoothing
-ROBUSTNESS = SETTINGS.robustness
+ROUNDS: Final = 6
+"""Most rounds of reweighting rows by the residuals of the previous round; nearly all fits settle earlier."""
+_SPAN_RATIO: Final = 1.25
+"""Ratio of each span tried to the previous one."""
+_PATIENCE: Final = 5
+"""Spans without a better score after which wider ones are not tried."""
+_FEWEST_OUTLIERS: Final = 3
+"""Tails are heavy if at least this many residuals are isolated and far out: fewer may be chance."""
 NORMAL_DEVIATION: Final = 1.4826
 """Standard deviation of normal errors over the median of their size: 1 / 0.6745."""
-_LEAST_BINS: Final = LIMITS.least_bins_in_span // 2
+_LEAST_BINS: Final = LIMITS.bins // 2
 """A signal of no more rows than this is never thinned, a longer one never to fewer bins: spans may be wider."""
-_NARROW_SPANS: Final = tuple(LIMITS.least_bins_in_span // part for part in (4, 2, 1))
+_NARROW_SPANS: Final = tuple(LIMITS.bins // part for part in (4, 2, 1))
 """Spans in rows that show whether thinning has lost a fast wave."""
 _MOST_LEVERAGE: Final = 0.999
 """Guard: from this mean leverage on a smoother reproduces the data and has no score."""
@@ -72,7 +79,7 @@ class Signal:
     @property
     def is_long_enough(self) -> bool:
         """Whether enough rows were measured for a derivative."""
-        return len(self.measured.times) >= SETTINGS.checks.min_rows
+        return len(self.measured.times) >= SETTINGS.common.fewest_rows
 
     @cached_property
     def filled_inverse_variances(self) -> FloatArray:
@@ -177,22 +184,22 @@ def select_smoother(signals: Sequence[Signal], degrees: Sequence[int]) -> Smooth
     Craven & Wahba 1979, eq. 1.9: mean squared residual over the squared mean of (1 - leverage), both weighted.
     """
     rows = [len(signal.times) for signal in signals]
-    thinning = max(1, min(sum(rows) // SETTINGS.rows.most, max(rows) // (_LEAST_BINS * LIMITS.least_bins_in_span)))
+    thinning = max(1, min(sum(rows) // SETTINGS.rows.most, max(rows) // (_LEAST_BINS * LIMITS.bins)))
     while True:
         parts = [_thin(signal, thinning) for signal in signals]
         lengths = [len(signal.times) for signal, _ in parts]
         every = -(-sum(lengths) // (2 * SETTINGS.rows.most))
-        best, since, span = Smoother(0, 0, math.inf), 0, SETTINGS.checks.min_rows
+        best, since, span = Smoother(0, 0, math.inf), 0, SETTINGS.common.fewest_rows
         while True:
             here = _score_degrees(parts, span, every, degrees)
             since = 0 if here.score < best.score else since + 1
             best = here if here.score < best.score else best
-            is_over = since >= LIMITS.patience and math.isfinite(best.score)
+            is_over = since >= _PATIENCE and math.isfinite(best.score)
             if is_over or span >= 3 * max(lengths):  # beyond the longest trajectory the bandwidth still grows
                 break
-            span = max(span + 1, int(span * LIMITS.span_ratio))
+            span = max(span + 1, int(span * _SPAN_RATIO))
         best = replace(best, thinning=thinning)
-        if thinning == 1 or (best.span >= LIMITS.least_bins_in_span and _is_resolved(signals, best, degrees)):
+        if thinning == 1 or (best.span >= LIMITS.bins and _is_resolved(signals, best, degrees)):
             return best
         thinning = max(1, thinning // 2)
 
@@ -247,7 +254,7 @@ def fit_robustly(signals: Sequence[Signal], degrees: Sequence[int]) -> RobustFit
     """Return `signals` with low robustness weights in rows far from the curve, 0 in outliers."""
     fit = RobustFit(tuple(signals), select_smoother(signals, degrees), 0.0)
     least = SETTINGS.common.clean * moments(np.concatenate([signal.measured.values for signal in signals]))[1]
-    for _ in range(ROBUSTNESS.rounds):
+    for _ in range(ROUNDS):
         residuals = _residuals(fit.signals, [smooth(signal, fit.smoother) for signal in fit.signals])
         median = max(_median(residuals, signals), least)
         if not median > 0.0:
@@ -264,7 +271,7 @@ def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
 
     There are outliers in `fit`, so that its median residual is not zero.
     """
-    for _ in range(ROBUSTNESS.rounds):
+    for _ in range(ROUNDS):
         (residuals,) = _residuals([signal], [smooth(signal, fit.smoother)])
         signal = _weigh(signal, residuals, fit.median)
     return signal
@@ -273,14 +280,14 @@ def weigh_by(fit: RobustFit, signal: Signal) -> Signal:
 def has_heavy_tails(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> bool:
     """Tell whether some rows lie so far from the curve, and so isolated, that they cannot be noise like the others'."""
     residuals = _residuals(signals, smoothed)
-    limit = ROBUSTNESS.reach * NORMAL_DEVIATION * _median(residuals, signals)
+    limit = LIMITS.reach * NORMAL_DEVIATION * _median(residuals, signals)
     count = 0
     for part in residuals:
         sizes = [0.0, *np.abs(part).tolist(), 0.0]
         for before, size, after in zip(sizes, sizes[1:], sizes[2:], strict=False):
-            count += size > limit and max(before, after) <= ROBUSTNESS.isolated * size
+            count += size > limit and max(before, after) <= 0.5 * size
     rows = sum(len(part) for part in residuals)
-    return limit > 0.0 and count >= max(ROBUSTNESS.fewest, rows / ROBUSTNESS.rows_per_outlier)
+    return limit > 0.0 and count >= max(_FEWEST_OUTLIERS, rows / LIMITS.rows_per_outlier)
 
 
 def _residuals(signals: Sequence[Signal], smoothed: Sequence[SmoothedSignal]) -> list[FloatArray]:
@@ -299,6 +306,6 @@ def _median(residuals: Sequence[FloatArray], signals: Sequence[Signal]) -> float
 
 def _weigh(signal: Signal, residuals: FloatArray, median: float) -> Signal:
     """Return `signal` with bisquare weights (Cleveland 1979, section 2)."""
-    shares = residuals / (ROBUSTNESS.reach * median)
+    shares = residuals / (LIMITS.reach * median)
     rest = np.maximum(1.0 - shares * shares, 0.0)
     return replace(signal, robustness_weights=rest * rest)

@@ -99,7 +99,7 @@ def _first_time(header: Sequence[str]) -> int | None:
         count -= 1
     first = next((place for place in range(count) if all(map(is_datum, names[place:count]))), count)
     times, ids = names[first:count], names[:first]
-    if not ids or len(times) < SETTINGS.checks.min_rows or any(name in TIME_NAMES for name in ids):
+    if not ids or len(times) < SETTINGS.common.fewest_rows or any(name in TIME_NAMES for name in ids):
         return None
     if not all(map(is_numeral, times)):
         return first if all(map(is_date, times)) else None

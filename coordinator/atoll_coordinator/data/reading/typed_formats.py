@@ -119,7 +119,7 @@ def _is_table(raw: RawTable) -> bool:
     """Tell whether a sheet has enough rows for a search, and two columns of nothing but numbers or dates."""
     filled = [[cell for cell in column if not is_missing(cell)] for column in raw.columns]
     columns = [cells for cells in filled if cells and all(is_numeral(cell) or is_date(cell) for cell in cells)]
-    return len(raw.lines) >= SETTINGS.checks.min_rows and len(columns) > 1
+    return len(raw.lines) >= SETTINGS.common.fewest_rows and len(columns) > 1
 
 
 # --------------------------------------------------------------------------------------------------------------- JSON

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from atoll_core.config import DataConfig
-from atoll_core.errors import UsageError
+from atoll_core.errors import Field, UsageError
 
 TIME_NAMES: Final = ("t", "time", "Time", "TIME")
 """Names of the time unless options name it, in this order."""
@@ -20,30 +20,32 @@ _SINGLE: Final = ("time", "trajectory", "group", "target", "weights")
 _SEVERAL: Final = ("states", "inputs", "derivatives", "only", "offsets", "hold")
 """Options that name one column, and several."""
 _EXCLUSIONS: Final = (
-    ("--target", "--derivatives", "give the one column set that is sought"),
-    ("--step", "--target", "rows of an explicit regression have no time"),
-    ("--step", "--derivatives", "given derivatives need no time"),
-    ("--order 2", "--target", "explicit regression has no time derivative"),
-    ("--holdout", "--target", "rows of an explicit regression are not trajectories"),
-    ("--order 2", "--derivatives", "the velocity has to be derived from the data"),
-    ("--offsets", "--target --derivatives", "offsets belong to states measured in time"),
-    ("--hold", "--target", "rows of an explicit regression do not follow one another"),
-    ("--hold", "--derivatives", "nothing is differentiated, and rows need not follow one another"),
-    ("--hold", "--stochastic", "a step of a process takes the mean of an input over its ends"),
-    ("--stochastic", "--target", "an explicit regression has no process"),
-    ("--stochastic", "--derivatives", "a process is described by the steps of its states"),
-    ("--stochastic", "--order 2", "name the velocities among the states instead"),
-    ("--stochastic", "--only", "the likelihood of a step needs the equations of all states"),
-    ("--stochastic", "--robust", "nothing is smoothed"),
-    ("--stochastic", "--weights", "the diffusion says how much each step counts"),
-    ("--stochastic", "--offsets", "increments know nothing of offsets"),
-    ("--stochastic", "--group --per-trajectory", "the likelihood of a step has one set of constants"),
-    ("--group", "--per-trajectory", "name the column, or let all differ"),
-    ("--group", "--target --derivatives", "constants by group need states measured in time"),
-    ("--per-trajectory", "--target --derivatives", "constants by group need states measured in time"),
-    ("--per-trajectory", "--holdout", "constants of held-out trajectories are unknown"),
+    ("target", "derivatives", "give the one column set that is sought"),
+    ("step", "target", "rows of an explicit regression have no time"),
+    ("step", "derivatives", "given derivatives need no time"),
+    ("order", "target", "explicit regression has no time derivative"),
+    ("holdout", "target", "rows of an explicit regression are not trajectories"),
+    ("order", "derivatives", "the velocity has to be derived from the data"),
+    ("offsets", "target derivatives", "offsets belong to states measured in time"),
+    ("hold", "target", "rows of an explicit regression do not follow one another"),
+    ("hold", "derivatives", "nothing is differentiated, and rows need not follow one another"),
+    ("hold", "stochastic", "a step of a process takes the mean of an input over its ends"),
+    ("stochastic", "target", "an explicit regression has no process"),
+    ("stochastic", "derivatives", "a process is described by the steps of its states"),
+    ("stochastic", "order", "name the velocities among the states instead"),
+    ("stochastic", "only", "the likelihood of a step needs the equations of all states"),
+    ("stochastic", "robust", "nothing is smoothed"),
+    ("stochastic", "weights", "the diffusion says how much each step counts"),
+    ("stochastic", "offsets", "increments know nothing of offsets"),
+    ("stochastic", "group per_trajectory", "the likelihood of a step has one set of constants"),
+    ("group", "per_trajectory", "name the column, or let all differ"),
+    ("group", "target derivatives", "constants by group need states measured in time"),
+    ("per_trajectory", "target derivatives", "constants by group need states measured in time"),
+    ("per_trajectory", "holdout", "constants of held-out trajectories are unknown"),
 )
 """Options that mean nothing together, and why."""
+_COMPATIBLE: Final = ({"inputs", "time"}, {"trajectory", "group"})
+"""Roles that one column may have."""
 _WITH_UNIT: Final = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]$", re.DOTALL)
 _IN_PARENTHESES: Final = re.compile(r"^(?P<name>.*?)\s+\((?P<unit>[^()]*)\)$", re.DOTALL)
 
@@ -116,42 +118,30 @@ def strip_units(config: DataConfig, names: Iterable[str]) -> DataConfig:
 
 def check_options(config: DataConfig) -> None:
     """Raise UsageError when options contradict each other, regardless of the data."""
-    is_set = {
-        "--order 2": config.order == 2,
-        **{f"--{name}": bool(getattr(config, name)) for name in ("stochastic", "robust", "offsets", "hold")},
-        **{
-            f"--{name}": getattr(config, name) is not None
-            for name in ("target", "derivatives", "step", "holdout", "only", "weights", "group")
-        },
-        "--per-trajectory": config.per_trajectory,
-    }
-    for one, others, reason in _EXCLUSIONS:
-        for other in re.split(" (?=--)", others):
-            if is_set[one] and is_set[other]:
-                raise UsageError(f"{one} and {other} exclude each other; {reason}")
+
+    def is_set(name: str) -> bool:
+        return config.order == 2 if name == "order" else getattr(config, name) not in (None, False, ())
+
+    for name, others, reason in _EXCLUSIONS:
+        for other in others.split():
+            if is_set(name) and is_set(other):
+                fields = (Field(option, 2 if option == "order" else None) for option in (name, other))
+                raise UsageError(f"%s and %s exclude each other; {reason}", *fields)
     if config.derivatives is not None and config.states is not None and len(config.derivatives) != len(config.states):
         counts = f"{len(config.states)} states and {len(config.derivatives)} derivatives"
         raise UsageError(f"{counts} were named; give one derivative per state, in the same order")
-    columns: dict[str, Sequence[str | None]] = {
-        "a state": config.states or (),
-        "an input": config.inputs,
-        "a derivative": config.derivatives or (),
-        "the target": [config.target],
-        "the trajectory column": [config.trajectory],
-        "the group": [config.group] if config.group != config.trajectory else [],
-        "the time": [config.time],
-        "the weights": [config.weights],
-    }
-    role_of: dict[str, str] = {}
+    columns = {name: getattr(config, name) or () for name in ("states", "inputs", "derivatives")}
+    single = ("target", "trajectory", "group", "time", "weights")
+    columns |= {name: (getattr(config, name),) for name in single if getattr(config, name) is not None}
+    columns["angle"] = tuple(angle.column for angle in config.angles)
+    first: dict[str, str] = {}
     for role, names in columns.items():
         for name in names:
-            if name is None:
-                continue
-            if role_of.get(name, role) != role and {role_of[name], role} != {"an input", "the time"}:
-                raise UsageError(f"column '{name}' cannot be both {role_of[name]} and {role}; name it once")
+            other = first.setdefault(name, role)
             if list(names).count(name) > 1:
-                raise UsageError(f"column '{name}' is named twice as {role}; name it once")
-            role_of[name] = role
+                raise UsageError(f"%s names '{name}' twice; name it once", Field(role))
+            if other != role and role != "angle" and {other, role} not in _COMPATIBLE:
+                raise UsageError(f"column '{name}' is named by both %s and %s; name it once", Field(other), Field(role))
 
 
 def are_units(texts: Sequence[str]) -> bool:

@@ -234,7 +234,7 @@ def _breaks(table: Table, name: str) -> int | None:
     steps = np.delete(np.diff(table.column(name)), [start - 1 for start in table.starts if start])
     ends = np.flatnonzero(~(steps > 0.0))
     stretches = np.diff(np.concatenate([[-1], ends, [len(steps)]]))
-    is_long = not len(ends) or int(stretches.min()) >= SETTINGS.checks.min_rows
+    is_long = not len(ends) or int(stretches.min()) >= SETTINGS.common.fewest_rows
     return len(ends) if len(steps) and is_long else None
 
 
@@ -251,7 +251,12 @@ def assign_symbols(columns: Sequence[str]) -> dict[str, str]:
     taken = set(symbols.values())
     for column in columns:
         if column not in symbols:
-            name = _rewritten(column)
+            text = re.sub(r"\W+", "_", unicodedata.normalize("NFKC", column)).strip("_") or "x"
+            if not text.isidentifier():
+                text = "x" + text
+            if not text.isidentifier():
+                text = re.sub(r"[^A-Za-z0-9_]+", "_", text)
+            name = text if _is_symbol(text) else text + "_"
             candidates = chain([name], (f"{name}_{number}" for number in count(2)))
             symbols[column] = next(symbol for symbol in candidates if symbol not in taken)
             taken.add(symbols[column])
@@ -262,13 +267,3 @@ def _is_symbol(name: str) -> bool:
     """Tell whether `name` is one identifier for Python, which normalises to NFKC, and for sympy's tokenizer."""
     is_plain = unicodedata.normalize("NFKC", name) == name and re.fullmatch(r"\w+", name) is not None
     return is_plain and name.isidentifier() and not keyword.iskeyword(name) and name not in RESERVED
-
-
-def _rewritten(name: str) -> str:
-    """Return an identifier that resembles `name`: ``x-y`` gives x_y, ``2nd`` gives x2nd, ``lambda`` gives lambda_."""
-    text = re.sub(r"\W+", "_", unicodedata.normalize("NFKC", name)).strip("_") or "x"
-    if not text.isidentifier():
-        text = "x" + text
-    if not text.isidentifier():
-        text = re.sub(r"[^A-Za-z0-9_]+", "_", text)
-    return text if _is_symbol(text) else text + "_"

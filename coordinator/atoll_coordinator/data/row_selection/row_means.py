@@ -24,7 +24,7 @@ from atoll_core.data.dataset import FloatArray, IntArray
 from atoll_core.data.notes import Note
 
 LIMITS = SETTINGS.rows
-_LEAST_BLOCKS: Final = SETTINGS.smoothing.least_bins_in_span // 2
+_LEAST_BLOCKS: Final = SETTINGS.smoothing.bins // 2
 """Means of a trajectory, at least, if it has as many rows: loess needs some."""
 _SCANNED: Final = 2 * LIMITS.most
 """Rows of a trajectory, about, by which its correlation length is found: enough for a thousandth of it."""
@@ -81,7 +81,7 @@ def average_oversampled_rows(measurements: Measurements, estimates: Sequence[Sta
     that are held between rows stay as they are: a mean over a switch is held by no row.
     """
     count = 1 if measurements.roles.held else rows_of_mean(measurements, estimates)
-    most = LIMITS.most_divided * measurements.row_count
+    most = SETTINGS.inference.part * measurements.row_count
     while count > 1:
         blocks = _blocks(measurements, estimates, count, most)
         if sum(part.divided_rows for part in blocks) <= most:
@@ -111,7 +111,7 @@ def rows_of_mean(measurements: Measurements, estimates: Sequence[StateEstimate])
     lengths = [last - first for (first, last), out in zip(measurements.ranges, measurements.held_out, strict=True)
                if not out]  # fmt: skip
     longest, piece = max(lengths), SETTINGS.shooting.piece
-    of_whole = 1 if longest <= piece else math.ceil(longest / (piece * (1.0 - LIMITS.most_divided)))
+    of_whole = 1 if longest <= piece else math.ceil(longest / (piece * (1.0 - SETTINGS.inference.part)))
     most = min(max(sum(lengths) // SETTINGS.selection.compared_rows, of_whole), longest // _LEAST_BLOCKS)
     least = SETTINGS.selection.least_noise  # below it errors are systematic, and means are no better
     if most < 2 or all(estimate.is_interpolated or estimate.relative_noise < least for estimate in estimates):

@@ -15,6 +15,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.derivatives import ROUNDING, StateEstimate, bounded_standard_deviation
 from atoll_coordinator.data.differentiation.interpolation import END_ROWS, mark_ends
 from atoll_coordinator.data.differentiation.kernels.stencils import moments
+from atoll_coordinator.data.differentiation.smoothing import ROUNDS
 from atoll_coordinator.data.recording import ExcludedRow, Reason
 from atoll_coordinator.data.trajectories.measurements import Measurements
 from atoll_coordinator.settings import SETTINGS
@@ -95,7 +96,7 @@ def _certain_interpolated(estimates: Sequence[StateEstimate], inner: list[int]) 
         return inner
     selected = inner
     least = math.ceil(LIMITS.least_kept * len(inner))
-    for _ in range(SETTINGS.robustness.rounds):
+    for _ in range(ROUNDS):
         worst = np.zeros(len(inner))
         for estimate in estimates:
             deviation = bounded_standard_deviation(estimate.derivative[selected], SETTINGS.common.negligible)
@@ -126,7 +127,7 @@ def _certain_smoothed(estimates: Sequence[StateEstimate], rows: list[int]) -> li
         if median > 0.0:
             worst = np.maximum(worst, uncertainty / median)
     ordered = np.sort(worst).tolist()
-    least = min(max(math.ceil(LIMITS.least_kept * len(rows)), SETTINGS.checks.min_rows), len(rows))
+    least = min(max(math.ceil(LIMITS.least_kept * len(rows)), SETTINGS.common.fewest_rows), len(rows))
     limit = max(FAR_OUT, ordered[least - 1]) if rows else FAR_OUT
     return [row for row, value in zip(rows, worst.tolist(), strict=True) if value <= limit]
 

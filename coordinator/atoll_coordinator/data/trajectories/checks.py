@@ -17,7 +17,9 @@ from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
 BoolArray = npt.NDArray[np.bool_]
-MIN_ROWS = SETTINGS.checks.min_rows
+MIN_ROWS = SETTINGS.common.fewest_rows
+SMALLEST: Final = 1e-150
+"""Guard: numbers below this, or above its inverse, have a square that under- or overflows."""
 _JUMP: Final = 3.0
 """A jump of a wrapped angle is this many times as large as every other step, and differs from a turn by at most this
 many times the steps next to it."""
@@ -63,7 +65,7 @@ def check_sizes(columns: Mapping[str, FloatArray]) -> None:
 
 def check_size(name: str, size: float) -> None:
     """Raise DataError unless the square of `size`, the size of the values of `name`, is a number above zero."""
-    if not SETTINGS.checks.smallest < size < 1.0 / SETTINGS.checks.smallest:
+    if not SMALLEST < size < 1.0 / SMALLEST:
         raise DataError(f"the values of '{name}' are too large or too small to compute with; choose another unit")
 
 
@@ -140,7 +142,7 @@ def check_no_turns(name: str, parts: Sequence[FloatArray]) -> None:
         margins = [margin for each in steps for margin in _margins_of_turns(each, usual, turn)]
         others = sum(int(np.count_nonzero(np.abs(each) < 0.5 * turn)) for each in steps)
         mean = math.fsum(margins) / max(len(margins), 1)  # of many jumps: they may be one kind of event
-        if margins and min(2.0 * mean / turn, 1.0) / (others + 2) <= SETTINGS.checks.by_chance:
+        if margins and min(2.0 * mean / turn, 1.0) / (others + 2) <= SETTINGS.inference.improbable:
             count = f"{len(margins)} time{'s' if len(margins) > 1 else ''}"
             raise DataError(
                 f"state '{name}' jumps by about {called} {count}, as a wrapped angle does; "

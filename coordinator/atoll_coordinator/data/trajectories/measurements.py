@@ -309,7 +309,7 @@ def find_pieces(times: FloatArray, span: int) -> list[Range]:
     Times drawn at random are k median steps apart once in 2^k: gaps that may be chance are always bridged.
     """
     steps = np.diff(times)
-    by_chance = int(1.0 / SETTINGS.quantisation.improbable).bit_length()
+    by_chance = int(1.0 / SETTINGS.common.improbable).bit_length()
     longest = max(span, by_chance) * float(np.sort(steps)[len(steps) // 2])
     return list(pairwise([0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(times)]))
 

@@ -6,13 +6,12 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.inference.evidence import ModelEvidence
 from atoll_coordinator.model.inference.final_model import FinalModel, finalize
 from atoll_coordinator.model.inference.long_run import long_run_of
 from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
@@ -25,6 +24,7 @@ from atoll_coordinator.model.inference.standard_errors import (
     fitted_places,
     joint_covariance,
 )
+from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
     SimulatedTrajectory,
     bands,
@@ -55,20 +55,12 @@ from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.writing.expansion import expand_program
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """The simulations of trajectories that took no part, and their R2 by variable."""
-
-    trajectories: list[SimulatedTrajectory]
-    r2: Sequence[float | None]
-
-
 def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement | None:
     """Return the refinement that the chosen system gives; None when it cannot be simulated on all rows."""
     final = finalize(selection)
     if final is None:
         return None
-    task, groups = final.task, final.equations.groups
+    task, groups = final.task, final.groups
     errors = estimate_errors(final.comparison, final.free)
     of_constants = errors if groups is not None else errors.of_constants(final.free.fit.system)
     constants, by_group = _constants(final, of_constants)
@@ -76,12 +68,12 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     long_run = long_run_of(final)
     chaos = long_run.chaos
     predictions = _predictions(final, errors, is_near=chaos is not None and bool(chaos.is_kept))
-    held_out_r2 = (final.ranking.validated or (None,) * len(task.variables)) if out is None else out.r2
-    evidence = ModelEvidence(final, long_run)
-    equations = {
-        name: _equation(evidence, index, constants[index], by_group[index], held_out_r2[index], predictions[index])
-        for index, name in enumerate(task.variables)
-    }
+    held_out_r2 = (final.ranking.validated or (None,) * len(task.variables)) if out is None else out[1]
+    compared: list[TrajectoryChecks] = []
+    for index, prediction in enumerate(predictions):
+        equation = _equation(final, index, constants[index], by_group[index], held_out_r2[index], prediction)
+        compared.append(TrajectoryChecks(final, long_run, index, equation, held_out_r2[index], compared))
+    equations = {one.name: replace(one.shown, prediction=one.prediction, **vars(judge(one))) for one in compared}
     measurements = final.seen.estimator.measurements
     if measurements.rows > final.comparison.estimator.measurements.rows:
         spread = _carried_bands(final, final.seen, final.seen_fit, errors)
@@ -96,7 +88,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     return Refinement(
         equations,
         listed_simulation(
-            [*trajectories, *(() if out is None else out.trajectories)],
+            [*trajectories, *(() if out is None else out[0])],
             task.variables,
             student_95(errors.degrees_of_freedom),
             preparation,
@@ -109,7 +101,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
             *stochastic_remarks(recording, task.variables, trajectories),
         ),
         chaos,
-        fluxes=final.equations.fluxes,
+        fluxes=final.fluxes,
         covariance=covariances[0] if groups is not None and groups.are_one else whole,
         by_group=dict(zip(task.recording.groups, covariances, strict=False)),
     )
@@ -119,13 +111,13 @@ def _constants(
     final: FinalModel, errors: ConstantErrors
 ) -> tuple[Sequence[Known], Sequence[Sequence[tuple[Constant, ...]]]]:
     """Return the estimates of the constants of each equation, and of each group if groups have their own."""
-    groups = final.equations.groups
+    groups = final.groups
     if groups is None:
-        described = describe_constants(final.comparison, final.explicit, final.shown, errors)
-        pairs = zip(described, final.equations.rounded.simple, strict=True)
+        described = describe_constants(final.comparison, final.explicit, final.programs, errors)
+        pairs = zip(described, final.rounded.simple, strict=True)
         return [known.with_simple(simple) for known, simple in pairs], [[] for _ in described]
     known, by_group = [], []
-    for equation, program in enumerate(final.shown):
+    for equation, program in enumerate(final.programs):
         together, of_groups = groups.of_equation(errors, equation, program, len(final.by_group))
         known.append(Known(together, ()))
         by_group.append(of_groups)
@@ -133,18 +125,17 @@ def _constants(
 
 
 def _equation(
-    evidence: ModelEvidence, index: int, known: Known, by_group: Sequence[tuple[Constant, ...]],
+    final: FinalModel, index: int, known: Known, by_group: Sequence[tuple[Constant, ...]],
     held_out_r2: float | None, prediction: Prediction,
 ) -> Refined:  # fmt: skip
-    """Return one equation as it is shown, compared with its alternatives and judged."""
-    final = evidence.final
+    """Return one equation as it is shown, compared with its alternatives."""
     task, ranking = final.task, final.ranking
-    name, program = task.variables[index], final.shown[index]
+    name, program = task.variables[index], final.programs[index]
     programs = [group_programs[index] for group_programs in final.by_group]
     problem = task.dataset.problem(name)
     error, mse = grouped_errors_on(problem, programs or [program], task.config.evolution.loss)
-    together = final.equations.rounded.together
-    equation = Refined(
+    together = final.rounded.together
+    return Refined(
         task.candidates[name].member_of(program),
         program,
         error,
@@ -159,11 +150,6 @@ def _equation(
         else {},
         simple_together=together[index] if together else None,
     )
-    facts = evidence.of(index, equation, held_out_r2)
-    verdict = judge(facts)
-    return replace(
-        equation, grade=verdict.grade, reason=verdict.reason, checks=verdict.checks, prediction=facts.prediction
-    )
 
 
 def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> tuple[Alternative, ...]:
@@ -173,7 +159,7 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
     r2 = r2_of(final.seen.estimator.measurements, final.seen_fit, slice(None))[index]
     origin = final.origin(index, best.programs[index])
     is_crossed = final.unseen is None and ranking.validated is not None
-    alternatives = [Alternative(final.shown[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
+    alternatives = [Alternative(final.programs[index], 0.0, r2, held_out_r2, True, is_crossed, origin)]
     for alternative in ranking.alternatives[index]:
         programs, nats = alternative.model.programs, alternative.model.nats - best.nats
         r2 = r2_of(comparison.estimator.measurements, alternative.model.fit, slice(None))[index]
@@ -188,16 +174,18 @@ def _alternatives(final: FinalModel, index: int, held_out_r2: float | None) -> t
     return tuple(alternatives)
 
 
-def _held_out(final: FinalModel, unseen: ModelComparison, errors: ConstantErrors) -> HeldOut:
-    """Simulate the held-out trajectories from initial states that are fitted to them; with bands unless there are
-    groups."""
+def _held_out(
+    final: FinalModel, unseen: ModelComparison, errors: ConstantErrors
+) -> tuple[list[SimulatedTrajectory], Sequence[float | None]]:
+    """Return the held-out trajectories from initial states that are fitted to them, and the R2 of each variable.
+
+    They have bands unless there are groups.
+    """
     measurements, names = unseen.estimator.measurements, final.task.variables
     fit = final.simulated_by(unseen)
     spread = None if fit is None or final.by_group else _carried_bands(final, unseen, fit, errors)
-    return HeldOut(
-        simulate_trajectories(measurements, fit, spread, names, held_out=True),
-        [-math.inf for _ in measurements.observed] if fit is None else r2_of(measurements, fit, slice(None)),
-    )
+    r2 = [-math.inf for _ in measurements.observed] if fit is None else r2_of(measurements, fit, slice(None))
+    return simulate_trajectories(measurements, fit, spread, names, held_out=True), r2
 
 
 def _carried_bands(
@@ -289,7 +277,7 @@ def _state_errors(final: FinalModel) -> dict[str, Errors]:
 def _pole_remarks(final: FinalModel) -> Iterator[str]:
     """Yield a sentence for each pole of an equation in the region that the data visit."""
     dataset = final.task.dataset
-    for name, program in zip(final.task.variables, final.shown, strict=True):
+    for name, program in zip(final.task.variables, final.programs, strict=True):
         for part in find_poles(program, dataset.inputs):
             where = to_infix(part, dataset.names)
             yield f"The equation of {name} has a pole within the region that was measured, where {where} is 0."

@@ -13,6 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
+from atoll_coordinator.data.differentiation.inputs import unknown_variance
+from atoll_coordinator.data.recording import InputKind
 from atoll_coordinator.model.inference.groups import GroupConstants, displayed_values, model_of_groups
 from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
@@ -57,9 +59,14 @@ class ShownEquations:
     groups: GroupConstants | None = None
     by_group: Sequence[Sequence[Program]] = ()
 
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """The equations as they are shown."""
+        return self.rounded.programs
 
-@dataclass(frozen=True, eq=False)
-class FinalModel:
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FinalModel(ShownEquations):
     """The model on all rows.
 
     `comparison` is where constants are fitted, in pieces of at most `piece` rows; `seen` where the equations are
@@ -73,30 +80,9 @@ class FinalModel:
     origins: Sequence[Mapping[bytes, Origin]]
     unseen: ModelComparison | None
     comparison: ModelComparison
-    equations: ShownEquations
     seen: ModelComparison
     seen_fit: TrajectoryFit
     piece: int
-
-    @property
-    def shown(self) -> tuple[Program, ...]:
-        """The equations as they are shown."""
-        return self.equations.rounded.programs
-
-    @property
-    def by_group(self) -> Sequence[Sequence[Program]]:
-        """The equations with the constants of each group, where groups have constants of their own."""
-        return self.equations.by_group
-
-    @property
-    def explicit(self) -> tuple[ExplicitCoefficients, ...]:
-        """The equations with their factors of one as constants."""
-        return self.equations.explicit
-
-    @property
-    def free(self) -> FittedModel:
-        """The fit of `explicit`, all constants free."""
-        return self.equations.free
 
     @property
     def are_errors_summed(self) -> bool:
@@ -110,11 +96,37 @@ class FinalModel:
         points = np.concatenate([self.seen_fit.simulated, measurements.inputs])
         return points[[measurements.variables.index(name) for name in self.task.dataset.names]]
 
+    @cached_property
+    def visited_by_group(self) -> list[tuple[Sequence[Program], FloatArray]]:
+        """The equations as they are shown, and the rows (V, R) that they hold for: all, or the rows of each group."""
+        measurements = self.seen.estimator.measurements
+        if not self.by_group or measurements.groups is None:
+            return [(self.programs, self.visited)]
+        groups = measurements.groups[measurements.owners_of_rows]
+        return [
+            (programs, self.visited[:, groups == group])
+            for group, programs in enumerate(self.by_group)
+            if np.any(groups == group)
+        ]
+
+    @cached_property
+    def unknown_variances(self) -> list[tuple[str, str, float | None]]:
+        """Name, symbol and `unknown_variance` of each input."""
+        recording = self.task.recording
+        kinds: Sequence[InputKind | None] = recording.input_kinds or [None] * len(recording.inputs)
+        times = [part.times for part in recording.trajectories]
+        return [
+            (name, symbol, unknown_variance(times, [part.inputs[place] for part in recording.trajectories], kind))
+            for place, (name, symbol, kind) in enumerate(
+                zip(recording.inputs, recording.input_symbols, kinds, strict=True)
+            )
+        ]
+
     def simulated_by(self, comparison: ModelComparison) -> TrajectoryFit | None:
         """Return the shown equations along the trajectories of a comparison, only initial states being fitted."""
         if self.by_group:
             return comparison.estimator.fit(self.seen_fit.system, None, SETTINGS.effort.steps)
-        return fit_starts(comparison, self.shown)
+        return fit_starts(comparison, self.programs)
 
     def origin(self, equation: int, program: Program) -> Origin:
         """Return where a program came from, before its constants were made simple."""
@@ -145,7 +157,10 @@ def finalize(selection: SelectedModel) -> FinalModel | None:
     unseen = None
     if any(trajectory.held_out for trajectory in task.recording.trajectories):
         unseen = task.compare(task.measurements(task.variables, held_out=True), task.variables)
-    return FinalModel(task, ranking, origins, unseen, whole.comparison, equations, seen, fit, piece)
+    return FinalModel(
+        **vars(equations), task=task, ranking=ranking, origins=origins, unseen=unseen, comparison=whole.comparison,
+        seen=seen, seen_fit=fit, piece=piece,
+    )  # fmt: skip
 
 
 def _shown_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
@@ -158,8 +173,8 @@ def _shown_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
         with_factors = None if written is None else _show(comparison, best, written)
         if with_factors is not None and with_factors.fit.misfit <= shown.fit.misfit:
             shown = with_factors
-        shorter = _shortest_writings(whole, shown.rounded.programs)
-        if sum(map(len, shorter)) < sum(map(len, shown.rounded.programs)):  # constants are one or equal as rounded
+        shorter = _shortest_writings(whole, shown.programs)
+        if sum(map(len, shorter)) < sum(map(len, shown.programs)):  # constants are one or equal as rounded
             shortened = _show(comparison, best, shorter)
             shown = shown if shortened is None or shortened.fit.nats > shown.fit.nats else shortened
         return _with_shared_terms(task, comparison, shown)
@@ -209,7 +224,7 @@ def _shortest_writing(whole: SelectedModel, equation: int, program: Program) -> 
 
 def _with_shared_terms(task: ModellingTask, comparison: ModelComparison, shown: ShownEquations) -> ShownEquations:
     """Return the equations with the terms that they share fitted together, if the data allow it."""
-    together = fit_together(comparison, shown.free, shown.rounded.programs)
+    together = fit_together(comparison, shown.free, shown.programs)
     if together is None or not all(map(task.may_be_shown, together.model.programs)):
         return shown
     refitted = _show(comparison, together.model, together.model.programs, together.numbers)
@@ -234,7 +249,7 @@ def _seen_in_whole(
         measurements = here.measurements(here.variables)
         if here.piece != task.piece or measurements.rows > fitted:
             seen = here.compare(measurements, here.variables, is_precise=True)
-            fit = fit_starts(seen, shown.rounded.programs)
+            fit = fit_starts(seen, shown.programs)
             if fit is not None:
                 return here, seen, fit
     return task, comparison, shown.fit.fit
@@ -269,7 +284,7 @@ def _without_refuted(
     task: ModellingTask, comparison: ModelComparison, shown: ShownEquations
 ) -> tuple[Program, ...] | None:
     """Return the programs with those factors of one written out that the data refute; None without such factors."""
-    programs = shown.rounded.programs
+    programs = shown.programs
     known = describe_constants(comparison, shown.explicit, programs, estimate_errors(comparison, shown.free))
     if not any(constants.refuted_factors for constants in known):
         return None

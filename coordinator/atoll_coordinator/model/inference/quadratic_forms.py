@@ -17,7 +17,7 @@ from atoll_core.data.dataset import FloatArray
 
 _REPRESENTED: Final = 8
 """Lengths that represent the lengths of many trajectories: eigenvalues hardly differ between them."""
-_MOST_BINS: Final = 6 * SETTINGS.smoothing.least_bins_in_span
+_MOST_BINS: Final = 6 * SETTINGS.smoothing.bins
 """Bins of a trajectory whose eigenvalues are computed; of more a stretch is taken."""
 
 
@@ -107,7 +107,7 @@ def _eigenvalues(rows: int, span: int, degree: int) -> tuple[FloatArray, FloatAr
     degree = min(degree, rows - 2)
     if degree < 0:
         return np.ones(1), np.array([float(rows)])
-    thinning = max(1, min(span, rows) // SETTINGS.smoothing.least_bins_in_span)
+    thinning = max(1, min(span, rows) // SETTINGS.smoothing.bins)
     bins = rows // thinning
     taken = min(bins, max(_MOST_BINS, 2 * (span // thinning)))
     rest = np.eye(taken) - loess_matrix(taken, max(span // thinning, degree + 2), degree)

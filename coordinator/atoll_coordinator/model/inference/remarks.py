@@ -178,7 +178,7 @@ def rate_residuals(recording: Recording, place: int, program: Program) -> RateRe
     residuals = measured[kept] - rates[kept]
     if not float(np.mean(residuals**2)) > 2.0 * float(np.mean(errors[kept] ** 2)):
         return None
-    span = recording.smoothing[place].span or SETTINGS.checks.min_rows
+    span = recording.smoothing[place].span or SETTINGS.common.fewest_rows
     return RateResiduals(residuals, rates[kept], times[kept], run[kept], variables[:, kept], span)
 
 
@@ -225,7 +225,7 @@ def _left(values: FloatArray, column: FloatArray) -> float:
 
 def _is_open(rest: RateResiduals) -> bool:
     """Say whether rows of other passes with nearly the same states have other residuals."""
-    every = max(1, len(rest.residuals) // SETTINGS.columns.most_windows)
+    every = max(1, len(rest.residuals) // SETTINGS.columns.sample)
     coordinates = [np.ascontiguousarray(row[::every]) for row in rest.variables]
     pairs = neighbours(coordinates, rest.run[::every], rest.span // every + 1)
     found = None if pairs is None else disagreement(pairs, rest.residuals[::every])

@@ -203,5 +203,5 @@ def _correlations(errors: Sequence[FloatArray], square: float, parameters: float
 
 def clip_outliers(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """Return the residuals, outliers (by the median of their size) clipped."""
-    limit = SETTINGS.robustness.reach * float(np.median(np.abs(np.concatenate(list(residuals)))))
+    limit = SETTINGS.smoothing.reach * float(np.median(np.abs(np.concatenate(list(residuals)))))
     return [np.clip(series, -limit, limit) for series in residuals]

@@ -8,7 +8,7 @@ import math
 import platform
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final
@@ -19,7 +19,7 @@ import numpy as np
 from atoll_coordinator.data.recording import Preparation
 from atoll_coordinator.model.criteria import select_member
 from atoll_coordinator.model.pools import Origin
-from atoll_coordinator.model.refinement import Alternative, JobKind, Refined, Refinement
+from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.errors import errors_on
 from atoll_coordinator.model.result.shared_terms import shared_terms
 from atoll_coordinator.model.result.tables import data, noise, regression, smoothing, system
@@ -44,14 +44,15 @@ from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.config import JobConfig
 from atoll_core.data.dataset import Dataset, FloatArray, Target
 from atoll_core.data.notes import notes_of
-from atoll_core.expression.program import Program, constant_places, structure
+from atoll_core.expression.program import Program, constant_places, structure, tree_size
 from atoll_core.expression.restrictions import restrictions_of
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
 from atoll_core.expression.writing.shortest import points_of, shortest_at
 from atoll_core.search.pareto import FrontEntry
 from atoll_core.wire.messages.views import FINAL_STATES, JobState
 
 if TYPE_CHECKING:
+    from atoll_coordinator.model.inference.checks import EquationChecks
     from atoll_coordinator.model.inference.verdict import Verdict
 
 KNOWN: Final = "known"
@@ -286,7 +287,8 @@ def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined 
     best then: it could not be simulated along them, or there was no time.
     """
     # loads kernels, which the process that serves needs for the results of jobs that were not refined alone
-    from atoll_coordinator.model.inference.target_evidence import target_evidence
+    from atoll_coordinator.model.inference.target_checks import TargetChecks
+    from atoll_coordinator.model.inference.trajectory_checks import UnsimulatedChecks
     from atoll_coordinator.model.inference.verdict import Verdict, judge, with_objection
 
     if shown is None:
@@ -295,14 +297,18 @@ def _verdict(preparation: Preparation, outcome: VariableOutcome, shown: Refined 
     if shown.grade is not None:
         verdict = Verdict(shown.grade, shown.reason or "", shown.checks)
     else:
-        kind: JobKind = "trajectories" if has_trajectories else "target"
         problem = (preparation.counted or preparation.dataset).problem(outcome.variable)
-        is_cancelled = "cancelled" in (why, state)
-        evidence = target_evidence(
-            shown, problem, preparation.weights, kind=kind, is_known=why == KNOWN,
-            stopped="the choice of the equation" if is_cancelled or why == "max-time" else "",
-        )  # fmt: skip
-        verdict = judge(replace(evidence, is_cancelled=is_cancelled))
+        is_known, is_cancelled = why == KNOWN, "cancelled" in (why, state)
+        stopped = "the choice of the equation" if is_cancelled or why == "max-time" else ""
+        if has_trajectories:
+            checks: EquationChecks = UnsimulatedChecks(
+                shown, problem.target, is_known=is_known, stopped=stopped, is_cancelled=is_cancelled
+            )
+        else:
+            checks = TargetChecks(
+                shown, problem, preparation.weights, is_known=is_known, stopped=stopped, is_cancelled=is_cancelled
+            )
+        verdict = judge(checks)
     if verdict.grade in ("exact", "good") and shown.units is not None and shown.units.faults:
         verdict = with_objection(verdict, "units", "failed", f"units contradict it: {shown.units.faults[0]}")
     if verdict.grade == "good" and why in _STOPPED and not (has_trajectories and why == "max-epochs"):

@@ -101,7 +101,7 @@ class MultipleShooting:
         self.deadline: Final = deadline or Deadline()
         self.measured: Final = np.where(measurements.weights > 0.0, measurements.measured, 0.0)
         self._smallest = np.maximum(
-            SETTINGS.interpolation.smallest_noise * measurements.scales[measurements.observed], 1e-300
+            SETTINGS.smoothing.smallest_noise * measurements.scales[measurements.observed], 1e-300
         )
         totals = measurements.weights.sum(axis=1)
         self._totals: Final = np.where(totals > 0.0, totals, 1.0)

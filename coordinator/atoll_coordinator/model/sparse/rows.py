@@ -254,7 +254,7 @@ def _mean_inputs(part: Trajectory) -> FloatArray:
 
 def _stretches(lengths: Sequence[int]) -> list[tuple[int, int]]:
     """Return first row and end of the stretches that stand for trajectories with these `lengths`: whole ones if few."""
-    parts = -(-sum(lengths) // SETTINGS.sparse.most_rows)
+    parts = -(-sum(lengths) // SETTINGS.common.most_rows)
     stretch = SETTINGS.sparse.stretch if parts > 1 else max(lengths)
     ends = np.cumsum(lengths).tolist()
     return [
@@ -274,7 +274,7 @@ def _noise(parts: Sequence[Trajectory], place: int, smoothing: Smoothing) -> flo
     signals = [
         make_signal(part.times, part.measured[place].copy(), None).measured
         for part in parts
-        if np.count_nonzero(np.isfinite(part.measured[place])) >= SETTINGS.checks.min_rows
+        if np.count_nonzero(np.isfinite(part.measured[place])) >= SETTINGS.common.fewest_rows
     ]
     return min(smoothing.noise, estimate_value_noise(*predict_left_out(signals))) if signals else smoothing.noise
 

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from atoll_coordinator.data.increments import Rows, split_into_bins, take_steps
+from atoll_coordinator.model.inference.checks import Finding
 from atoll_coordinator.model.inference.residuals import residual_statistics
 from atoll_coordinator.model.inference.standard_errors import joint_covariance
-from atoll_coordinator.model.inference.verdict import Verdict, failures, sentence
+from atoll_coordinator.model.inference.verdict import Verdict, checks_of, failures, sentence
 from atoll_coordinator.model.pools import Origin
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
 from atoll_coordinator.model.regression.covariance import Known, describe, student_95
@@ -27,7 +28,7 @@ from atoll_coordinator.model.selection.candidates import CandidateSet, form
 from atoll_coordinator.model.stochastic.likelihood import FittedProcess, ProcessLikelihood, ProcessModel
 from atoll_coordinator.model.stochastic.path_ensembles import settle, simulate_ensemble
 from atoll_coordinator.model.stochastic.process_choice import ChosenProcess, is_zero
-from atoll_coordinator.result.equations import Check, Constant
+from atoll_coordinator.result.equations import Constant
 from atoll_coordinator.result.findings import Covariance, MeasurementNoise, Place, Process
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic.paths import Simulator
@@ -48,7 +49,9 @@ _NO_NOISE: Final = (
     "No state shows noise, so that these are not the equations of a stochastic process: leave out --stochastic to have "
     "the equations of motion judged."
 )
-_STOPPED: Final = "the time limit stopped the choice of the equations: give more time with --max-time"
+_STOPPED: Final = Finding(
+    "not made", "the time limit stopped the choice of the equations", advice="give more time with --max-time"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,9 +229,8 @@ def _origin(program: Program, candidates: CandidateSet) -> Origin:
 def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equation]) -> list[Verdict]:
     """Return the verdict on each equation."""
     if not _has_noise(chosen, model):
-        return [Verdict("doubtful", _NO_NOISE, (Check(name="noise", outcome="failed", reason=_NO_NOISE),))] * len(
-            equations
-        )
+        checks = checks_of({"noise": Finding("failed", _NO_NOISE)})
+        return [Verdict("doubtful", _NO_NOISE, checks)] * len(equations)
     residuals = chosen.likelihood.whitened(model).residuals
     steps = chosen.likelihood.steps
     bins = split_into_bins(steps.points, SETTINGS.effort.kept)
@@ -239,32 +241,30 @@ def _judge(chosen: ChosenProcess, model: ProcessModel, equations: Sequence[_Equa
         for state in range(states)
     ]
 
-    def of_steps(state: int) -> list[Check]:
+    def of_steps(state: int) -> dict[str, Finding]:
         if is_certain[state]:
-            return []
+            return {}
         checks = _drift_checks(residuals[state], bins, steps.follows)
-        return checks + joint_checks(residuals, state, chosen.process.states, has_noise=state not in driven)
+        return checks | joint_checks(residuals, state, chosen.process.states, has_noise=state not in driven)
 
     verdicts = []
     for number, equation in enumerate(equations):
         good = "The residual steps are independent and without a pattern over the states"
         if number < states and is_certain[number]:
-            checks, good = [], _CERTAIN
+            findings, good = {}, _CERTAIN
         elif number < states:
-            checks, good = of_steps(number) + _model_checks(chosen, number, equation), f"{good}."
+            findings, good = of_steps(number) | _model_checks(chosen, number, equation), f"{good}."
         elif is_zero(equation.program):
             i, j = model.pairs[number - states]
-            checks, good = ([], _NO_COVARIANCE) if i != j else (of_steps(i), _NO_VARIANCE)
+            findings, good = ({}, _NO_COVARIANCE) if i != j else (of_steps(i), _NO_VARIANCE)
         else:
             i, j = model.pairs[number - states]
-            checks = _diffusion_checks(residuals[i], residuals[j], bins, is_variance=i == j)
-            checks, good = checks + _model_checks(chosen, number, equation), f"{good}, and their sizes are normal."
+            findings = _diffusion_checks(residuals[i], residuals[j], bins, is_variance=i == j)
+            findings, good = findings | _model_checks(chosen, number, equation), f"{good}, and their sizes are normal."
         if chosen.is_stopped:
-            checks.append(Check(name="time", outcome="not made", reason=_STOPPED))
-        against = list(failures(checks))
-        verdicts.append(
-            Verdict("doubtful", sentence(against), tuple(checks)) if against else Verdict("good", good, tuple(checks))
-        )
+            findings = {**findings, "time": _STOPPED}
+        against, checks = failures(findings.values()), checks_of(findings)
+        verdicts.append(Verdict("doubtful", sentence(against), checks) if against else Verdict("good", good, checks))
     return verdicts
 
 
@@ -285,60 +285,55 @@ def _without_noise(model: ProcessModel) -> list[int]:
     return [i for (i, j), program in zip(model.pairs, model.diffusion, strict=True) if i == j and is_zero(program)]
 
 
-def _check(name: str, chance: float, limit: float, fault: str, merit: str) -> Check:
-    """Return a check by a probability, which fails below the limit."""
-    outcome, reason = ("failed", fault) if chance < limit else ("passed", merit)
-    return Check(name=name, outcome=outcome, reason=reason, value=chance, limit=limit)
+def _by_chance(chance: float, limit: float, fault: str, merit: str) -> Finding:
+    """Return the finding of a check by a probability, which fails below the limit."""
+    return Finding("failed", fault, chance, limit) if chance < limit else Finding("passed", merit, chance, limit)
 
 
-def _drift_checks(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDArray[np.bool_]) -> list[Check]:
+def _drift_checks(residuals: FloatArray, bins: Sequence[Rows], follows: npt.NDArray[np.bool_]) -> dict[str, Finding]:
     """Return the checks of the drift of one state, from the whitened steps (N,)."""
     limit = SETTINGS.inference.improbable
     pattern = _pattern([residuals[rows] for rows in bins])
     pieces = np.split(residuals, np.flatnonzero(~follows)[1:])
     serial = residual_statistics(pieces, 1.0).patterned
     serial = 2.0 * min(serial, 1.0 - serial)
-    return [
-        _check(
-            "pattern of steps", pattern, limit,
+    return {
+        "pattern of steps": _by_chance(
+            pattern, limit,
             f"the residual steps follow a pattern over the states (p = {pattern:.1g})",
             "the steps show no pattern over the states",
         ),
-        _check(
-            "serial correlation", serial, limit, f"steps are correlated with the steps before them (p = {serial:.1g})",
+        "serial correlation": _by_chance(
+            serial, limit, f"steps are correlated with the steps before them (p = {serial:.1g})",
             "steps are independent of the steps before them",
         ),
-    ]  # fmt: skip
+    }  # fmt: skip
 
 
-def joint_checks(residuals: FloatArray, state: int, names: Sequence[str], *, has_noise: bool) -> list[Check]:
+def joint_checks(residuals: FloatArray, state: int, names: Sequence[str], *, has_noise: bool) -> dict[str, Finding]:
     """Return the checks of one state against the others, from the whitened steps of all (S, N).
 
     They are independent of each other, and of variance one also where no diffusion of the state's own was fitted to it.
     """
-    limit, checks = SETTINGS.inference.improbable, []
+    limit, findings = SETTINGS.inference.improbable, dict[str, Finding]()
     if not has_noise:
         chance, size = _chance(residuals[state] ** 2 - 1.0), float(np.sqrt(np.mean(residuals[state] ** 2)))
-        checks.append(
-            _check(
-                "size of steps", chance, limit,
-                f"its steps are {size:.3g} times as large as the noise of other states makes them (p = {chance:.1g})",
-                "its steps are as large as the noise of other states makes them",
-            )
+        findings["size of steps"] = _by_chance(
+            chance, limit,
+            f"its steps are {size:.3g} times as large as the noise of other states makes them (p = {chance:.1g})",
+            "its steps are as large as the noise of other states makes them",
         )  # fmt: skip
     chances = {
         partner: _chance(residuals[state] * residuals[partner]) for partner in range(len(names)) if partner != state
     }
     least = min(chances, key=lambda partner: chances[partner], default=None)
     if least is not None:
-        checks.append(
-            _check(
-                "correlation of states", chances[least], limit / len(chances),
-                f"the residual steps are correlated with the steps of {names[least]} (p = {chances[least]:.1g})",
-                "its steps are independent of the steps of other states",
-            )
+        findings["correlation of states"] = _by_chance(
+            chances[least], limit / len(chances),
+            f"the residual steps are correlated with the steps of {names[least]} (p = {chances[least]:.1g})",
+            "its steps are independent of the steps of other states",
         )  # fmt: skip
-    return checks
+    return findings
 
 
 def _chance(values: FloatArray) -> float:
@@ -349,31 +344,31 @@ def _chance(values: FloatArray) -> float:
     return 2.0 * float(special.ndtr(-abs(float(values.mean())) / error)) if error > 0.0 else 1.0
 
 
-def _diffusion_checks(first: FloatArray, second: FloatArray, bins: Sequence[Rows], *, is_variance: bool) -> list[Check]:
+def _diffusion_checks(
+    first: FloatArray, second: FloatArray, bins: Sequence[Rows], *, is_variance: bool
+) -> dict[str, Finding]:
     """Return the checks of a component of the diffusion, from the whitened steps (N,) of its two states."""
     from scipy import special
 
     limit = SETTINGS.inference.improbable
     products = first * second - (1.0 if is_variance else 0.0)
     pattern = _pattern([products[rows] for rows in bins])
-    checks = [
-        _check(
-            "pattern of squared steps", pattern, limit,
+    findings = {
+        "pattern of squared steps": _by_chance(
+            pattern, limit,
             f"the squares of the residual steps follow a pattern over the states (p = {pattern:.1g})",
             "the squares of the steps show no pattern over the states",
         )
-    ]  # fmt: skip
+    }  # fmt: skip
     if is_variance:
         kurtosis = float(np.mean(first**4)) - 3.0
         chance = float(special.ndtr(-kurtosis / math.sqrt(24.0 / len(first))))
-        checks.append(
-            _check(
-                "normal steps", chance, limit,
-                f"the steps have heavier tails than a normal distribution (excess kurtosis {kurtosis:.2g})",
-                "the steps are normally distributed",
-            )
+        findings["normal steps"] = _by_chance(
+            chance, limit,
+            f"the steps have heavier tails than a normal distribution (excess kurtosis {kurtosis:.2g})",
+            "the steps are normally distributed",
         )  # fmt: skip
-    return checks
+    return findings
 
 
 def _pattern(parts: Sequence[FloatArray]) -> float:
@@ -387,23 +382,23 @@ def _pattern(parts: Sequence[FloatArray]) -> float:
     return float(special.chdtrc(len(squares), math.fsum(squares)))
 
 
-def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> list[Check]:
+def _model_checks(chosen: ChosenProcess, number: int, equation: _Equation) -> dict[str, Finding]:
     """Return the checks of an equation other than residuals: its constants, and alternative equations."""
-    checks, written = [], equation.known.written
+    findings, written = dict[str, Finding](), equation.known.written
     if len(written) > 1:
         is_loose = any(not constant.identifiable for constant in written)
         reason = "a constant is not determined: its interval holds zero" if is_loose else "all constants are determined"
-        checks.append(Check(name="constants", outcome="failed" if is_loose else "passed", reason=reason))
+        findings["constants"] = Finding("failed" if is_loose else "passed", reason)
     rivals, limit = chosen.rivals[number], SETTINGS.inference.distinct_nats
     points = chosen.likelihood.steps.points
     near = (rival for rival in rivals[1:] if rival.nats - rivals[0].nats < limit)
     rival = next((rival for rival in near if not contains(rival.program, equation.program, points)), None)
     if rival is None:
         reason = "no other equation describes the data about as well"
-        return [*checks, Check(name="alternative equations", outcome="passed", reason=reason)]
+        return {**findings, "alternative equations": Finding("passed", reason)}
     apart = rival.nats - rivals[0].nats
     reason = f"another equation describes the data about as well (Δ description length {apart:.1f})"
-    return [*checks, Check(name="alternative equations", outcome="failed", reason=reason, value=apart, limit=limit)]
+    return {**findings, "alternative equations": Finding("failed", reason, apart, limit)}
 
 
 # ------------------------------------------------------------------------------------------------- simulations

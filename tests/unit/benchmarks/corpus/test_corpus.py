@@ -5,19 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from atoll_core.errors import DataError, UsageError
+from atoll_core.errors import DataError
 from benchmarks.corpus import __main__ as corpus
-from benchmarks.corpus import campaign, cases
+from benchmarks.corpus import campaign
 from benchmarks.corpus.campaign import configuration
 from benchmarks.corpus.cases import Key, make_case, smallest_t
 from benchmarks.corpus.families import FAMILIES
 from benchmarks.corpus.lengths import excess_of_truth
 from benchmarks.corpus.outcomes import Outcome, judge_job
-from benchmarks.corpus.qualities import QUALITIES, quality
-from benchmarks.corpus.systems import CorpusSystem, draw_system, named_system, solution
+from benchmarks.corpus.systems import CorpusSystem, solution
 from benchmarks.corpus.tables import by_grade, by_quality, equation_rows
 from benchmarks.harness.journal import Journal
-from benchmarks.harness.solving import DivergedError
 
 KEY = Key("lotka_volterra", 2, 1, "even", "noise-0.01", 0)
 RANDOM = Key("random", 1, 4, "even", "exact", 3)
@@ -54,44 +52,6 @@ def test_a_key_has_one_table():
     assert first.table.rows == 400
 
 
-def test_a_drawn_system_is_the_one_that_its_seed_has_had():
-    drawn = draw_system(2, 1)
-    assert drawn.truths == {"x": "0.712*x*(1.0 - x/7.17)"}
-    assert drawn.duration == 6.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", QUALITIES)
-def test_every_quality_measures_all_rows(monkeypatch, name, lotka):
-    monkeypatch.setattr(cases, "fresh_paths", lambda *_: ())
-    monkeypatch.setattr(cases, "smallest_t", lambda *_: {})
-    case = make_case(dataclasses.replace(KEY, quality=name))
-    values = case.table.columns[1:]
-    clean = np.array([*lotka.clean.values()])
-    assert values.shape == clean.shape
-    error = np.sqrt(((values - clean) ** 2).mean(axis=1)) / clean.std(axis=1)
-    parsed = quality(name)
-    if parsed.kind in ("noise", "ar1"):
-        np.testing.assert_allclose(error, parsed.size, rtol=0.6)
-    elif parsed.kind == "exact":
-        assert not error.any()
-    else:
-        assert (error < 0.5).all()
-        assert error.any()
-
-
-@pytest.mark.parametrize("name", ["exact-1", "noise", "loud-0.1", "noise-much"])
-def test_a_quality_that_there_is_none_of_is_refused(name):
-    with pytest.raises(UsageError, match="no quality"):
-        quality(name)
-
-
-def test_a_solution_that_runs_away_is_refused():
-    system = CorpusSystem("runaway", {"x": "k1*x**2"}, {"k1": 1.0}, ((1.0, 1.0),), 5.0)
-    with pytest.raises(DivergedError):
-        solution(system.field(), (1.0,), np.linspace(0.0, 5.0, 5))
-
-
 def test_a_constant_that_the_data_do_not_show_is_not_known():
     """What x' = k1 - k2*x does near its rest is that of the quotient of the constants."""
     still = CorpusSystem("decay", FAMILIES["decay"].equations, {"k1": 1.0, "k2": 1.0}, ((1.0, 1.0),), 5.0, ((1.001,),))
@@ -121,16 +81,6 @@ def test_a_campaign_does_only_what_is_missing(monkeypatch, judged):
     journal.add(judged, None)
     monkeypatch.setattr("benchmarks.harness.campaign.searching", lambda workers: pytest.fail("nothing is missing"))
     assert campaign.run_jobs([KEY], journal, 1, None, {}) == [judged]
-
-
-def test_the_search_has_the_functions_that_the_truth_needs(lotka):
-    tank = named_system("logistic")
-    case = dataclasses.replace(lotka, system=dataclasses.replace(tank, equations={"x": "k1*log(x) - k2*x**k3"}))
-    config = configuration(KEY, case, 3.0, {"max_epochs": 2})
-    assert config.space.operators[-2:] == ("log", "pow")
-    assert (config.budget.max_time, config.budget.max_epochs, config.seed) == (3.0, 2, 0)
-    untold = configuration(dataclasses.replace(KEY, method="atoll-untold"), case, 3.0, {})
-    assert untold.space.operators is None
 
 
 def test_operon_is_given_the_same_table_and_the_operators_of_the_search(monkeypatch, lotka):

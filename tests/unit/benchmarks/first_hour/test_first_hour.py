@@ -1,7 +1,5 @@
 """Tables of the first hour: their files say what the cases mean, and what comes back is judged by the law."""
 
-import numpy as np
-
 from benchmarks.first_hour.campaign import figures, is_as_it_should_be
 from benchmarks.first_hour.cases import CASES
 from benchmarks.first_hour.outcomes import Outcome, judge
@@ -56,16 +54,3 @@ def test_what_broke_is_a_fault_and_what_is_refused_is_not() -> None:
     ends = [Outcome("decay", end, "a sentence", judge(CASES["decay"], {}), 1.0, 1.0) for end in ("broke", "refused")]
     assert [is_as_it_should_be([end]) for end in ends] == [False, True]
     assert "BROKE decay: a sentence" in figures(ends)
-
-
-def test_processes_without_a_law_are_what_they_are_called() -> None:
-    ball = CASES["bouncing ball"].make()
-    energy = 9.81 * ball["h"] + 0.5 * ball["v"] ** 2
-    assert (ball["h"] >= 0.0).all()
-    losses = energy[1:] / energy[:-1]
-    assert np.all((np.abs(losses - 1.0) < 1e-9) | (np.abs(losses - 0.81) < 1e-9))
-    room = CASES["a room with a thermostat, heater unknown"].make()["T"]
-    assert 18.9 < room[100:].min() < 19.1 < 20.9 < room[100:].max() < 21.1
-    fed_back = CASES["delayed feedback"].make()
-    slopes = np.gradient(fed_back["x"], fed_back["t"])
-    assert np.allclose(slopes[20:-1], -1.5 * fed_back["x"][10:-11], atol=0.02 * np.abs(slopes).max())

@@ -54,13 +54,6 @@ def test_a_job_that_takes_too_long_is_cancelled(tmp_path):
     assert client.cancelled == [client.job]
 
 
-def test_a_failed_job_is_an_outcome_without_equations(tmp_path):
-    outcome, result = search(Searches(Client("failed", "no rows"), Machines(tmp_path, 0)), KEY, case(KEY), None)
-    assert not any(equation.found for equation in outcome.equations)
-    assert result is None
-    assert "no rows" in outcome.failure
-
-
 def test_without_a_coordinator_the_benchmark_ends_instead_of_counting_misses(tmp_path):
     machines = Machines(tmp_path, 0)
     machines.start_program("coordinator", [sys.executable, "-c", "pass"]).wait(20)

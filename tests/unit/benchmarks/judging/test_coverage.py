@@ -71,10 +71,6 @@ def test_a_shared_constant_is_one_and_a_doubling_is_none():
     assert constants_judged == [(close(1.45), True)]
 
 
-def test_whole_exponents_are_not_constants():
-    assert truths("3.05*x - 2.02*x*y - x**2", [entry(3.05), entry(2.02)]) == [(close(3.0), True), (close(2.0), True)]
-
-
 def test_no_constants_are_known_of_a_structure_that_is_not_the_truths():
     assert truths("x*(3.05 - 1.95*y)", [entry(3.05), entry(1.95)]) is None
 
@@ -84,14 +80,3 @@ def test_a_constant_without_an_interval_is_not_covered():
     assert not constants.has_interval
     assert not constants.is_covered
     assert constants.relative_width is None
-
-
-def test_rows_at_which_the_truth_is_not_finite_do_not_matter():
-    truth = values("-0.11*x").copy()
-    truth[3] = np.inf
-    (constants,) = covered("-0.1*x", [entry(-0.1)], COLUMNS, truth)
-    assert constants.truth == close(-0.11)
-
-
-def test_an_equation_without_constants_has_nothing_to_cover():
-    assert covered("y - x", [], COLUMNS, values("y - x")) == []

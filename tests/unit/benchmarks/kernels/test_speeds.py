@@ -3,26 +3,16 @@
 import dataclasses
 import json
 
-import numpy as np
 import pytest
 
 from atoll_core.errors import DataError
 from benchmarks.kernels import __main__ as kernels
 from benchmarks.kernels.corpus import CORPUS, load_corpus
-from benchmarks.peers.strogatz_files import NAMES
 
 
 @pytest.fixture(scope="module")
 def corpus():
     return load_corpus()
-
-
-def test_the_corpus_has_a_thousand_lists_from_all_files_and_generations(corpus):
-    assert corpus.code.shape == (1000, 32)
-    assert corpus.names.tolist() == list(NAMES)
-    assert set(np.bincount(corpus.origin).tolist()) == {71, 72}
-    assert np.unique(corpus.generation).tolist() == [100 * (epoch + 1) for epoch in range(10)]
-    assert corpus.inputs.shape == (14, 2, 16)
 
 
 def test_what_is_no_corpus_is_said(tmp_path):

@@ -3,10 +3,9 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
 from benchmarks.harness.systems import table_of, trajectories
-from benchmarks.noise.data import Key, case, fresh
+from benchmarks.noise.data import Key, case
 
 KEY = Key("atoll", "bar_magnets", 0.1, 100)
 
@@ -26,14 +25,3 @@ def test_one_draw_of_noise_is_scaled_over_the_levels():
     small, _ = noise_of(dataclasses.replace(KEY, level=0.01))
     large, _ = noise_of(KEY)
     np.testing.assert_allclose(10.0 * small, large, atol=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("system", ["lotka_volterra", "shear_flow"])
-def test_a_fresh_trajectory_begins_where_none_was_measured(system):
-    made_case = fresh(system, 100)
-    starts = [values[0].tolist() for values in trajectories(system, 0.1, 100).values]
-    assert made_case.states.shape == (100, 2)
-    assert made_case.states[0].tolist() not in starts
-    assert made_case.states.tolist() == fresh(system, 100).states.tolist()
-    assert made_case.states.tolist() != fresh(system, 101).states.tolist()

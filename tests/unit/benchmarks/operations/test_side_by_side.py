@@ -3,10 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import pytest
-
-from atoll_core.errors import UsageError
-from benchmarks.operations.side_by_side import Beside, Took, in_turn, median, program_of, shown
+from benchmarks.operations.side_by_side import Beside, Took, in_turn, median, shown
 
 TOOK = Took(0.2, 2.0, 3.0, "abc", ("x",), 1000)
 
@@ -44,8 +41,3 @@ def test_the_table_has_ratios_and_their_geometric_mean_and_says_what_differs() -
     assert fast.split()[-2:] == ["same", "same"]
     assert slow.split()[-2:] == ["DIFFERS", "DIFFER"]
     assert mean.split()[:5] == ["geometric", "mean", "0.200", "0.200", "1.000"]
-
-
-def test_a_revision_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(UsageError, match="no revision 'nothing-like-this'"):
-        program_of("nothing-like-this")

@@ -37,7 +37,3 @@ def test_a_rise_in_noise_is_seen_but_a_small_one_does_not_matter() -> None:
     values = noise(1)
     assert not trend(TIMES, [100.0 + 0.01 * at + value for at, value in zip(TIMES, values, strict=True)]).is_flat
     assert trend(TIMES, [1000.0 + 0.01 * at + value for at, value in zip(TIMES, values, strict=True)]).is_flat
-
-
-def test_a_fall_is_no_rise() -> None:
-    assert trend(TIMES, [100.0 - 0.5 * at for at in TIMES]).is_flat

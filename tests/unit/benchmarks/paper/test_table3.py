@@ -5,19 +5,14 @@ import json
 from contextlib import nullcontext
 
 import numpy as np
-import pytest
 
-from atoll_coordinator.data.prepare import prepare
-from benchmarks.harness.systems import TRUTH, trajectories
+from benchmarks.harness.systems import TRUTH
 from benchmarks.paper import table3
 from benchmarks.paper.table3 import (
     Search,
-    balance,
-    configured,
     judged,
     main,
     summed_up,
-    with_slopes,
 )
 
 GLIDER_V = ("glider", "v")
@@ -26,10 +21,6 @@ SEARCH = Search(
     on_front=8, error=1e-10, why="target", epoch=1, point_evaluations=40_000, search_seconds=0.2, seconds=0.5,
     digest="abc",
 )  # fmt: skip
-
-
-def options(*words):
-    return main.parser.parse_args(words)
 
 
 def searched(*seconds, **changes):
@@ -60,36 +51,11 @@ def test_an_equation_is_exact_in_form_and_one_that_is_not_is_looked_for_on_the_f
     assert not none.exact
 
 
-def test_given_derivatives_are_the_truth_on_the_papers_400_points():
-    table = with_slopes("lotka_volterra", trajectories("lotka_volterra", 0.1, 0))
-    config = configured(options(), 3, ("lotka_volterra", "y"), "given")
-    dataset = prepare(table, config).dataset
-    (target,) = dataset.targets
-    x, y = dataset.inputs
-    assert (target.variable, target.uncertainty, len(x)) == ("y", 0.0, 400)
-    np.testing.assert_array_equal(target.values, 2 * y - x * y - y * y)
-
-
 def test_the_median_counts_a_miss_as_infinitely_long():
     row = summed_up([*searched(0.1, exact=False), *searched(1.0, 4.0)])
     assert (row.right, row.searches, row.seconds, row.job_seconds, row.point_evaluations) == (2, 3, 4.0, 8.0, 4e6)
     assert row.is_found
     assert row.is_ahead
-
-
-def test_the_balance_compares_only_what_was_found():
-    rows = [summed_up(searched(1.0)), summed_up(searched(1.0, variable="theta", exact=False))]
-    text = balance(rows)
-    assert "1 of 2 found in the median, 1 ahead" in text
-    assert "1.000e+06 point evaluations" in text
-    assert "1.03e+03 times" in text
-
-
-def test_a_variable_that_no_system_has_is_one_sentence_and_exit_code_2(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["--system", "glider", "--only", "x"])
-    assert ended.value.code == 2
-    assert "none of the systems has a variable x" in capsys.readouterr().err
 
 
 class Told:

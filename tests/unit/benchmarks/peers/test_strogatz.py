@@ -7,13 +7,6 @@ import pytest
 from benchmarks.peers.strogatz import levels, main
 
 
-def test_without_the_files_there_is_one_sentence_and_exit_code_2(tmp_path, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["--data", str(tmp_path)])
-    assert ended.value.code == 2
-    assert "truth.json" in capsys.readouterr().err
-
-
 def test_levels_of_noise_are_numbers_and_none_by_default():
     assert levels("0,0.001,0.1,0.1") == [0.0, 0.001, 0.1]
     assert main.parser.parse_args(["--data", "d"]).noise == [0.0]

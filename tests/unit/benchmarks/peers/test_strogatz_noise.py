@@ -57,12 +57,6 @@ def test_an_equation_is_judged_by_both_rules(folder):
     assert judged(folder, result(TRUTH)).srbench
 
 
-def test_no_equation_is_not_solved(folder):
-    judgement = judged(folder, result(None))
-    assert (judgement.srbench, judgement.strict) == (False, False)
-    assert (judgement.r_squared, judgement.on_front, judgement.srbench_reason) == (None, None, "no equation")
-
-
 @dataclasses.dataclass
 class Told:
     """Answers each search with the same equation."""

@@ -1,9 +1,6 @@
 """Which laws a short table tells from other textbook forms."""
 
-import math
-
 import numpy as np
-import pytest
 
 from atoll_core.data.dataset import FloatArray
 from benchmarks.verdicts.identification import DECIDED, Measurements, leads
@@ -26,9 +23,3 @@ def test_a_decay_is_told_where_it_was_followed_and_noise_is_small() -> None:
 
 def test_a_decay_is_not_told_from_a_few_noisy_rows_of_its_beginning() -> None:
     assert lead_of(0.05, 0.4, 5) < DECIDED
-
-
-def test_a_misfit_is_in_deviations_of_the_errors() -> None:
-    run = Run({"k1": 0.5}, (2.0,), np.array([0.0, 1.0]))
-    left = Measurements({"x": np.array([2.0, 1.0])}, {"x": 0.1}).misfit(DECAY, run)
-    assert left == pytest.approx([0.0, 10.0 * (2.0 * math.exp(-0.5) - 1.0)], abs=1e-4)

@@ -8,11 +8,10 @@ import pytest
 
 from atoll_coordinator.data.reading.files import read_table
 from benchmarks.corpus.cases import LEAST_T
-from benchmarks.verdicts.autonomous import FACTORS, draw_at_rate
 from benchmarks.verdicts.campaign import request, table_of
-from benchmarks.verdicts.drawn import Drawn, Measured
+from benchmarks.verdicts.drawn import Drawn
 from benchmarks.verdicts.judging import Key, judge
-from benchmarks.verdicts.simulation import Run, least_t, prediction_r2, simulate
+from benchmarks.verdicts.simulation import Run, least_t, prediction_r2
 
 TABLES = [
     Key("few-rows", 0), Key("few-rows", 5), Key("few-rows", 7), Key("targets", 3), Key("targets", 11),
@@ -54,19 +53,6 @@ def test_the_laws_are_right_and_foretell(key: Key) -> None:
         assert equation.r2 == pytest.approx(1.0, abs=1e-4)
 
 
-def test_the_same_motion_is_sampled_at_each_rate() -> None:
-    slow, fast = (draw_at_rate(4, factor).clean["x"] for factor in FACTORS[:2])
-    assert fast[::3] == pytest.approx(slow)
-
-
-def test_held_inputs_are_held_between_rows() -> None:
-    times = np.array([0.0, 0.5, 1.0])
-    run = Run({}, (1.0,), times, {"u": lambda time: 2.0 if time < 0.25 else 0.0}, is_held=True)
-    states = simulate({"x": "u - x"}, run)[:, 0]
-    half = 2.0 - np.exp(-0.5)
-    assert states == pytest.approx([1.0, half, half * np.exp(-0.5)])
-
-
 def test_r2_is_that_of_the_model_of_each_group() -> None:
     times = np.linspace(0.0, 2.0, 9)
     runs = [Run({}, (1.0,), times, group=group) for group in ("a", "b")]
@@ -86,11 +72,3 @@ def test_a_constant_is_known_by_the_errors_and_the_rows() -> None:
     assert small == pytest.approx(1.0 / np.sqrt(np.linalg.inv(effects.T @ effects)[0, 0]), rel=1e-2)
     bound = least_t({"x": "k1*x*(1.0 - k2)"}, [Run({"k1": 0.5, "k2": 2.0}, (1.0,), times)], {"x": 0.01})
     assert bound["x"] < LEAST_T < small
-
-
-def test_laws_of_second_order_are_those_of_positions() -> None:
-    run = Run({"k1": 4.0}, (1.0, 0.0), np.linspace(0.0, 3.0, 16))
-    spring = Measured({"x": "x_dot", "x_dot": "-k1*x"}, [run], [run], ("x",), order=2)
-    assert spring.laws() == {"": {"x": "-(4.0)*x"}}
-    assert spring.predict({"": {"x": "-4.0*x"}})["x"] == pytest.approx((1.0, 1.0))
-    assert spring.predict({"": {"x": "-9.0*x"}})["x"][0] < 0.9

@@ -3,7 +3,6 @@
 import numpy as np
 
 from atoll_coordinator.data.outline import describe, outline
-from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import BudgetConfig, DataConfig, JobConfig, PriorConfig, SpaceConfig
 from tests.unit.coordinator.data.tables import oscillator, table_of
 
@@ -26,20 +25,6 @@ def test_each_equation_is_said_with_what_it_may_be_made_of() -> None:
     ]
 
 
-def test_other_programs_get_the_same() -> None:
-    content = outline(TABLE, JobConfig(seed=3, data=DataConfig(order=2, states=("x",), inputs=("y",)))).as_dict()
-    assert [(equation["lhs"], equation["variables"]) for equation in content["equations"]] == [
-        ("d2x/dt2", ["x", "x_dot", "y"])
-    ]
-    assert content["config"]["seed"] == 3
-    assert (content["rows"], content["time"]) == (TABLE.rows, "t")
-
-
-def test_a_process_has_a_drift_and_a_diffusion() -> None:
-    sides = [equation.lhs for equation in outline(TABLE, JobConfig(data=DataConfig(stochastic=True))).equations]
-    assert sides == ["dx/dt", "dy/dt", "d[x]/dt", "d[x,y]/dt", "d[y]/dt"]
-
-
 def described(columns, starts=(0,), **options):
     return describe(table_of(columns, starts), JobConfig(data=DataConfig(**options))).split("\n")
 
@@ -54,30 +39,11 @@ def test_trajectories_rows_time_and_columns_are_said():
     ]
 
 
-def test_units_are_said(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("t [s],v [m/s],label\n" + "".join(f"{row},{row * row},{row}\n" for row in range(9)))
-    table = read_table([path], DataConfig())
-    assert describe(table, JobConfig(data=DataConfig(states=("v",)))).split("\n")[1:] == [
-        "read as text with commas",
-        "time t [s]: 0 to 8, step 1",
-        "states: v [m/s]",
-    ]
-
-
 def test_units_that_are_given_go_before_those_of_the_header():
     assert described(oscillator(), units={"t": "h", "y": "m"})[1:] == [
         "time t [h]: 0 to 5.9, step 0.1",
         "states: x, y [m]",
     ]
-
-
-def test_dropped_rows_are_said():
-    columns = oscillator()
-    columns["x"][3] = np.nan
-    assert described(columns, missing="drop")[0] == "a.csv: 60 rows"
-    columns["y"][3] = np.nan
-    assert described(columns, missing="drop")[0] == "a.csv: 60 rows (59 that can be used)"
 
 
 def test_what_is_known_of_a_diffusion_is_said():

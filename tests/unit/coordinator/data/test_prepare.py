@@ -8,7 +8,7 @@ import sympy
 from sympy.parsing.sympy_parser import parse_expr
 
 from atoll_coordinator.data.prepare import prepare
-from atoll_core.config import Angle, DataConfig, JobConfig
+from atoll_core.config import DataConfig, JobConfig
 from atoll_core.errors import DataError
 from benchmarks.harness.systems import SYSTEMS, TRUTH, trajectories
 from benchmarks.harness.systems import table_of as table_of_samples
@@ -110,13 +110,6 @@ def test_awkward_names_get_symbols():
     assert [target.lhs for target in dataset.targets] == ["dlambda/dt", "dv w/dt", "dθ/dt"]
 
 
-def test_given_derivatives_of_an_angle_are_converted_with_it():
-    columns = {"y": np.arange(10.0) * 7 % 360, "dy": np.arange(10.0)}
-    dataset = prepared(columns, derivatives=("dy",), angles=(Angle(column="y", degrees=True),))
-    assert dataset.targets[0].values == pytest.approx(np.radians(columns["dy"]))
-    assert dataset.inputs[0] == pytest.approx(np.radians(columns["y"]))
-
-
 def test_a_missing_value_costs_that_value_and_not_its_row():
     columns = oscillator(100)
     columns["x"][[30, 31, 50]] = columns["y"][[7, 70]] = math.nan
@@ -138,15 +131,6 @@ def test_rows_that_lack_an_unknown_state_are_kept_from_the_search_and_in_the_rec
     assert trajectory.is_known.tolist() == [[False] * 20 + [True] * 80, [True] * 100]
     assert {row.reason for row in preparation.recording.smoothing[0].excluded_rows} == {"missing", "end"}
     assert "missing" not in {row.reason for row in preparation.recording.smoothing[1].excluded_rows}
-
-
-def test_the_paper_preset_keeps_all_rows():
-    assert prepared(oscillator(100), preset="paper").inputs.shape == (2, 100)
-
-
-def test_the_dataset_is_the_same_every_time():
-    table = table_of_samples(trajectories("glider", 0.1, noise=0.02))
-    assert prepare(table, JobConfig()).dataset.digest == prepare(table, JobConfig()).dataset.digest
 
 
 @pytest.mark.slow

@@ -111,13 +111,6 @@ def test_a_known_equation_is_prepared_beside_the_only_one_sought():
     assert [(name, to_infix(program, dataset.names)) for name, program in programs.items()] == [("y", "-x")]
 
 
-def test_an_explicit_regression_has_no_derivatives():
-    config = config_of(known={"y": "2*x"}, data=DataConfig(target="y"))
-    assert prepare(table_of(oscillator()), config).dataset.variables == ("y",)
-    with pytest.raises(UsageError, match="as it stands"):
-        prepare(table_of(oscillator()), config_of(known={"dy": "2*x"}, data=DataConfig(target="y")))
-
-
 OF_COLUMNS = {"x": "x", "v-x": "v_x", "dx": "dx", "u": "u"}
 
 
@@ -128,16 +121,6 @@ def sides(order=1, variables=("x", "v-x")):
 @pytest.mark.parametrize("text", ["x", "dx", "dx/dt", "dx/dtime", "x'", " x ", "x [m]"])
 def test_first_derivatives_are_written_in_many_ways(text):
     assert sides().variable("--known", text) == "x"
-
-
-@pytest.mark.parametrize("text", ["x", "d2x", "d2x/dt2", "d2x/dt^2", "d2x/dt**2", "d2x/dyear2", "x''"])
-def test_second_derivatives_are_written_in_many_ways(text):
-    assert sides(2).variable("--known", text) == "x"
-
-
-@pytest.mark.parametrize("text", ["v-x", "v_x", "dv-x", "dv_x/dt", "v_x'"])
-def test_a_column_may_be_named_by_its_symbol(text):
-    assert sides().variable("--known", text) == "v-x"
 
 
 def test_a_column_comes_before_the_derivative_that_its_name_looks_like():

@@ -41,21 +41,6 @@ def test_every_row_is_recorded_as_it_was_measured():
     assert not trajectory.held_out
 
 
-def test_arrays_are_in_c_order():
-    columns = noisy(50)
-    columns["u"] = columns["t"] ** 2
-    for trajectory in recorded(columns, (0, 20), inputs=("u", "t")).trajectories:
-        for array in (
-            trajectory.times,
-            trajectory.measured,
-            trajectory.smoothed,
-            trajectory.slopes,
-            trajectory.inputs,
-            trajectory.input_slopes,
-        ):
-            assert array.flags.c_contiguous
-
-
 def test_how_noisy_states_were_smoothed():
     columns = noisy()
     recording = recorded(columns)
@@ -69,23 +54,6 @@ def test_how_noisy_states_were_smoothed():
         assert np.std(smoothed - oscillator(200)[name]) < 0.025
 
 
-def test_the_search_sees_what_is_recorded():
-    preparation = prepared(noisy(100), starts=(0, 40), preset="paper")
-    recording, dataset = preparation.recording, preparation.dataset
-    smoothed = np.concatenate([trajectory.smoothed for trajectory in recording.trajectories], axis=1)
-    slopes = np.concatenate([trajectory.slopes for trajectory in recording.trajectories], axis=1)
-    assert dataset.inputs.tolist() == smoothed.tolist()
-    assert [target.values.tolist() for target in dataset.targets] == slopes.tolist()
-
-
-def test_trajectories_are_called_by_their_value():
-    columns = oscillator(60)
-    columns["run"] = np.repeat([7.0, -3.0, 0.5, 7.0, 1e300, 7.0], 10)
-    recording = recorded(columns, trajectory="run")
-    assert [trajectory.name for trajectory in recording.trajectories] == ["7", "-3", "0.5", "7b", "1e+300", "7c"]
-    assert {len(trajectory.times) for trajectory in recording.trajectories} == {10}
-
-
 def test_inputs_are_recorded_with_their_slopes():
     columns = oscillator(100, start=5.0)
     columns["u v"] = columns["t"] ** 2
@@ -95,14 +63,6 @@ def test_inputs_are_recorded_with_their_slopes():
     assert trajectory.inputs.tolist() == [columns["u v"].tolist(), columns["t"].tolist()]
     assert trajectory.input_slopes[0] == pytest.approx(2 * columns["t"])
     assert trajectory.input_slopes[1].tolist() == [1.0] * 100
-
-
-def test_order_two_names_its_velocities():
-    columns = oscillator(100)
-    columns["x_dot"] = columns.pop("y")
-    recording = recorded(columns, states=("x",), order=2)
-    assert (recording.order, recording.state_symbols, recording.velocity_symbols) == (2, ("x",), ("x_dot",))
-    assert recording.trajectories[0].slopes[0, 4:-4] == pytest.approx(columns["x_dot"][4:-4], abs=1e-9)
 
 
 def test_angles_are_recorded_unwrapped_and_in_radians():

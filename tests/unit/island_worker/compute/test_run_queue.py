@@ -2,19 +2,15 @@
 
 from dataclasses import dataclass, field
 
-import pytest
-
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder, Position
 from atoll_core.wire.messages.epochs import HitStatement, IslandReport
 from atoll_island_worker.compute.run_queue import RunQueue
 from atoll_island_worker.session.interface import (
     Abandoned,
-    Broken,
     EpochComputed,
     EpochTask,
     Outcome,
-    Rejected,
     ShardKey,
     Snapshot,
     TaskKey,
@@ -116,24 +112,6 @@ def test_islands_take_turns_slice_by_slice() -> None:
     assert bench.slices == expected + [("job", "x", 1, end, 2) for end in range(10, 51, 10)]
 
 
-def test_the_job_that_was_charged_least_comes_first() -> None:
-    bench = Bench(takes={"a": 3.0, "b": 1.0})
-    queue = queue_of(bench, key(0, job="a"), key(0, job="b"))
-    for _ in range(8):
-        queue.turn()
-    assert [job for job, *_ in bench.slices] == ["a", "b", "b", "b", "a", "b", "b", "a"]
-
-
-def test_a_job_of_twice_the_weight_gets_twice_the_time() -> None:
-    bench = Bench()
-    queue = queue_of(bench, *(key(island, job=job) for job in ("a", "b") for island in range(6)))
-    queue.share("b", 2.0, "")
-    for _ in range(30):
-        queue.turn()
-    turns = [job for job, *_ in bench.slices]
-    assert (turns.count("a"), turns.count("b")) == (10, 20)
-
-
 def test_a_job_that_comes_later_does_not_make_up_for_what_the_others_had() -> None:
     bench = Bench()
     queue = queue_of(bench, key(0, job="a"))
@@ -172,32 +150,6 @@ def test_what_is_discarded_is_forgotten_with_its_hits() -> None:
     assert {variable for _, variable, *_ in bench.slices} == {"y"}
     queue.add(EpochTask(key(0), None, is_last=False, commit_order=COMMIT_ORDER))
     assert reached(emptied(queue)) == {(0, 0): 50}
-
-
-@pytest.mark.parametrize(("island", "kind"), [(6, Broken), (7, Rejected)])
-def test_what_goes_wrong_ends_its_task_alone(island: int, kind: type) -> None:
-    outcomes = emptied(queue_of(Bench(), key(island), key(0)))
-    assert [type(outcome) for outcome in outcomes] == [kind, EpochComputed]
-
-
-def test_a_snapshot_is_taken_before_the_first_slice_and_once() -> None:
-    bench = Bench()
-    queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(EpochTask(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True))
-    assert queue.turn() == [Snapshot(key(0, 4), b"state", is_at_barrier=False)]
-    (outcome,) = emptied(queue)
-    assert isinstance(outcome, EpochComputed)
-    assert len(bench.slices) == 5
-
-
-def test_of_a_held_epoch_there_is_nothing_but_its_snapshot() -> None:
-    bench = Bench()
-    queue = RunQueue(bench.begin, lambda: bench.now)
-    queue.add(
-        EpochTask(key(0, 4), None, is_last=False, commit_order=COMMIT_ORDER, takes_snapshot=True, is_at_barrier=True)
-    )
-    assert emptied(queue) == [Snapshot(key(0, 4), b"state", is_at_barrier=True)]
-    assert bench.slices == []
 
 
 def test_users_share_a_worker_evenly_whatever_number_of_jobs_of_whatever_priority_they_have() -> None:

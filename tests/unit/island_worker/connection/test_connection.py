@@ -3,10 +3,10 @@
 import pytest
 
 from atoll_core import PROTOCOL_VERSION, VERSION
-from atoll_core.errors import RefusedError, RemoteProtocolError, UnreachableError
+from atoll_core.errors import RemoteProtocolError, UnreachableError
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Refusal, Welcome
-from atoll_island_worker.connection import ALONE_S, RETURN_S, START_S, CoordinatorConnection, PendingRequest, Requests
+from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Welcome
+from atoll_island_worker.connection import RETURN_S, START_S, CoordinatorConnection, PendingRequest, Requests
 from atoll_island_worker.session.interface import Reset
 from tests.simulation.bus.network import SimulatedNetwork
 
@@ -40,28 +40,6 @@ class ConnectionBench:
 def welcome(cluster: str = "r", incarnation: int = 1) -> bytes:
     body = Welcome(realm=cluster, incarnation=incarnation, protocol=1, version="0", engine=1)
     return encode(GreetingAnswer(body=body))
-
-
-def test_a_greeting_names_us_and_carries_the_fingerprint_once_there_is_one() -> None:
-    bench = ConnectionBench()
-    first = bench.greeting()
-    assert (first.role, first.name, first.version, first.fingerprint) == ("worker", "w0", VERSION, "")
-    bench.connection.kernels_ready("f")
-    second = bench.greeting()
-    assert (second.fingerprint, second.instance) == ("f", first.instance)
-
-
-def test_a_worker_is_accepted_only_after_a_greeting_with_a_fingerprint() -> None:
-    bench = ConnectionBench()
-    assert bench.connection.handle_answer("", welcome()) is None
-    assert not bench.connection.is_accepted
-    bench.connection.kernels_ready("f")
-    greetings = len(bench.requests.greetings)
-    assert bench.connection.handle_answer("", welcome()) is None
-    assert len(bench.requests.greetings) == greetings + 1
-    assert bench.connection.handle_answer("f", welcome()) is None
-    assert len(bench.requests.greetings) == greetings + 1
-    assert bench.connection.is_accepted
 
 
 def test_another_incarnation_or_cluster_voids_what_is_held() -> None:
@@ -123,33 +101,6 @@ def test_a_restart_of_the_coordinator_is_waited_for_longer_than_its_first_answer
     assert alone.connection.exit_code == 3, "of a mistaken address one hears soon"
 
 
-def test_a_coordinator_that_is_away_for_too_long_ends_the_worker() -> None:
-    bench = ConnectionBench()
-    bench.connection.handle_answer("", welcome())
-    bench.network.run(2 * WAIT_S)
-    bench.connection.check_absence()
-    assert bench.connection.exit_code is None
-    bench.connection.link_lost()
-    bench.network.run(2 * WAIT_S + WAIT_S)
-    bench.connection.check_absence()
-    assert bench.connection.exit_code is None
-    bench.network.run(3 * WAIT_S + 0.1)
-    bench.connection.check_absence()
-    assert bench.connection.exit_code == UnreachableError.exit_code
-    assert "has not answered for 10 s" in str(bench.connection.error)
-
-
-def test_a_worker_drains_once_and_does_not_wait_for_a_coordinator_that_is_gone() -> None:
-    bench = ConnectionBench()
-    bench.connection.handle_answer("", welcome())
-    assert bench.connection.drain()
-    assert not bench.connection.drain()
-    bench.connection.link_lost()
-    bench.network.run(ALONE_S + 0.1)
-    bench.connection.check_absence()
-    assert bench.connection.exit_code == 0
-
-
 @pytest.mark.parametrize("grace_s", [0.0, 30.0])
 def test_a_worker_without_a_coordinator_or_without_grace_ends_at_once(grace_s: float) -> None:
     bench = ConnectionBench(grace_s=grace_s)
@@ -157,14 +108,6 @@ def test_a_worker_without_a_coordinator_or_without_grace_ends_at_once(grace_s: f
         bench.connection.handle_answer("", welcome())
     assert not bench.connection.drain()
     assert bench.connection.exit_code == 0
-
-
-def test_a_refusal_ends_the_worker_in_the_coordinators_words() -> None:
-    connection = ConnectionBench().connection
-    body = Refusal(protocol=9, version="9", engine=9, sentence="too old, take 9")
-    connection.handle_answer("", encode(GreetingAnswer(body=body)))
-    assert connection.exit_code == RefusedError.exit_code
-    assert str(connection.error) == "too old, take 9"
 
 
 def test_an_answer_that_is_not_understood_names_our_version() -> None:

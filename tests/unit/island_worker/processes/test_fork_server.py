@@ -16,7 +16,7 @@ LIMIT_S = 100.0
 SCRIPT = """
 import gc, sys
 from pathlib import Path
-from atoll_island_worker.processes import load_ahead
+from atoll_island_worker.cli import load_ahead
 load_ahead()
 lines = Path("/proc/self/status").read_text().splitlines()
 print(*(line.split()[1] for line in lines if line.startswith("Threads:")))

@@ -13,27 +13,19 @@ from atoll_core.wire.messages.epochs import (
     IslandFinished,
     IslandReport,
     Migrants,
-    NewerTerm,
-    NotYet,
     PullMigrants,
     PullReports,
     PullStates,
     Reports,
-    Sent,
     States,
 )
-from atoll_core.wire.messages.workers import CloseJob, Commit, Placement, Schedule
+from atoll_core.wire.messages.workers import Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import (
-    Abandoned,
     AskPeer,
-    Broken,
     Discard,
     DiscardJob,
     EpochComputed,
-    FetchJob,
-    FetchPlacements,
-    FetchStates,
     JobReady,
     LoadFailed,
     Mailed,
@@ -42,11 +34,8 @@ from atoll_island_worker.session.interface import (
     Reset,
     Respond,
     RunTask,
-    Send,
-    SendHeartbeat,
     SendReport,
     ShardKey,
-    Snapshot,
     StatesCame,
     TaskKey,
     Tick,
@@ -123,38 +112,7 @@ def tasks(actions: list[object]) -> list[TaskKey]:
 # ---------------------------------------------------------------------------------------------- beginning
 
 
-def test_a_placement_fetches_the_job_and_computing_waits_for_it(session: Session) -> None:
-    assert session.handle(placed("me", "peer")) == [FetchJob("job")]
-    assert session.state() == "waiting"
-    actions = session.handle(JobReady("job"))
-    assert tasks(actions) == [key(0, 0)]
-    assert session.state() == "computing"
-
-
-def test_a_job_that_loads_is_fetched_again_when_it_was_placed_elsewhere_in_between(session: Session) -> None:
-    session.handle(placed("me"))
-    session.handle(
-        placed("other", term=2)
-    )  # nobody wants the dataset now: an announcement that is missing is not asked for again
-    assert session.handle(placed("me", term=3)) == [FetchJob("job")]
-    assert tasks(session.handle(JobReady("job"))) == [key(0, 0, term=3)]
-
-
 # -------------------------------------------------------------------------------------------- an epoch
-
-
-def test_mail_may_come_before_the_island_is_ready_for_it_and_twice(session: Session) -> None:
-    begun(session, "me", "peer")
-    session.handle(mail(0, (1, 0, b"one")))
-    session.handle(mail(0, (1, 0, b"one")))
-    session.handle(mail(1, (1, 0, b"next")))
-    (action, *_) = session.handle(computed(key(0, 0), {}, 1))
-    assert isinstance(action, RunTask)
-    assert action.task.blocks == {1: b"one"}
-    session.handle(mail(0, (1, 0, b"late")))
-    (action, *_) = session.handle(computed(key(0, 1), {}, 1))
-    assert isinstance(action, RunTask)
-    assert action.task.blocks == {1: b"next"}
 
 
 def committed(epoch: int, next_one: int, last: int, holds: bool = False, reported: int = 0) -> Commit:
@@ -172,15 +130,6 @@ def test_a_commit_beyond_what_was_reported_is_refused(session: Session) -> None:
 # ------------------------------------------------------------------------------------------------- hits
 
 
-def test_a_hit_is_stated_to_every_other_worker_in_place_of_emigrants(session: Session) -> None:
-    begun(session, "me", "peer", "other", "peer")
-    actions = session.handle(computed(key(0, 0), {}, hit=20))
-    assert [action for action in actions if isinstance(action, Send)] == [
-        Send("peer", finished(0, 0)),
-        Send("other", finished(0, 0)),
-    ]
-
-
 # ------------------------------------------------------------------------------------------------ pulls
 
 
@@ -193,18 +142,6 @@ def test_missing_migrants_are_asked_for_after_a_second_and_then_with_doubling_pa
     (action,) = session.handle(Tick(47.0))
     assert action == AskPeer(
         "other", PullMigrants(job="job", variable="x", term=1, epoch=0, destination=0, sources=(2,))
-    )
-
-
-def test_a_pull_is_answered_with_what_was_sent(session: Session) -> None:
-    begun(session, "me", "me", "peer")
-    session.handle(computed(key(0, 0), {2: b"far"}, 2))
-    question = PullMigrants(job="job", variable="x", term=1, epoch=0, destination=2, sources=(0, 1))
-    (answer,) = session.handle(PullAsked("handle", question))
-    assert isinstance(answer, Respond)
-    assert isinstance(answer.body, Sent)
-    assert answer.body.migrants == Migrants(
-        job="job", variable="x", term=1, epoch=0, blocks=(Block(source=0, destination=2, data=b"far"),)
     )
 
 
@@ -221,12 +158,6 @@ def test_an_answer_with_reports_is_no_larger_than_a_message_may_be(
     assert isinstance(answer, Respond)
     assert isinstance(answer.body, Reports)
     assert [epoch_report.epoch for epoch_report in answer.body.reports] == [1]
-
-
-def test_a_pull_under_another_term_is_answered_with_ours(session: Session) -> None:
-    begun(session, "me", "peer", term=4)
-    question = PullMigrants(job="job", variable="x", term=3, epoch=0, destination=1, sources=(0,))
-    assert session.handle(PullAsked("h", question)) == [Respond("h", NewerTerm(job="job", variable="x", term=4))]
 
 
 # ------------------------------------------------------------------------------- foreign and early mail
@@ -251,16 +182,6 @@ def test_mail_that_cannot_be_is_refused_and_changes_nothing(session: Session, ev
     assert tasks(list(session.handle(mail(0, (1, 0, b"true"))))) == [key(0, 1)]
 
 
-def test_mail_that_comes_before_its_placement_is_kept_and_the_placement_fetched_once(session: Session) -> None:
-    assert session.handle(mail(0, (1, 0, b"early"))) == [FetchPlacements("job")]
-    assert session.handle(mail(1, (1, 0, b"earlier"))) == []
-    assert session.handle(mail(0, (0, 0, b"forged"), sender="stranger")) == []
-    begun(session, "me", "peer")
-    (action, *_) = session.handle(computed(key(0, 0), {}, 1))
-    assert isinstance(action, RunTask)
-    assert action.task.blocks == {1: b"early"}
-
-
 # ---------------------------------------------------------------------------------------------- failure
 
 
@@ -283,14 +204,6 @@ def test_what_no_pull_can_mend_is_trouble(session: Session) -> None:
     assert [failure.sentence for failure in session.failures()] == ["malformed"]
 
 
-def test_what_broke_is_told_until_it_is_closed(session: Session) -> None:
-    begun(session, "me", "peer")
-    session.handle(Broken(key(0, 0), "division by a fish"))
-    assert [(failure.island, failure.sentence) for failure in session.failures()] == [(0, "division by a fish")]
-    session.handle(CloseJob(job="job"))
-    assert session.failures() == ()
-
-
 def test_a_dataset_that_cannot_be_read_is_trouble(session: Session) -> None:
     session.handle(placed("me", "peer"))
     session.handle(LoadFailed("job", "it is empty"))
@@ -306,22 +219,6 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
 # ----------------------------------------------------------------------------------------------- ending
 
 
-def test_closing_a_job_forgets_all_of_it(session: Session) -> None:
-    begun(session, "me")
-    assert session.handle(CloseJob(job="job")) == [Discard(ShardKey("job", "x", 1)), DiscardJob("job")]
-    assert not session.wants("job")
-    assert session.handle(CloseJob(job="job")) == []
-    assert session.handle(placed("me")) == []
-    session.handle(Abandoned(key(0, 0)))
-
-
-def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
-    begun(session, "me", "peer", term=5)
-    assert session.handle(Reset()) == [Discard(ShardKey("job", "x", 5)), DiscardJob("job")]
-    session.handle(Abandoned(key(0, 0, term=5)))
-    assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]
-
-
 # ------------------------------------------------------------------------------------------ checkpoints
 
 
@@ -333,70 +230,6 @@ def states(**of: bytes) -> States:
     """Return whole states, given by island as i0=b"...", i1=b"..."."""
     by_island = {int(name[1:]): IslandState.of(data) for name, data in of.items()}
     return States(pieces=split_states(list(by_island), 0, by_island.__getitem__))
-
-
-def to_the_first_checkpoint(session: Session) -> list[object]:
-    begun(session, "me", "me")
-    session.handle(computed(key(0, 0), {0: b"a"}))
-    session.handle(computed(key(1, 0), {1: b"b"}))
-    session.handle(computed(key(0, 1), {0: b"a"}))
-    return list(session.handle(computed(key(1, 1), {1: b"b"})))
-
-
-def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durable(session: Session) -> None:
-    to_the_first_checkpoint(session)
-    assert session.handle(Snapshot(key(0, 2), b"state 0", is_at_barrier=False)) == []
-    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
-    assert session.assignment_statuses()[0].snapshots == ()
-    assert session.handle(Snapshot(key(1, 2), b"state 1", is_at_barrier=False)) == [SendHeartbeat()]
-    assert session.assignment_statuses()[0].snapshots == (2,)
-    answer = Respond("h", states(i0=b"state 0", i1=b"state 1"))
-    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [answer]
-    assert session.handle(PullAsked("h", pull_states(2, 0, offset=7))) == [Respond("h", NotYet())]
-    assert session.handle(PullAsked("h", pull_states(2, 0, term=9))) == [
-        Respond("h", NewerTerm(job="job", variable="x", term=1))
-    ]
-    session.handle(committed(2, 4, 6))
-    assert session.assignment_statuses()[0].snapshots == ()
-    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
-
-
-def test_islands_at_a_barrier_take_a_snapshot_and_wait_for_another_placement(session: Session) -> None:
-    begun(session, "me")
-    session.handle(computed(key(0, 0), {0: b"own"}))
-    session.handle(computed(key(0, 1), {0: b"own"}))
-    session.handle(committed(2, 3, 3, holds=True))
-    actions = session.handle(computed(key(0, 2), {0: b"own"}))
-    (action,) = [action for action in actions if isinstance(action, RunTask)]
-    assert (action.task.key, action.task.takes_snapshot, action.task.is_at_barrier) == (key(0, 3), True, True)
-    assert session.handle(Snapshot(key(0, 3), b"state", is_at_barrier=True)) == [SendHeartbeat()]
-    assert tasks(session.handle(committed(3, 3, 3, holds=True))) == []
-    assert session.state() == "waiting"
-    actions = session.handle(placed("me", term=2, epoch=3))
-    assert FetchStates(pull_states(3, 0, term=2)) in actions
-
-
-def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Session) -> None:
-    session.handle(placed("me", "peer", "me", term=5, epoch=6))
-    assert session.handle(JobReady("job")) == []
-    assert session.assignment_statuses()[0].reported == 6
-    asked = pull_states(6, 0, 2, term=5)
-    actions = session.handle(StatesCame(asked, states(i0=b"zero")))
-    assert tasks(actions) == [key(0, 6, term=5)]
-    assert FetchStates(pull_states(6, 2, term=5)) in actions
-    (action,) = [
-        action for action in session.handle(StatesCame(asked, states(i2=b"two"))) if isinstance(action, RunTask)
-    ]
-    assert (action.task.key, action.task.state, action.task.blocks) == (key(2, 6, term=5), b"two", None)
-
-
-def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Session) -> None:
-    session.handle(placed("me", term=2, epoch=6))
-    asked = pull_states(6, 0, term=2)
-    (piece,) = states(i0=b"good").pieces
-    with pytest.raises(RemoteProtocolError, match="damaged"):
-        session.handle(StatesCame(asked, States(pieces=(piece.model_copy(update={"data": b"evil"}),))))
-    assert session.handle(Tick(1.0)) == [FetchStates(asked)]
 
 
 def test_a_state_that_does_not_fit_fails_the_job(session: Session) -> None:

@@ -5,27 +5,23 @@ import hashlib
 import pytest
 
 from atoll_core.task_frames import (
-    Ask,
     BatchComputed,
     Begun,
     Ended,
     Failed,
     FromProcess,
-    Give,
     ProcessMessage,
     Progressed,
     Run,
-    Take,
     TaskBatch,
     TaskFinished,
     ToProcess,
 )
 from atoll_core.wire.bus.interface import Query
 from atoll_core.wire.codec import encode
-from atoll_core.wire.messages.epochs import NotYet, PullAnswer
+from atoll_core.wire.messages.epochs import PullAnswer
 from atoll_core.wire.messages.limits import CHUNK_SIZE
 from atoll_core.wire.messages.tasks import (
-    BatchResult,
     GivenBatch,
     Help,
     Lease,
@@ -140,54 +136,12 @@ def scene() -> Scene:
     return Scene()
 
 
-def test_a_lease_with_its_inputs_runs_and_its_result_is_pushed_and_kept(scene: Scene) -> None:
-    assert scene.runner.is_idle
-    scene.runner.handle(lease())
-    assert scene.process.told(Run) == [Run(A, "prepare", (SMALL,), None, 2, "j")]
-    assert (scene.states(), scene.runner.is_idle) == ({A: "waiting"}, False)
-    assert scene.say(Begun(A))
-    assert scene.states() == {A: "running"}
-    assert scene.say(TaskFinished(A, b"made"))
-    (chunk,) = scene.requests.reports
-    assert (chunk.data, chunk.digest, chunk.size) == (b"made", digest(b"made"), 4)  # type: ignore[union-attr]
-    assert scene.states() == {A: "done"}
-    assert scene.process.loaded == ["refine"]
-    scene.runner.handle(Release(task=A))
-    assert scene.runner.is_idle
-    assert scene.process.is_started  # it is kept for the next one
-
-
 def test_the_heartbeat_says_how_far_a_task_is(scene: Scene) -> None:
     scene.running()
     assert not scene.say(Progressed(A, 7)), "the next heartbeat is soon enough"
     scene.say(Progressed(A, 9), life=scene.process.life + 1)
     assert [held.compared for held in scene.runner.statuses()] == [7]
     scene.say(Progressed(B, 9))
-
-
-def test_a_result_goes_in_chunks_also_an_empty_one(scene: Scene) -> None:
-    scene.running()
-    scene.say(TaskFinished(A, LARGE))
-    assert [(one.offset, len(one.data)) for one in scene.requests.reports] == [(0, CHUNK_SIZE), (CHUNK_SIZE, 1)]  # type: ignore[union-attr]
-    assert b"".join(one.data for one in scene.requests.reports) == LARGE  # type: ignore[union-attr]
-    scene.runner.handle(Release(task=A))
-    scene.requests.reports.clear()
-    scene.running(B)
-    scene.say(TaskFinished(B, b""))
-    assert [(one.size, one.data) for one in scene.requests.reports] == [(0, b"")]  # type: ignore[union-attr]
-
-
-def test_inputs_are_fetched_in_chunks_and_kept_for_later_tasks(scene: Scene) -> None:
-    scene.runner.handle(lease(A, SMALL, LARGE))
-    assert scene.requests.inputs == [(A, digest(LARGE), 0), (A, digest(LARGE), 1)]
-    assert (scene.process.said, scene.states()) == ([], {A: "fetching"})
-    scene.answer(A, LARGE, 1, b"y")
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    assert [run.inputs for run in scene.process.told(Run)] == [(SMALL, LARGE)]
-    scene.say(Failed(A, "error", "it broke"))
-    scene.runner.handle(lease(B, LARGE))
-    assert len(scene.requests.inputs) == 2
-    assert [run.inputs for run in scene.process.told(Run)] == [(LARGE,)]
 
 
 def test_what_does_not_come_or_is_something_else_is_fetched_again(scene: Scene) -> None:
@@ -208,40 +162,6 @@ def test_what_does_not_come_or_is_something_else_is_fetched_again(scene: Scene) 
     assert len(scene.process.told(Run)) == 1
 
 
-def test_a_lease_that_is_said_twice_is_one_task_and_pushes_what_is_there(scene: Scene) -> None:
-    scene.runner.handle(lease())
-    scene.runner.handle(lease())
-    assert len(scene.process.told(Run)) == 1
-    scene.say(Begun(A))
-    scene.say(TaskFinished(A, b"made"))
-    scene.runner.handle(lease(term=2))
-    assert len(scene.requests.reports) == 2
-    assert scene.requests.reports[0] == scene.requests.reports[1]
-
-
-def test_a_failure_is_said_again_until_a_new_term_has_it_tried_again(scene: Scene) -> None:
-    scene.runner.handle(lease())
-    scene.say(Failed(A, "error", "it broke"))
-    scene.runner.handle(lease())
-    failed = TaskFailed(task=A, term=1, failure="error", sentence="it broke")
-    assert scene.requests.reports == [failed, failed]
-    assert len(scene.process.told(Run)) == 1
-    scene.runner.handle(lease(term=2))  # though no release came
-    assert len(scene.process.told(Run)) == 1
-    scene.say(Failed(A, "error", "it broke"))
-    assert scene.requests.reports[-1] == failed.model_copy(update={"term": 2})
-
-
-def test_the_release_of_what_runs_ends_its_process(scene: Scene) -> None:
-    scene.running()
-    scene.runner.handle(Release(task=B))
-    assert scene.process.is_started
-    scene.runner.handle(Release(task=A))
-    assert not scene.process.is_started
-    assert not scene.say(TaskFinished(A, b"late"))
-    assert scene.requests.reports == []
-
-
 def test_what_a_process_said_that_was_stopped_is_not_taken_for_the_next_one_s(scene: Scene) -> None:
     scene.running()
     scene.runner.handle(Release(task=A))
@@ -253,21 +173,6 @@ def test_what_a_process_said_that_was_stopped_is_not_taken_for_the_next_one_s(sc
     scene.say(Begun(A))
     scene.say(TaskFinished(A, b"made"))
     assert scene.states() == {A: "done"}
-
-
-def test_tasks_run_one_after_the_other_and_the_end_of_one_ends_no_other(scene: Scene) -> None:
-    scene.running(A)
-    scene.runner.handle(lease(B))
-    assert scene.states() == {A: "running", B: "fetching"}
-    scene.runner.handle(Release(task=A))
-    assert [run.task for run in scene.process.told(Run)] == [B]
-    scene.say(Begun(B))
-    scene.runner.handle(lease(A, term=2))
-    scene.say(TaskFinished(B, b"made"))
-    assert [run.task for run in scene.process.told(Run)] == [A]
-    assert scene.process.loaded == []  # there is something else to do
-    scene.say(Ended("crash", "its process ended"))
-    assert scene.states() == {B: "done", A: "failed"}
 
 
 @pytest.mark.parametrize("is_begun", [False, True])
@@ -290,23 +195,6 @@ def test_another_store_s_coordinator_leaves_nothing(scene: Scene) -> None:
 
 
 # -------------------------------------------------------------------------------------------------- who helps
-
-
-def test_a_helper_pulls_batch_after_batch_and_names_the_contexts_it_has(scene: Scene) -> None:
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    scene.runner.handle(Help(task=B, job="j", worker="w1"))
-    assert scene.requests.pulls == [("w1", PullBatch(task=B))]
-    assert scene.states() == {B: "helping"}
-    scene.give_batch()
-    assert scene.process.told(TaskBatch) == [TaskBatch(7, "f", digest(b"a context"), b"a context", b"i")]
-    scene.say(BatchComputed(6, b"of another"))
-    scene.say(BatchComputed(7, b"made"))
-    pull = PullBatch(task=B, result=BatchResult(number=7, result=b"made"), contexts=(digest(b"a context"),))
-    assert scene.requests.pulls[1:] == [("w1", pull)]
-    scene.give_batch(8, known=True)
-    assert [batch.context for batch in scene.process.told(TaskBatch)] == [b"a context"]
-    scene.say(BatchComputed(8, None))
-    assert scene.requests.pulls[-1][1].result == BatchResult(number=8, result=None)
 
 
 def test_its_own_task_goes_before_helping(scene: Scene) -> None:
@@ -338,18 +226,3 @@ def test_a_batch_that_ends_the_process_ends_helping(scene: Scene) -> None:
 
 def query(token: int) -> Query:
     return Query("a/key", b"", token)
-
-
-def test_helpers_get_batches_of_what_runs_and_hand_in_results(scene: Scene) -> None:
-    scene.running()
-    scene.runner.batch_asked(query(1), PullBatch(task=A, contexts=(digest(b"a context"),)))
-    (ask,) = scene.process.told(Ask)
-    assert ask.contexts == {digest(b"a context")}
-    scene.say(Give(ask.token, TaskBatch(7, "f", digest(b"c"), b"c", b"i")))
-    ((asked, given),) = scene.replies
-    assert asked == query(1)
-    assert given == GivenBatch(number=7, function="f", digest=digest(b"c"), context=b"c", item=b"i")
-    scene.runner.batch_asked(query(2), PullBatch(task=A, result=BatchResult(number=7, result=b"made")))
-    assert scene.process.said[0] == Take(7, b"made")
-    scene.say(Give(scene.process.told(Ask)[0].token, None))
-    assert scene.replies[1:] == [(query(2), NotYet())]

@@ -2,7 +2,7 @@
 
 import warnings
 
-from atoll.analysis.analysis import analyse
+from atoll.analysis.analyse import analyse
 from tests.unit.library.analysis.systems import COMPETITION, box
 
 

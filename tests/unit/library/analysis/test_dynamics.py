@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atoll.analysis.dynamics import MeasuredTrajectory, compared, measured_trajectories, motion
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
 from tests.unit.library.analysis.systems import box, flow
@@ -55,7 +55,7 @@ def test_driven_models_are_compared_along_the_recorded_inputs_or_not_at_all() ->
     }
     unknown = Model(contents).analyse()
     assert unknown.comparisons == ()
-    assert "not compared with the data of trajectory 1" in str(unknown)
+    assert "not compared with trajectory 1" in str(unknown)
     recorded = {"name": "1", "times": times.tolist(), "measured": x, "inputs": {"u": (2.0 * np.sin(TIMES)).tolist()}}
     contents["data"]["trajectories"] = [recorded]
     known = Model(contents).analyse()

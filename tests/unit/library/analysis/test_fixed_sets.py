@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atoll.analysis.analysis import analyse
+from atoll.analysis.analyse import analyse
 from atoll.analysis.fixed_points import fixed_points
 from tests.unit.library.analysis.systems import box, flow
 

@@ -3,9 +3,7 @@
 import argparse
 import contextlib
 import os
-import sys
 from collections.abc import Iterator
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -59,7 +57,7 @@ def test_keywords_are_the_options_of_run(options: dict, words: list[str]) -> Non
         ({"time": ["t", "u"]}, "time must be text, but ['t', 'u'] was given"),
         ({"known": {"dx": ""}}, "known must be of the form dy=-x/10, but {'dx': ''} was given"),
         ({"max_size": 500}, "max_size must be less than or equal to 120, but 500 was given"),
-        ({"order": 2, "target": "y"}, "order=2 and target contradict each other"),
+        ({"order": 2, "target": "y"}, "order=2 and target exclude each other"),
         ({"config": 3}, "config must be the path of a job file, but 3 was given"),
     ],
 )
@@ -219,25 +217,3 @@ def test_a_number_of_workers_that_cannot_be_is_refused(workers: object, services
     with pytest.raises(UsageError, match="whole number"):
         session.local_address(workers)  # type: ignore[arg-type]
     assert not services
-
-
-class Handle:
-    def __init__(self) -> None:
-        self.shown: list[str] = []
-
-    def update(self, what: str) -> None:
-        self.shown.append(what)
-
-
-@pytest.fixture
-def handle(monkeypatch: pytest.MonkeyPatch) -> Handle:
-    """The output of a kernel, as `IPython.display.display` returns it."""
-    handle, module = Handle(), ModuleType("IPython.display")
-    module.HTML = str  # type: ignore[attr-defined]
-    module.display = lambda *_, **__: handle  # type: ignore[attr-defined]
-    parent = ModuleType("IPython")
-    parent.display = module  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "IPython", parent)
-    monkeypatch.setitem(sys.modules, "IPython.display", module)
-    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
-    return handle

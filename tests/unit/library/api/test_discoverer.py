@@ -7,7 +7,7 @@ import pytest
 
 from atoll.api import discoverer
 from atoll.api.discoverer import Discoverer
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll_core.errors import DataError, UsageError
 from tests.unit.library.model.results import result
 

@@ -8,7 +8,7 @@ import numpy as np
 import polars
 import pytest
 
-from atoll.api.discover import config_of, submit
+from atoll.api.discover import submit
 from atoll.api.tables import in_python, numbers_of, python_words, table_of
 from atoll_coordinator.data.columns.examination import examine
 from atoll_core.config import DataConfig, JobConfig
@@ -69,12 +69,6 @@ def test_dates_are_the_time(name: str) -> None:
     assert (durations.names, durations.units, durations.columns[0][1]) == (("t", "x"), ("s", ""), 86400.0)
 
 
-def test_dates_beside_a_time_are_left_out_and_named() -> None:
-    table = table_of({"t": [0.0, 1.0, 2.0], "day": DAYS, "x": [1, 2, 3]}, DataConfig())
-    assert (table.names, table.skipped) == (("t", "x"), ("day",))
-    assert "text left out: day" in table.read_as
-
-
 def test_an_index_of_a_pandas_frame_is_a_column_where_it_says_something() -> None:
     import pandas
 
@@ -88,11 +82,6 @@ def test_an_index_of_a_pandas_frame_is_a_column_where_it_says_something() -> Non
     frame.index = pandas.Index([0.5, 1.0, 2.0], name="t")
     assert table_of(frame, DataConfig()).column("t").tolist() == [0.5, 1.0, 2.0]
     assert table_of({"x": frame["x"], "t": frame.index}, DataConfig()).names == ("x", "t")
-
-
-def test_files_are_read_as_the_command_line_reads_them(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
-    assert table_of(tmp_path / "a.csv", DataConfig()).files == ("a.csv",)
 
 
 @pytest.mark.parametrize(
@@ -126,11 +115,6 @@ def test_masked_dates_and_structured_arrays_keep_their_masks() -> None:
     assert str(found.columns.tolist()) == "[[0.0, 1.0, 2.0], [1.0, nan, 3.0]]"
 
 
-def test_masked_arrays_of_a_discoverer_keep_their_masks() -> None:
-    values = numbers_of(np.ma.array([[1, -9999], [2, 3]], mask=[[False, True], [False, False]]), "an array")
-    assert str(values.tolist()) == "[[1.0, nan], [2.0, 3.0]]"
-
-
 def test_missing_values_of_frames_are_missing() -> None:
     frame = polars.DataFrame({"t": [0, 1, 2], "x": [1, None, 3], "remark": ["good", None, "bad"]})
     table = table_of(frame, DataConfig())
@@ -161,20 +145,6 @@ def test_a_long_frame_is_read_as_a_long_file_is(tmp_path: Path) -> None:
     assert both.column("trajectory").tolist() == [1, 1, 1, 2, 2, 2, 2, 2, 2]
     plain = table_of({"species": ["A", "B"], "t": [0, 1], "value": [1, 2]}, DataConfig())
     assert plain.names == ("t", "value")
-
-
-PEOPLE: dict[str, list[object]] = {
-    "t [h]": [0, 1, 2, 3],
-    "x": ["0,60653", "0,7", "1,25", None],
-    "run": ["a", "a", "b", "b"],
-    "remark": ["", "bad", "", "good"],
-}
-"""Columns as people have them: decimal commas, names of trajectories, remarks."""
-
-
-def _written(path: Path) -> object:
-    polars.DataFrame(PEOPLE, strict=False).write_csv(path / "a.csv")
-    return path / "a.csv"
 
 
 def test_what_was_left_out_is_a_warning_of_the_result() -> None:
@@ -308,13 +278,6 @@ def test_an_error_has_words_for_python_and_for_the_command_line() -> None:
     with pytest.raises(DataError, match=r"^name it with time$") as raised, python_words():
         raise DataError("name it with --time")
     assert raised.value.on_command_line == "name it with --time"
-
-
-def test_errors_keep_their_kind() -> None:
-    with pytest.raises(DataError, match=r"^name it with time$"), python_words():
-        raise DataError("name it with --time")
-    with pytest.raises(UsageError, match=r"^seed must be a whole number"):
-        config_of({"seed": "x"})
 
 
 @pytest.mark.parametrize(

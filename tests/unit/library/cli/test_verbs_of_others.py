@@ -33,7 +33,7 @@ ASKED: Final[dict[str, tuple[str, ...]]] = {
 
 ASKS_NOTHING: Final[dict[str, tuple[str, ...]]] = {"schema": (), "completion": ("bash",)}
 SERVES: Final = {"run", "serve", "web", "router", "backup", "restore"}
-"""Verbs that are, or copy, a coordinator: entrances of their own in `tests/unit/test_entrances.py`."""
+"""Verbs that are, or copy, a coordinator."""
 
 CHANGES: Final = {"cancel", "delete", "pause", "resume", "priority", "share", "retry"}
 OF_ADMINS: Final = {"cordon", "uncordon", "drain", "queue"}

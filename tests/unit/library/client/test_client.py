@@ -75,33 +75,6 @@ def client_with(handle: Callable[[Body], AnswerBody | None]) -> tuple[Client, An
     return Client(bus, "tcp/there:7447"), bus  # type: ignore[arg-type]
 
 
-def test_questions_go_under_the_realm_and_the_clients_own_name() -> None:
-    client, bus = client_with(lambda body: WorkerList(workers=()))
-    assert client.workers() == ()
-    assert bus.keys[0] == f"atoll/hello/{bus.keys[1].split('/')[3]}"
-    assert bus.keys[1].startswith("atoll/r1/client/client-")
-
-
-def test_an_upload_sends_exactly_the_missing_chunks_and_returns_the_digest() -> None:
-    data = bytes(range(256)) * (CHUNK_SIZE // 128)
-    sent: dict[int, bytes] = {}
-
-    def handle(body: Body) -> AnswerBody:
-        assert isinstance(body, Upload)
-        if body.data is not None:
-            assert hashlib.sha256(body.data).hexdigest() == body.sha256
-            sent[body.index] = body.data
-        return Uploaded(blob=body.blob, missing=tuple(i for i in (0, 1) if i not in sent))
-
-    client, _ = client_with(handle)
-    digest = client.upload(data)
-    assert digest == hashlib.sha256(data).hexdigest()
-    assert sent[0] + sent[1] == data
-    bodies = len(sent)
-    client.upload(data)
-    assert len(sent) == bodies
-
-
 def test_an_upload_goes_by_what_the_coordinator_says_is_missing() -> None:
     """One whose chunks were deleted meanwhile is sent again; one that is never kept is given up."""
     data = bytes(range(256)) * (CHUNK_SIZE // 128)
@@ -157,19 +130,6 @@ def test_a_table_that_was_deleted_while_its_question_waits_is_uploaded_again() -
     forgets = True
     with pytest.raises(RefusedError, match="has not been uploaded"):
         client.analyse("j1", "report", b"{}", b"t,x")
-
-
-def test_a_job_is_submitted_under_the_clients_id() -> None:
-    seen: list[Submit] = []
-
-    def handle(body: Body) -> AnswerBody:
-        assert isinstance(body, Submit)
-        seen.append(body)
-        return JobStatus(job=job_view(job=body.job))
-
-    client, _ = client_with(handle)
-    assert client.submit("j1", "name", JobConfig(seed=3), "0" * 64).job == "j1"
-    assert (seen[0].config.seed, seen[0].table) == (3, "0" * 64)
 
 
 @pytest.mark.parametrize(
@@ -246,23 +206,6 @@ ANSWER = b"12345"
 
 def part(index: int, data: bytes, digest: str = hashlib.sha256(ANSWER).hexdigest()) -> AnalysisAnswer:
     return AnalysisAnswer(job="j1", index=index, size=5, digest=digest, data=data)
-
-
-def test_an_analysis_is_asked_for_until_it_is_there_and_fetched_part_by_part() -> None:
-    pending, made = AnalysisAnswer(job="j1", waits_for="waits for a worker"), AnalysisAnswer(job="j1")
-    answers = [pending, pending, made, part(0, b"123"), made, part(0, b"123"), part(1, b"45")]  # lost once meanwhile
-    asked: list[int] = []
-    said: list[str] = []
-
-    def handle(body: Body) -> AnswerBody:
-        assert isinstance(body, AskAnalysis)
-        asked.append(body.index)
-        return answers.pop(0)
-
-    client, _ = client_with(handle)
-    assert client.analyse("j1", "report", b"q", say=said.append) == ANSWER
-    assert asked == [0, 0, 0, 0, 1, 0, 1]
-    assert said == ["waits for a worker"]
 
 
 def test_an_analysis_that_was_damaged_or_that_nobody_begins_is_refused() -> None:

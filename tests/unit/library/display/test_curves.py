@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.display.curves import MOST_POINTS, TOLERANCE, ModelCurves, bends, curves_of
 from atoll.model.arguments import values_of_curve
-from atoll.model.model import Model
 from atoll_coordinator.result.listed_trajectories import Simulated
 from tests.unit.library.model.results import result
 

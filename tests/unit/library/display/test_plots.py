@@ -4,7 +4,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll_core.errors import UsageError
 from tests.unit.library.model.results import result
 

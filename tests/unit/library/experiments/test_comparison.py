@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.experiments.comparison import compare, most_errors
 from atoll.experiments.suggestion import certainty_text_of, which_of_two
-from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from tests.unit.library.experiments.made import measured

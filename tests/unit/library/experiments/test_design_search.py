@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import lambertw, ndtr
 
+from atoll.api.model import Model
 from atoll.experiments.alternatives import without_poles
 from atoll.experiments.designs import (
     DesignPrediction,
@@ -19,7 +20,6 @@ from atoll.experiments.designs import (
 )
 from atoll.experiments.fits import equations_of, measured_of
 from atoll.experiments.suggestion import suggest
-from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from atoll_core.expression.text.infix import to_infix

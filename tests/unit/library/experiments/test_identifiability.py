@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.experiments.designs import DesignRequest
 from atoll.experiments.fits import measured_of
 from atoll.experiments.identifiability import Identifiability, identify, relation_of
 from atoll.experiments.suggestion import suggest
-from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError
 from tests.unit.library.experiments.made import measured

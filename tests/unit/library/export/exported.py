@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll_core.data.dataset import FloatArray
 from tests.unit.library.model.results import constant, result
 

@@ -7,10 +7,10 @@ import shutil
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.cli.options import EXPORT_FORMATS
 from atoll.export.formats import LANGUAGES, NAMES
 from atoll.model.arguments import times_of
-from atoll.model.model import Model
 from atoll_core.errors import UsageError
 from atoll_core.expression.operators import OPERATORS
 from benchmarks.exports import programs, readers

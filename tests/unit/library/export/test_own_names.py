@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.export.formats import LANGUAGES
 from atoll.export.language import Naming
 from atoll.export.languages import C
-from atoll.model.model import Model
 from atoll_core.expression.operators import OPERATORS
 from benchmarks.exports import programs, readers
 from tests.unit.library.export.exported import TIMES, difference, model, process, run_python

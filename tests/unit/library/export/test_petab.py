@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll_core.errors import UsageError
 from benchmarks.exports import programs
 from tests.unit.library.export.exported import TIMES, decay, model, process

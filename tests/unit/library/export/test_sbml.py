@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.export.sbml import factors_of
-from atoll.model.model import Model
 from benchmarks.exports.readers import integrated
 from tests.unit.library.export.exported import TIMES, decay, difference, everything
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.model.arguments import numbers
-from atoll.model.model import Model
 from atoll_core.errors import UsageError
 from tests.unit.library.model.results import result
 

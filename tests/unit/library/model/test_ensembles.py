@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll_core.errors import UsageError
 from tests.unit.library.model.results import process_result, result
 

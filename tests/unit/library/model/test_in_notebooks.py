@@ -10,7 +10,7 @@ import numpy as np
 import polars
 import pytest
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll_core.errors import UsageError
 from tests.unit.library.experiments.made import measured
 from tests.unit.library.model.results import constant, process_result, result

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import atoll
+from atoll.api.model import Model
 from atoll.model.arguments import start_of_file
-from atoll.model.model import Model
 from atoll.model.simulation import EarlyEndWarning, ExtrapolationWarning
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError

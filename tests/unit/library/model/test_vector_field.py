@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from atoll.model.model import Model
+from atoll.api.model import Model
 from atoll.model.vector_field import VectorField
 from atoll_coordinator.result.result import Result
 from atoll_core.errors import UsageError

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atoll.analysis.rendering import TextTable, describe
+from atoll.analysis.analysis import TextTable, describe
+from atoll.api.model import Model
 from atoll.experiments.identifiability import Direction, Identifiability, ProfiledConstant
 from atoll.experiments.suggestion import CandidateSystem, Suggestion, Suggestions
-from atoll.model.model import Model
 from atoll.model.simulation import ExtrapolationWarning
 from atoll.report.equations import choice, constants, origin, overview
 from atoll.report.findings import MOST_PROFILES, Findings

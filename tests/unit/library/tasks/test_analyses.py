@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.experiments.designs import DesignRequest
-from atoll.model.model import Model
 from atoll.tasks.analyses import (
     FUNCTIONS,
     AnalyseDynamics,

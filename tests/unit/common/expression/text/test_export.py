@@ -6,8 +6,9 @@ import pytest
 import sympy
 from hypothesis import assume, given
 
+from atoll_core.expression.program import tree_size
 from atoll_core.expression.text.export import left_side_to_latex, left_side_to_mathml, to_latex, to_mathml, to_sympy
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
 from atoll_core.expression.text.parsing import from_infix
 from tests.property.programs import HOSTILE_NAMES, NAMES, programs
 from tests.property.test_expressions import QUICK

@@ -4,8 +4,9 @@ import pytest
 import sympy
 
 from atoll_core.expression.operators import ADD, COS, DIVIDE, INVERSE, MULTIPLY, NEGATE, SIN, SQUARE, SUBTRACT, VARIABLE
+from atoll_core.expression.program import tree_size
 from atoll_core.expression.text.export import to_sympy
-from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix, tree_size
+from atoll_core.expression.text.infix import PRINTABLE_SIZE, to_infix
 from atoll_core.expression.text.parsing import from_infix
 from tests.oracles.programs import program_of
 

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from atoll_core.expression.evaluation import values_of
 from atoll_core.expression.operators import ADD, MULTIPLY, VARIABLE
+from atoll_core.expression.program import tree_size
 from atoll_core.expression.simplification import simplify_program
-from atoll_core.expression.text.infix import to_infix, tree_size
+from atoll_core.expression.text.infix import to_infix
 from atoll_core.expression.text.parsing import from_infix
 from atoll_core.expression.writing.shortest import collected, shortest
 from tests.oracles.programs import program_of

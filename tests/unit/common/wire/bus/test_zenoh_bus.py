@@ -15,7 +15,7 @@ import pytest
 from atoll_core.errors import UnreachableError, UsageError
 from atoll_core.wire.addresses import bindable, own_address, parse_address
 from atoll_core.wire.bus import queues, zenoh_bus
-from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Presence, Query, Reply
+from atoll_core.wire.bus.interface import MAX_PAYLOAD, Event, Link, Message, Query, Reply
 from atoll_core.wire.bus.zenoh_bus import ZenohBus, open_client, open_router, sockets_of
 
 LIMIT_S = 30.0
@@ -52,18 +52,6 @@ def test_what_listens_but_is_no_coordinator_is_told_apart(monkeypatch: pytest.Mo
         address = f"tcp/127.0.0.1:{stranger.getsockname()[1]}"
         with pytest.raises(UnreachableError, match="did not answer as a coordinator does"):
             open_client(address)
-
-
-def test_a_client_waits_for_a_coordinator_that_comes_later() -> None:
-    address = str(bindable(parse_address("tcp/127.0.0.1:0")))
-    buses: list[ZenohBus] = []
-    thread = threading.Thread(target=lambda: buses.append(open_client(address, wait_s=LIMIT_S)))
-    thread.start()
-    with open_router(address):
-        thread.join(LIMIT_S)
-        assert buses
-        with buses[0]:
-            assert buses[0].endpoint == address
 
 
 @pytest.mark.parametrize(
@@ -155,15 +143,6 @@ def test_a_process_that_forgets_to_close_its_bus_ends_all_the_same(ending: str, 
     script = f"bus = open_client(sys.argv[1]); bus.subscribe('a/**'); bus.serve('b/**'); bus.watch('c/*'); {ending}"
     with started(script, router.endpoint) as process:
         assert process.wait(LIMIT_S) == 7
-
-
-def test_a_participant_that_is_killed_is_seen_to_go(router: ZenohBus) -> None:
-    router.watch("alive/*")
-    script = "bus = open_client(sys.argv[1]); bus.announce('alive/w1'); bus.receive(60.0)"
-    with started(script, router.endpoint) as process:
-        assert first(router, Presence) == Presence("alive/w1", True)
-        process.kill()
-        assert first(router, Presence) == Presence("alive/w1", False)
 
 
 def test_closing_does_not_wait_for_a_session_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,8 +59,8 @@ def test_smoothed_slopes_stay_where_noise_hides_the_differences():
     ("options", "message"),
     [
         ({"hold": ("x",)}, "--hold names 'x', but the inputs are u"),
-        ({"hold": ("u",), "target": "x"}, "--hold and --target exclude each other"),
-        ({"hold": ("u",), "stochastic": True}, "--hold and --stochastic exclude each other"),
+        ({"hold": ("u",), "target": "x"}, "hold and target exclude each other"),
+        ({"hold": ("u",), "stochastic": True}, "hold and stochastic exclude each other"),
     ],
 )
 def test_what_cannot_be_held_is_refused(options, message):

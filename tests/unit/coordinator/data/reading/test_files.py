@@ -6,7 +6,6 @@ import pytest
 
 from atoll_coordinator.data.reading.files import read_table
 from atoll_core.config import DataConfig
-from atoll_core.data.table import Table
 from atoll_core.errors import DataError
 
 ANYTHING = DataConfig()
@@ -22,15 +21,6 @@ def read(tmp_path):
         return read_table(paths, config)
 
     return write_and_read
-
-
-def test_a_plain_file_becomes_columns(read):
-    table = read("t,x,y\n0,1,2\n0.1,1.5,2.5\n")
-    assert table.names == ("t", "x", "y")
-    assert table.columns.tolist() == [[0.0, 0.1], [1.0, 1.5], [2.0, 2.5]]
-    assert table.starts == (0,)
-    assert table.files == ("a.csv",)
-    assert table.line_of_row.tolist() == [2, 3]
 
 
 @pytest.mark.parametrize(
@@ -91,12 +81,6 @@ def test_missing_cells_are_nan_and_infinity_is_kept(read):
     assert table.column("x")[1:].tolist() == [np.inf, -np.inf, 0.0]
 
 
-def test_columns_of_text_are_set_aside(read):
-    table = read("t,who,x\n0,ann,1\n1,,2\n")
-    assert table.names == ("t", "x")
-    assert table.skipped == ("who",)
-
-
 @pytest.mark.parametrize(
     "row", ["-,-", "YYYY-MM-DD,–", "yyyy-mm-dd,m", "hh:mm:ss,-", ",-", "[dd.mm.yyyy HH:MM:SS],", "[-],[-]"]
 )
@@ -115,17 +99,6 @@ def test_a_first_row_with_a_number_holds_no_units(read):
 def test_the_trajectory_column_may_hold_names(read, config):
     table = read("trajectory,t,x\nred,0,1\nred,1,2\nblue,0,3\n", config=config)
     assert table.column("trajectory").tolist() == [1, 1, 2]
-
-
-def test_parquet_is_read_like_text(tmp_path):
-    frame = polars.DataFrame({"t": [0, 1, None, 0], "v [m/s]": [1.5, None, None, 2.5], "who": ["a", "b", None, "c"]})
-    frame.write_parquet(tmp_path / "a.parquet")
-    table = read_table([tmp_path / "a.parquet"], DataConfig())
-    assert table.names == ("t", "v")
-    assert table.units == ("", "m/s")
-    assert table.starts == (0, 2)
-    assert table.column("v")[[0, 2]].tolist() == [1.5, 2.5]
-    assert table.places([1]) == "row 2"
 
 
 def test_what_is_no_file_is_refused(tmp_path):
@@ -157,12 +130,6 @@ def test_characters_that_a_terminal_obeys_are_escaped(read):
     table = read("t,x\x1b[31m,trajectory\n0,1,a\x1b\n1,2,a\x1b\n", config=DataConfig(group="trajectory"))
     assert table.names == ("t", r"x\x1b[31m", "trajectory")
     assert table.labels == {"trajectory": (r"a\x1b",)}
-
-
-def test_origins_of_dates_survive_the_wire(read):
-    table = read("t,x\n2021-10-31 02:50,1\n2021-10-31 03:00,2\n")
-    assert Table.from_bytes(table.to_bytes()).moment("t", 5.0) == "2021-10-31 02:55:00"
-    assert table.moment("x", 5.0) == "5.0"
 
 
 def test_units_with_an_origin_are_units(read):

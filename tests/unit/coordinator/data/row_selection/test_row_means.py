@@ -192,4 +192,4 @@ def test_blocks_are_divided_until_the_integral_of_the_input_is_right():
     assert blocks.ranges[-1].tolist() == [380, 400]
     assert blocks.is_whole.tolist().count(True) > 10
     assert int(blocks.sizes.sum()) == 400
-    assert SETTINGS.rows.most_divided < 1.0
+    assert SETTINGS.inference.part < 1.0

@@ -146,7 +146,7 @@ def test_the_column_of_weights_is_no_state_and_has_no_other_part():
     assert prepared(columns).recording.states == ("x", "y")
     config = JobConfig(data=DataConfig(weights="w"))
     assert "weights: w" in describe(table_of(columns), config)
-    with pytest.raises(UsageError, match="column 'w' cannot be both a state and the weights"):
+    with pytest.raises(UsageError, match="column 'w' is named by both states and weights"):
         prepared(columns, states=("x", "w"))
     with pytest.raises(DataError, match="there is no column 'v'"):
         prepared(columns, "v")

@@ -74,11 +74,6 @@ def test_trajectories_with_names_are_chosen_by_them(holdout, expected):
     assert measured.trajectories.names == ("big one", "b2", "big one 2")
 
 
-def test_without_a_trajectory_column_a_value_means_nothing():
-    with pytest.raises(UsageError, match="are told apart by blank rows or files; add --trajectory x"):
-        prepare(table_of(oscillator(60), (0, 30)), JobConfig(data=DataConfig(holdout="x=1")))
-
-
 @pytest.mark.parametrize("preset", ["default", "paper"])
 @pytest.mark.parametrize("robust", [False, True])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
@@ -105,21 +100,6 @@ def test_held_out_trajectories_are_smoothed_and_recorded():
     held_out = preparation.recording.trajectories[1]
     assert np.std(held_out.smoothed[0] - oscillator(60)["x"]) < 0.04
     assert np.std(held_out.slopes[0] - oscillator(60)["y"]) < 0.2
-
-
-def test_held_out_rows_have_the_same_targets():
-    preparation = prepared(three(), holdout="run=7", only=("y",))
-    assert preparation.held_out is not None
-    assert preparation.held_out.names == preparation.dataset.names
-    (target,), (seen,) = preparation.held_out.targets, preparation.dataset.targets
-    assert (target.variable, target.lhs) == ("y", "dy/dt")
-    assert (target.uncertainty, target.standard_deviation, target.noise) == (
-        seen.uncertainty,
-        seen.standard_deviation,
-        seen.noise,
-    )
-    assert 50 <= preparation.held_out.inputs.shape[1] == len(target.values) <= 60
-    assert np.abs(target.values + preparation.held_out.inputs[0]).mean() < 0.2
 
 
 def test_given_derivatives_may_be_held_out():

@@ -11,7 +11,6 @@ from atoll_coordinator.data.trajectories.measurements import (
     distinguish,
     find_pieces,
     split_at_gaps,
-    unwrap,
 )
 from atoll_core.config import Angle, DataConfig, JobConfig
 from atoll_core.errors import DataError
@@ -30,13 +29,6 @@ def changed(name, rows, value):
     columns[name] = columns[name].copy()
     columns[name][rows] = value
     return columns
-
-
-def test_nan_is_refused_with_its_rows():
-    assert refusal(changed("x", [11, 39], math.nan)) == (
-        "column 'x' holds NaN or an empty cell in rows 12, 40 (lines 13, 41 of a.csv), 2 in all; "
-        "correct them, or add --missing drop to do without them"
-    )
 
 
 def test_a_missing_value_of_a_state_costs_that_value_when_told():
@@ -59,14 +51,6 @@ def test_rows_without_any_state_are_dropped_when_told():
     )
 
 
-@pytest.mark.parametrize("options", [{"target": "y"}, {"inputs": ("x",)}])
-def test_rows_without_an_input_are_dropped_when_told(options):
-    columns = changed("x", [11, 39], math.nan)
-    measurements = measurements_of(table_of(columns), DataConfig(missing="drop", **options))
-    assert measurements.row_count == 58
-    assert measurements.warnings[0] == "2 of 60 rows hold NaN or infinity and were dropped."
-
-
 def test_nothing_left_after_dropping_is_refused():
     columns = changed("x", slice(None), math.nan)
     assert refusal(columns, missing="drop") == "state 'x' of a.csv has 0 values; at least 5 are needed"
@@ -74,47 +58,14 @@ def test_nothing_left_after_dropping_is_refused():
     assert refusal(columns, missing="drop").startswith("every row of a.csv holds NaN or infinity")
 
 
-def test_an_angle_is_unwrapped_over_what_is_missing():
-    columns = oscillator(200)
-    smooth = np.linspace(0.1, 25.0, 200)
-    columns["y"] = smooth % (2 * math.pi)
-    columns["y"][[60, 61, 130]] = math.nan
-    measurements = measurements_of(table_of(columns), DataConfig(angles=(Angle(column="y"),), missing="drop"))
-    known = np.isfinite(columns["y"])
-    assert measurements.trajectories.states["y"][0][known] == pytest.approx(smooth[known])
-
-
-@pytest.mark.parametrize("rows", [1, 4])
-def test_too_few_rows_are_refused(rows):
-    count = "1 row" if rows == 1 else f"{rows} rows"
-    assert refusal(oscillator(rows)) == f"a.csv has {count} of data; at least 5 are needed"
-
-
 def test_a_trajectory_that_is_too_short_is_named():
     message = refusal(oscillator(60), starts=(0, 30, 33))
     assert message.startswith("trajectory 2, which begins in row 31 (line 32 of a.csv), has 3 rows; at least 5")
 
 
-def test_a_constant_state_is_refused():
-    message = refusal(changed("y", slice(None), 2.5))
-    assert message.startswith("state 'y' of a.csv is constant (2.5 in every row)")
-
-
 def test_a_constant_input_is_only_remarked():
     measurements = measurements_of(table_of(changed("y", slice(None), 2.5)), DataConfig(inputs=("y",)))
     assert measurements.warnings == ("Column 'y' is constant: no equation can use it.",)
-
-
-def test_repeated_times_are_refused():
-    message = refusal(changed("t", [8], 0.1 * 7))
-    assert message.startswith("time 0.7000000000000001 is repeated at row 9 (line 10 of a.csv); keep one row")
-
-
-def test_times_that_go_back_are_refused():
-    message = refusal(changed("t", [8], 0.25))
-    assert message.startswith(
-        "time goes back from 0.7000000000000001 to 0.25 at row 9 (line 10 of a.csv); sort the rows, or mark"
-    )
 
 
 @pytest.mark.parametrize(("turn", "name", "option"), [(2 * math.pi, "2 pi", "y"), (360.0, "360", "y:deg")])
@@ -228,28 +179,6 @@ def test_an_offset_of_the_times_costs_no_precision(start):
     assert np.abs(np.diff(times) - 0.02).max() < 1e-14
 
 
-def test_times_are_centred_over_all_trajectories():
-    columns = {name: np.tile(values, 2) for name, values in oscillator(11).items()}
-    columns["t"][11:] += 3.0
-    first, second = times_of(columns, (0, 11))
-    assert first[0] == pytest.approx(-2.0)
-    assert second[-1] == pytest.approx(2.0)
-
-
-def test_uneven_steps_stay_as_they_are():
-    columns = oscillator(20)
-    columns["t"] = np.cumsum(np.random.default_rng(0).uniform(0.1, 0.2, 20))
-    (times,) = times_of(columns)
-    assert np.diff(times) == pytest.approx(np.diff(columns["t"]), rel=1e-12)
-
-
-def test_unwrapping_takes_out_jumps_of_more_than_half_a_turn():
-    angles = np.cumsum(np.random.default_rng(1).uniform(-3.0, 3.0, 100))
-    assert unwrap(np.mod(angles + np.pi, 2 * np.pi) - np.pi) - angles == pytest.approx(
-        np.full(100, round(-angles[0] / (2 * np.pi)) * 2 * np.pi), abs=1e-9
-    )
-
-
 def test_names_that_come_again_get_letters():
     assert distinguish(["2", "2", "3", "2"]) == ("2", "2b", "3", "2c")
     assert distinguish(["7", "7", "7b"]) == ("7", "7b", "7bb")
@@ -349,14 +278,3 @@ def test_derivatives_do_not_reach_across_a_long_gap():
         assert recording is not None
         slopes.append(np.concatenate([part.slopes for part in recording.trajectories], axis=1))
     assert slopes[1] == pytest.approx(slopes[0], abs=1e-9)
-
-
-def test_thirty_percent_of_the_rows_may_be_missing():
-    for noise in (0.0, 0.05):
-        columns = noisy(oscillator(400), noise)
-        columns["x"][np.random.default_rng(1).uniform(size=400) < 0.3] = math.nan
-        preparation = prepare(table_of(columns), JobConfig(data=DataConfig(missing="drop")))
-        assert preparation.recording is not None
-        assert len(preparation.recording.trajectories) == 1
-        error = np.abs(preparation.dataset.targets[0].values - preparation.dataset.inputs[1])
-        assert error.mean() < (1e-7 if noise == 0.0 else 0.06)

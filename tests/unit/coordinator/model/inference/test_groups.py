@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.api.tables import table_of
-from atoll.model.model import Model
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.data.reading.files import read_table
 from atoll_coordinator.data.roles.roles import assign_roles
@@ -151,10 +151,10 @@ def test_a_result_says_that_constants_were_not_fitted_by_group():
     ("data", "error", "words"),
     [
         ({"group": "strain", "per_trajectory": True}, UsageError, "exclude each other"),
-        ({"group": "strain", "target": "x"}, UsageError, "--group and --target exclude"),
+        ({"group": "strain", "target": "x"}, UsageError, "group and target exclude"),
         ({"group": "strain", "holdout": 1}, DataError, "keeps all trajectories of group 3"),
         ({"group": "strian"}, DataError, "did you mean 'strain'"),
-        ({"group": "strain", "stochastic": True}, UsageError, "--stochastic and --group"),
+        ({"group": "strain", "stochastic": True}, UsageError, "stochastic and group"),
     ],
 )
 def test_groups_that_are_none_are_refused_in_one_sentence(data, error, words):

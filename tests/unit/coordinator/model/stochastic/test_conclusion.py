@@ -24,24 +24,24 @@ NAMES = ("x", "v", "w")
 def test_independent_steps_of_variance_one_are_not_objected_to() -> None:
     residuals = np.random.default_rng(2).standard_normal((3, 4000))
     for state in range(3):
-        checks = joint_checks(residuals, state, NAMES, has_noise=state == 1)
+        checks = joint_checks(residuals, state, NAMES, has_noise=state == 1).values()
         assert {check.outcome for check in checks} == {"passed"}
 
 
 def test_steps_that_go_together_with_those_of_another_state_are_objected_to() -> None:
     residuals = np.random.default_rng(2).standard_normal((3, 4000))
     residuals[2] = np.sqrt(0.99) * residuals[2] - 0.1 * residuals[1]
-    (check,) = joint_checks(residuals, 1, NAMES, has_noise=True)
+    (check,) = joint_checks(residuals, 1, NAMES, has_noise=True).values()
     assert check.outcome == "failed"
     assert check.reason.startswith("the residual steps are correlated with the steps of w")
 
 
 def test_steps_that_are_too_small_for_the_noise_of_others_are_objected_to() -> None:
     residuals = 0.5 * np.random.default_rng(2).standard_normal((3, 4000))
-    size, correlation = joint_checks(residuals, 2, NAMES, has_noise=False)
+    size, correlation = joint_checks(residuals, 2, NAMES, has_noise=False).values()
     assert (size.outcome, correlation.outcome) == ("failed", "passed")
     assert size.reason.startswith("its steps are 0.508 times as large as the noise of other states makes them")
-    assert {check.outcome for check in joint_checks(residuals, 2, NAMES, has_noise=True)} == {"passed"}
+    assert {check.outcome for check in joint_checks(residuals, 2, NAMES, has_noise=True).values()} == {"passed"}
 
 
 @pytest.mark.slow

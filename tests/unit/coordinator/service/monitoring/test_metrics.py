@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from atoll_coordinator.service.monitoring import metrics as module
 from atoll_coordinator.service.monitoring.metrics import MAX_USERS, OTHERS, Metrics, served
@@ -68,12 +67,6 @@ def test_users_are_told_apart_but_not_without_end() -> None:
     assert value(metrics, "jobs", state="running") is None
 
 
-def test_two_coordinators_in_one_process_count_for_themselves() -> None:
-    first, second = Metrics(), Metrics()
-    first.note_event("worker-lost")
-    assert (value(first, "leases_lost_total"), value(second, "leases_lost_total")) == (1.0, 0.0)
-
-
 def test_scrapes_are_answered_while_the_block_lasts() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -111,12 +104,6 @@ def test_every_metric_of_the_board_is_in_the_exposition() -> None:
 
 def _names(expression: str) -> list[str]:
     return re.findall(r"atoll_\w+", expression)
-
-
-def test_the_example_of_a_scrape_names_the_address_of_the_manual() -> None:
-    contents = yaml.safe_load((DEPLOY / "prometheus.yml").read_text("utf-8"))
-    (scrape,) = contents["scrape_configs"]
-    assert scrape["static_configs"][0]["targets"] == ["127.0.0.1:9464"]
 
 
 class MeasuredWorld(World):

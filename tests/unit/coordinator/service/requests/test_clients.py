@@ -1,10 +1,7 @@
 """Clients' questions: each gets one answer, and what is wrong a sentence."""
 
 import hashlib
-import shutil
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -14,16 +11,13 @@ from atoll_coordinator.service.requests import uploads as uploads_module
 from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.clients import ClientRequests
 from atoll_coordinator.service.requests.deletion import JobDeletion
-from atoll_coordinator.service.scheduling.limits import Limits, Total
 from atoll_coordinator.service.store.open_file import Room
 from atoll_coordinator.service.store.store import JobRecord, Store
 from atoll_coordinator.service.tasks.analyses import Analyses
 from atoll_coordinator.service.tasks.background import JobPrepared, TableChecked
 from atoll_core.config import JobConfig
-from atoll_core.errors import RefusedError, StoreError
-from atoll_core.wire.codec import decode, encode
+from atoll_core.errors import StoreError
 from atoll_core.wire.messages import clients as messages
-from atoll_core.wire.messages.limits import CHUNK_SIZE
 from tests.blobs import put_blob
 
 TABLE = b"t,x\n0,1\n"
@@ -146,70 +140,6 @@ def test_uploads_that_were_given_up_make_room_and_those_that_go_on_do_not(
     assert "coordinator delete ID" in sentence
 
 
-def test_the_last_chunk_of_an_upload_finds_the_room_that_was_kept_for_it(
-    clients: ClientRequests, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data = bytes(CHUNK_SIZE + 7)
-    monkeypatch.setattr(uploads_module, "MAX_STORED_BYTES", len(data))
-    blob = hashlib.sha256(data).hexdigest()
-    for index, missing in ((0, (1,)), (1, ())):
-        part = data[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]
-        answer = clients.answer("ann", chunk(part, blob=blob, size=len(data), index=index))
-        assert answer == messages.Uploaded(blob=blob, missing=missing)
-
-
-def test_an_upload_that_is_never_submitted_is_deleted_after_its_lease(clients: ClientRequests) -> None:
-    clients.answer("ann", chunk())
-    for _ in range(3):
-        clients.uploads.expire()
-        assert clients._store.has_blob(BLOB)
-        Now.s += uploads_module.LEASE_S / 3 + 1.0
-    clients.uploads.expire()
-    assert not clients._store.has_blob(BLOB)
-    answer = failure(ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB)))
-    assert answer.failure == "no-table"
-
-
-def test_an_ended_job_is_deleted_and_a_live_one_refused(clients: ClientRequests) -> None:
-    clients.answer("ann", chunk())
-    ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
-    assert "cancel it" in failure(ask(clients, messages.Delete(job="j"))).sentence
-    ask(clients, messages.Cancel(job="j"))
-    for _ in range(2):
-        assert ask(clients, messages.Delete(job="j")) == messages.Deleted(job="j")
-    assert ask(clients, messages.ListJobs()) == messages.JobList(jobs=())
-    assert not clients._store.has_blob(BLOB)
-
-
-def test_a_submitted_job_is_prepared_and_listed(clients: ClientRequests, tasks: Tasks) -> None:
-    clients.answer("ann", chunk())
-    answer = ask(clients, messages.Submit(job="j", name="n", config=JobConfig(seed=3), table=BLOB))
-    assert isinstance(answer, messages.JobStatus)
-    assert (answer.job.state, answer.job.seed) == ("preparing", 3)
-    assert tasks.prepared == [("j", BLOB)]
-    listed = ask(clients, messages.ListJobs())
-    assert isinstance(listed, messages.JobList)
-    assert [view.job for view in listed.jobs] == ["j"]
-    assert failure(ask(clients, messages.GetResult(job="j"))).failure == "too-early"
-
-
-def test_a_second_job_waits_for_its_turn_and_follows_when_the_first_has_ended(
-    clients: ClientRequests, tasks: Tasks
-) -> None:
-    clients._controller.queue.limits = Limits(total=Total(running=1))
-    clients.answer("ann", chunk())
-    for name in ("a", "b"):
-        answer = ask(clients, messages.Submit(job=name, name="", config=JobConfig(), table=BLOB))
-    assert isinstance(answer, messages.JobStatus)
-    assert (answer.job.state, answer.job.reason) == ("queued", "waits for its turn (it is next; 1 job is under way)")
-    cancelled = ask(clients, messages.Cancel(job="a"))
-    assert isinstance(cancelled, messages.JobStatus)
-    assert cancelled.job.state == "cancelled"
-    assert ("b", BLOB) in tasks.prepared
-    assert ("cancel", "a") in tasks.calls  # it may be at work still
-    assert "before its search began" in failure(ask(clients, messages.GetResult(job="a"))).sentence
-
-
 def test_the_table_of_a_job_is_given_to_whoever_sees_the_job(clients: ClientRequests) -> None:
     clients.answer("ann", chunk())
     ask(clients, messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
@@ -236,43 +166,6 @@ def test_the_dataset_of_a_job_that_ended_while_it_was_prepared_is_not_kept(
     assert store.blob_bytes() == before
     assert not store.has_blob(hashlib.sha256(b"its dataset").hexdigest())
     assert controller.jobs == {}
-
-
-@pytest.mark.slow
-def test_twenty_thousand_jobs_are_listed_in_pages_and_found_by_the_beginnings_of_their_ids(tasks: Tasks) -> None:
-    with Store.open(None) as store:
-        spec = JobConfig().model_dump_json()
-        with store._transaction() as sql:
-            states = ("queued", *["done"] * 99) * 200
-            rows = [(f"job-{n:05}", "n", spec, BLOB, "2026", state, 0.0) for n, state in enumerate(states)]
-            columns = "id, name, spec, table_digest, submitted, state, elapsed"
-            sql.executemany(f"INSERT INTO jobs ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
-        controller = controller_of(store, tasks)
-        controller.recover(0.0)
-        clients = ClientRequests(
-            controller, store, Authorization(None, store), JobDeletion(controller, store), lambda: 5.0
-        )
-
-        def listed(question: messages.ListJobs) -> list[str]:
-            answer = decode(
-                encode(messages.Answer(body=ask(clients, question))),
-                messages.Answer,
-            ).body
-            assert isinstance(answer, messages.JobList)
-            rest = () if answer.before is None else listed(question.model_copy(update={"before": answer.before}))
-            return [*rest, *(view.job for view in answer.jobs)]
-
-        def find(prefix: str) -> object:
-            return ask(clients, messages.FindJob(prefix=prefix))
-
-        assert listed(messages.ListJobs(prefix="job-19")) == [row[0] for row in rows[19_000:]]
-        assert listed(messages.ListJobs(is_open=True)) == [row[0] for row in rows[::100]]
-        assert listed(messages.ListJobs(prefix="job-1999")) == [row[0] for row in rows[19_990:]]
-        assert find("job-12345") == find("job-12345") == messages.JobFound(job="job-12345")
-        assert isinstance(ask(clients, messages.Status(job="job-12344")), messages.JobStatus)
-        assert "1000 and more jobs begin with 'job' (job-19995, job-19996" in failure(find("job")).sentence
-        assert "and many more" in failure(find("job")).sentence
-        assert "no job 'other'; the last that came are job-19995" in failure(find("other")).sentence
 
 
 def test_a_page_of_jobs_is_no_larger_than_an_answer_bears(
@@ -307,22 +200,6 @@ def test_a_stored_job_that_is_not_understood_fails_and_the_others_go_on(tasks: T
         again = controller_of(store, tasks, "2026-01-01T00:00:02")
         again.recover(2.0)
         assert list(again.jobs) == ["good"]
-
-
-def test_a_job_that_a_full_disk_kept_from_being_prepared_is_prepared_later(
-    clients: ClientRequests, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def is_full(*_: object, **__: object) -> bool:
-        raise StoreError("the disk is full")
-
-    clients.answer("ann", chunk())
-    with monkeypatch.context() as full:
-        full.setattr(Store, "update_job", is_full)
-        request = messages.ClientRequest(body=messages.Submit(job="j", name="n", config=JobConfig(), table=BLOB))
-        assert "full" in failure(clients.answer("ann", request)).sentence
-    assert tasks.prepared == []
-    clients._controller.tick(6.0)
-    assert tasks.prepared == [("j", BLOB)]
 
 
 def test_a_cancellation_that_cannot_be_made_durable_ends_the_coordinator(
@@ -373,29 +250,3 @@ def test_on_a_disk_nearly_full_uploads_that_no_job_uses_go_first(
     clients.uploads.expire()
     assert not store.has_blob(unused)
     assert store.has_blob(used)
-
-
-def test_half_uploads_end_no_coordinator_on_a_small_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fourteen of them would fill it; a write of the job that runs comes after each, and finds room."""
-    size = 60 * MB
-    with Store.open(tmp_path) as store:
-        store._connection.execute(f"PRAGMA max_page_count = {size // 4096}")
-
-        def usage(path: Path) -> SimpleNamespace:
-            (pages,) = store._connection.execute("PRAGMA page_count").fetchone()
-            return SimpleNamespace(free=size - 4096 * pages, total=size)
-
-        monkeypatch.setattr(shutil, "disk_usage", usage)
-        uploads = uploads_module.Uploads(store, lambda: 0.0)
-        refused = 0
-        for number in range(14):
-            data = bytes([number]) * CHUNK_SIZE
-            half = messages.Upload(
-                blob=f"{number:064}", size=2 * CHUNK_SIZE, index=0, sha256=hashlib.sha256(data).hexdigest(), data=data
-            )
-            try:
-                uploads.take(half, None, None, "")
-            except RefusedError:
-                refused += 1
-            put_blob(store, bytes([number]) * (MB // 2))
-        assert 0 < refused < 14

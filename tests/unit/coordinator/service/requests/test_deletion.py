@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import pytest
 
 from atoll_coordinator.service.job_controller import JobController
-from atoll_coordinator.service.requests.authorization import Authorization
 from atoll_coordinator.service.requests.deletion import CHECK_INTERVAL_S, JobDeletion
 from atoll_coordinator.service.store.holdings import ALL
 from atoll_coordinator.service.store.jobs import JobRecord
@@ -13,9 +12,7 @@ from atoll_coordinator.service.store.retention import Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import JobConfig
 from atoll_core.errors import RefusedError
-from atoll_core.wire.messages.clients import Cancel, ClientRequest, Delete, Submit
-from atoll_core.wire.messages.limits import CHUNK_SIZE
-from atoll_core.wire.security.roles import RoleBindings
+from atoll_core.wire.messages.clients import Submit
 from tests.blobs import put_blob
 from tests.unit.coordinator.service.requests.test_clients import Tasks, controller_of
 
@@ -144,15 +141,6 @@ def test_a_clock_that_is_set_to_another_year_deletes_nothing(store: Store) -> No
     assert store.job("mine") is None
 
 
-def test_uploads_that_no_job_uses_cost_no_job_its_life(store: Store) -> None:
-    """Six uploads, each begun and never submitted, take more than the store is to hold."""
-    add(store, "mine", "10")
-    size = store.held(ALL).freeable + 100_000
-    for number in range(6):
-        store.put_chunk(str(number) * 64, 0, bytes(CHUNK_SIZE))
-    assert deleted_in_turn(store, Retention(size_bytes=size)) == []
-
-
 def test_the_store_is_asked_now_and_then(store: Store) -> None:
     add(store, "young", "30")
     deletes, _ = deletion(store, Retention(age_s=2 * DAY))
@@ -163,18 +151,3 @@ def test_the_store_is_asked_now_and_then(store: Store) -> None:
     assert store.job("old") is not None
     deletes.delete_expired(CHECK_INTERVAL_S)
     assert store.job("old") is None
-
-
-@pytest.mark.parametrize(("body", "verb"), [(Delete(job="a"), "delete"), (Cancel(job="a"), "cancel")])
-def test_a_job_is_ended_by_its_submitter_or_an_admin(store: Store, body: Delete | Cancel, verb: str) -> None:
-    add(store, "a", "10")
-    may = Authorization(RoleBindings({"ann": "submitter", "bob": "submitter", "eve": "admin"}), store)
-    assert (
-        may.refuse_request("bob-1", ClientRequest(body=body))
-        == f"job a was submitted by ann; only ann or an admin may {verb} it"
-    )
-    assert (
-        may.refuse_request("ann-1", ClientRequest(body=body))
-        is may.refuse_request("eve-1", ClientRequest(body=body))
-        is None
-    )

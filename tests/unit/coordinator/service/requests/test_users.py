@@ -16,7 +16,6 @@ from atoll_coordinator.service.requests.deletion import JobDeletion
 from atoll_coordinator.service.requests.uploads import CHECK_INTERVAL_S, LEASE_S
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Times, Total
 from atoll_coordinator.service.store.backup import back_up, restore
-from atoll_coordinator.service.store.jobs import Viewer
 from atoll_coordinator.service.store.retention import KEEP_ALL, Retention
 from atoll_coordinator.service.store.store import Store
 from atoll_core.config import BudgetConfig, JobConfig
@@ -140,29 +139,10 @@ def check_hidden(lab: Lab, job: str, user: str) -> None:
     assert asked >= 8
 
 
-def test_every_question_about_anothers_job_is_answered_as_if_there_were_none(lab: Lab) -> None:
-    lab.submit("ann", "mine")
-    check_hidden(lab, "mine", "bob")
-    assert said(lab.ask("bob", messages.FindJob(prefix="mi"))) == said(
-        lab.ask("bob", messages.FindJob(prefix="no"))
-    ).replace("'no'", "'mi'")
-    assert lab.seen("bob") == []
-    assert lab.seen("ann") == lab.seen("eve") == ["mine"]
-    assert view(lab.ask("ann", messages.Status(job="mine"))).submitter == "ann"
-
-
-def test_a_job_that_is_shared_is_seen_by_all_and_changed_by_its_own(lab: Lab) -> None:
+def test_a_job_is_seen_by_all_as_long_as_it_is_shared(lab: Lab) -> None:
     lab.submit("ann", "mine", shared=True)
     assert lab.seen("bob") == ["mine"]
     assert view(lab.ask("bob", messages.Status(job="mine"))).shared
-    for body, verb in (
-        (messages.Cancel(job="mine"), "cancel"),
-        (messages.Pause(job="mine"), "pause or resume"),
-        (messages.SetPriority(job="mine", priority=3), "change the priority of"),
-        (messages.Share(job="mine", shared=False), "share"),
-    ):
-        sentence = f"job mine was submitted by ann; only ann or an admin may {verb} it"
-        assert said(lab.ask("bob", body)) == sentence
     lab.ask("ann", messages.Share(job="mine", shared=False))
     assert lab.seen("bob") == []
     lab.ask("ann", messages.Cancel(job="mine"))
@@ -173,12 +153,14 @@ def test_a_job_that_is_shared_is_seen_by_all_and_changed_by_its_own(lab: Lab) ->
 @pytest.fixture(params=["restart", "restore"])
 def later(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Lab]:
     """A coordinator that was started again, or serves what was restored from a copy: ann has a private job, one that
-    is shared, and one that has ended, and bob one of his own."""
+    is shared, one that has ended and one that was deleted, and bob one of his own."""
     with Store.open(tmp_path / "state") as store:
         lab = Lab(store)
-        for job in ("mine", "shared", "ended"):
+        for job in ("mine", "shared", "ended", "deleted"):
             lab.submit("ann", job, job.encode(), shared=job == "shared")
-        lab.ask("ann", messages.Cancel(job="ended"))
+        for job in ("ended", "deleted"):
+            lab.ask("ann", messages.Cancel(job=job))
+        lab.ask("ann", messages.Delete(job="deleted"))
         lab.submit("bob", "his", b"his")
         lab.controller.events.flush()
     state = tmp_path / "state"
@@ -193,13 +175,19 @@ def later(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Lab]:
 def test_after_a_restart_and_a_restore_each_job_is_seen_by_the_same_users(later: Lab) -> None:
     check_hidden(later, "mine", "bob")
     check_hidden(later, "ended", "bob")
+    hidden, none = (said(later.ask("bob", messages.FindJob(prefix=prefix))) for prefix in ("mi", "no"))
+    assert hidden == none.replace("'no'", "'mi'")
     assert later.seen("bob") == ["shared", "his"]
     assert later.seen("ann") == ["mine", "shared", "ended"]
     assert later.seen("eve") == ["mine", "shared", "ended", "his"]
-    for user, jobs in (("bob", {"shared", "his"}), ("ann", {"mine", "shared", "ended"})):
+    for user, jobs in (
+        ("bob", {"shared", "his"}), ("ann", {"mine", "shared", "ended"}),
+        ("eve", {"mine", "shared", "ended", "his"}),
+    ):  # fmt: skip
         events = later.ask(user, messages.GetEvents())
         assert isinstance(events, EventList)
         assert {event.job for event in events.events} - {None} == jobs
+        assert ("job deleted is deleted" in events.model_dump_json()) == (user == "eve")
     stolen = later.ask(
         "bob", messages.Submit(job="new", name="", config=JobConfig(), table=hashlib.sha256(b"mine").hexdigest())
     )
@@ -222,31 +210,11 @@ def test_after_a_restart_and_a_restore_each_job_is_changed_by_the_same_users(lat
     assert view(later.ask("eve", messages.Cancel(job="mine"))).state == "cancelled"
 
 
-def test_events_and_lists_of_workers_say_nothing_of_others_jobs(lab: Lab) -> None:
-    lab.submit("ann", "mine")
-    lab.submit("bob", "his", b"t,y\n")
-    lab.ask("ann", messages.Cancel(job="mine"))
-    lab.ask("ann", messages.Delete(job="mine"))
-    events = lab.ask("bob", messages.GetEvents())
-    assert isinstance(events, messages.EventList)
-    assert "his" in {event.job for event in events.events}
-    assert "mine" not in events.model_dump_json()
-    everything = lab.ask("eve", messages.GetEvents())
-    assert isinstance(everything, messages.EventList)
-    assert "mine" in everything.model_dump_json()
-
-
 def test_submitters_are_told_how_many_jobs_of_their_own_wait_and_admins_of_all(lab: Lab) -> None:
     ann, bob, nobody = (UserView(user=user, queued=2) for user in ("ann", "bob", None))
     lab.users = (ann, bob, nobody)
     seen = {user: lab.ask(user, messages.ListWorkers()).coordinator.users for user in ("ann", "eve")}
     assert seen == {"ann": (ann,), "eve": lab.users}
-
-
-def test_an_id_that_is_anothers_is_taken_whatever_it_holds(lab: Lab) -> None:
-    lab.submit("ann", "mine")
-    assert said(lab.submit("bob", "mine")) == "the id mine is taken; submit under another id"
-    assert view(lab.submit("ann", "mine")).submitter == "ann"
 
 
 def test_whoever_knows_a_digest_alone_has_not_the_table(lab: Lab) -> None:
@@ -267,50 +235,11 @@ def test_whoever_knows_a_digest_alone_has_not_the_table(lab: Lab) -> None:
     assert view(lab.submit("bob", "his", b"secret")).submitter == "bob"
 
 
-def test_a_table_that_another_has_may_take_its_time_to_be_shown(lab: Lab) -> None:
-    table = bytes(CHUNK_SIZE + 1)
-    digest = hashlib.sha256(table).hexdigest()
-    chunks = [table[:CHUNK_SIZE], table[CHUNK_SIZE:]]
-    hers, his = (messages.Uploaded(blob=digest, missing=left) for left in ((), (1,)))
-
-    def show(user: str, index: int) -> object:
-        data = chunks[index]
-        part = {"index": index, "sha256": hashlib.sha256(data).hexdigest(), "data": data}
-        return lab.ask(user, messages.Upload.model_validate({"blob": digest, "size": len(table), **part}))
-
-    show("ann", 0)
-    assert show("ann", 1) == hers
-    lab.ask("ann", messages.Submit(job="mine", name="", config=JobConfig(), table=digest))
-    assert show("bob", 0) == his
-    lab.now += 2 * CHECK_INTERVAL_S
-    lab.clients.uploads.expire()
-    assert show("bob", 1) == hers
-    lab.now += LEASE_S + CHECK_INTERVAL_S
-    lab.clients.uploads.expire()
-    assert lab.ask("bob", messages.Upload(blob=digest, size=len(table))) == messages.Uploaded(
-        blob=digest, missing=(0, 1)
-    )
-
-
 def part(table: bytes, index: int, **changes: object) -> messages.Upload:
     """Return the upload of a chunk of a table."""
     data = table[index * CHUNK_SIZE : (index + 1) * CHUNK_SIZE]
     fields = {"blob": hashlib.sha256(table).hexdigest(), "size": len(table), "index": index, "data": data}
     return messages.Upload.model_validate({**fields, "sha256": hashlib.sha256(data).hexdigest(), **changes})
-
-
-def test_the_size_that_was_announced_first_gives_nobody_a_table(lab: Lab) -> None:
-    table = bytes(CHUNK_SIZE) + b"secret"
-    digest = hashlib.sha256(table).hexdigest()
-    for index in range(2):
-        lab.ask("ann", part(table, index))
-    lab.ask("ann", messages.Submit(job="mine", name="", config=JobConfig(), table=digest))
-    lab.ask("bob", messages.Upload(blob=digest, size=3))
-    assert lab.ask("bob", part(table, 0)) == messages.Uploaded(blob=digest, missing=(1,))
-    assert not lab.clients.uploads.has(digest, "bob", Viewer("bob"), "bob-1")
-    stolen = lab.ask("bob", messages.Submit(job="his", name="", config=JobConfig(), table=digest))
-    assert isinstance(stolen, Failure)
-    assert stolen.failure == "no-table"
 
 
 def test_a_question_is_not_about_a_table_that_another_session_uploaded(
@@ -327,17 +256,6 @@ def test_a_question_is_not_about_a_table_that_another_session_uploaded(
     monkeypatch.setattr(lab.authorization, "hides", lambda client, request: None)
     assert "has not been uploaded" in said(lab.ask("bob", question))
     assert "ended without a result" in said(lab.ask("ann", question))
-
-
-def test_wrong_bytes_of_one_user_keep_no_other_from_uploading(lab: Lab) -> None:
-    table = bytes(CHUNK_SIZE) + b"secret"
-    wrong = b"x" * CHUNK_SIZE
-    bad = part(table, 0, data=wrong, sha256=hashlib.sha256(wrong).hexdigest())
-    lab.ask("bob", bad)
-    lab.ask("bob", messages.Upload(blob=bad.blob, size=1))
-    for index, missing in ((0, (1,)), (1, ())):
-        assert lab.ask("ann", part(table, index)) == messages.Uploaded(blob=bad.blob, missing=missing)
-    assert lab.store.get_blob(bad.blob) == table
 
 
 def test_what_is_announced_takes_no_room_and_what_is_stored_counts(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -373,14 +291,6 @@ def test_tables_of_few_bytes_are_bounded_by_their_number(lab: Lab, monkeypatch: 
     lab.now += LEASE_S + CHECK_INTERVAL_S
     lab.clients.uploads.expire()
     assert not isinstance(lab.upload("eve", b"e"), Failure)
-
-
-def test_without_a_roster_everything_is_open() -> None:
-    with Store.open(None) as store:
-        lab = Lab(store, None)
-        lab.submit("ann", "mine")
-        assert lab.seen("bob") == ["mine"]
-        assert view(lab.ask("bob", messages.Cancel(job="mine"))).state == "cancelled"
 
 
 def test_jobs_from_before_a_roster_are_those_of_admins(lab: Lab) -> None:
@@ -419,26 +329,6 @@ def test_a_revoked_certificate_is_told_so(lab: Lab) -> None:
 
 
 # ------------------------------------------------------------------------------------- pause, priority, retry
-
-
-def test_a_paused_job_lets_others_pass_and_stays_paused_after_a_restart(lab: Lab) -> None:
-    limit(lab, total=Total(running=1))
-    lab.submit("ann", "first")
-    lab.submit("ann", "second")
-    lab.submit("ann", "third")
-    paused = view(lab.ask("ann", messages.Pause(job="second")))
-    assert (paused.paused, paused.state) == (True, "queued")
-    assert "resume second" in (paused.reason or "")
-    again = Lab(lab.store)
-    limit(again, total=Total(running=1))
-    again.controller.tick(NOW)
-    states = {job: view(again.ask("ann", messages.Status(job=job))) for job in ("first", "second", "third")}
-    assert states["second"].paused
-    assert states["first"].state == "preparing"
-    again.fail("first")
-    assert view(again.ask("ann", messages.Status(job="third"))).state == "preparing"
-    again.fail("third")
-    assert view(again.ask("ann", messages.Pause(job="second", paused=False))).state == "preparing"
 
 
 def test_a_failed_job_is_tried_again_under_another_id(lab: Lab) -> None:
@@ -502,20 +392,6 @@ def test_jobs_beyond_those_that_may_wait_are_refused(lab: Lab) -> None:
     assert "3 jobs wait, and limits allow 3" in said(lab.submit("bob", "b2"))
 
 
-def test_bytes_of_a_user_hold_to_the_byte(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(admission, "RESULT_RESERVE", 10)
-    limit(lab, user=Allowance(stored=100))
-    table = bytes(range(40))
-    view(lab.submit("ann", "a", table))  # 40 + 10
-    view(lab.submit("ann", "b", table))  # the same table: 40 + 20
-    assert lab.store.held("ann").stored == 40
-    assert "stores 40 bytes" in said(lab.submit("ann", "c", bytes(31)))
-    view(lab.submit("ann", "c", bytes(30)))  # 70 + 30
-    assert lab.store.held("ann").stored == 70
-    assert "are over the 100" in said(lab.submit("ann", "d", table))
-    view(lab.submit("bob", "z", bytes(90)))
-
-
 def test_tables_that_no_deletion_makes_room_for_are_refused_from_who_holds_most(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -564,32 +440,12 @@ def test_time_is_given_and_bounded_and_a_job_known_already_keeps_what_it_has(lab
 # ---------------------------------------------------------------------------------------------- followers
 
 
-def test_a_private_job_cannot_be_followed_by_others_and_is_to_them_as_if_there_were_none(lab: Lab) -> None:
-    lab.submit("ann", "a")
-    assert said(lab.follow("bob", "a")) == said(lab.follow("bob", "nothing")).replace("nothing", "a")
-    assert isinstance(lab.follow("ann", "a"), Following)
-    assert isinstance(lab.follow("eve", "a"), Following)
-    lab.controller.cancel("a", NOW)
-    assert {client for client, _ in lab.heard()} == {"ann-1", "eve-1"}
-
-
 def test_who_follows_all_that_happens_hears_of_what_may_be_seen(lab: Lab) -> None:
     for user in ("ann", "bob", "eve"):
         assert isinstance(lab.follow(user), Following)
     lab.submit("ann", "a")
     lab.submit("bob", "b", shared=True)
     assert lab.heard() == {("ann-1", "a"), ("ann-1", "b"), ("bob-1", "b"), ("eve-1", "a"), ("eve-1", "b")}
-
-
-def test_what_was_missed_of_all_that_happened_is_private_as_well(lab: Lab) -> None:
-    lab.submit("ann", "a")
-    answer = lab.follow("bob")
-    assert isinstance(answer, Following)
-    assert answer.change is None or all(event.job != "a" for event in answer.change.events)
-    answer = lab.follow("eve")
-    assert isinstance(answer, Following)
-    assert answer.change is not None
-    assert {event.job for event in answer.change.events} == {"a"}
 
 
 def test_followers_hear_no_more_of_a_job_that_becomes_private_or_once_they_are_revoked(lab: Lab) -> None:

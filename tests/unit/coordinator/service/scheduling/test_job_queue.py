@@ -2,7 +2,7 @@
 
 import pytest
 
-from atoll_coordinator.service.scheduling.fair_share import AGE_S, QUANTUM_S, FairShare
+from atoll_coordinator.service.scheduling.fair_share import QUANTUM_S, FairShare
 from atoll_coordinator.service.scheduling.job_queue import Decision, JobQueue
 from atoll_coordinator.service.scheduling.limits import Allowance, Limits, Total
 
@@ -27,21 +27,6 @@ def fill(queue: JobQueue) -> list[str]:
     while step := take(queue).take_up:
         taken += step
     return taken
-
-
-def test_higher_priority_comes_first_then_who_came_first() -> None:
-    queue = queue_of()
-    for job, priority in (("a", 0), ("b", 2), ("c", -1), ("d", 2)):
-        queue.add(job, None, priority, 0.0)
-    assert [queue.ahead_of(job) for job in "abcd"] == [2, 0, 3, 1]
-    assert fill(queue) == ["b", "d", "a", "c"]
-
-
-def test_age_overtakes_priority() -> None:
-    queue = queue_of(1)
-    queue.add("low", None, -1, 0.0)
-    queue.add("high", None, 1, 2.1 * AGE_S)
-    assert take(queue).take_up == ("low",)
 
 
 def test_several_jobs_of_one_user_are_prepared_at_the_same_time_while_there_is_room() -> None:
@@ -105,36 +90,6 @@ def test_endless_jobs_lose_their_places_after_a_quantum_and_get_them_back() -> N
     assert take(queue).release == decision.hold
 
 
-def test_a_paused_job_keeps_its_place_and_lets_others_pass() -> None:
-    queue = queue_of(1)
-    for job in "abc":
-        queue.add(job, None, 0, 0.0)
-    queue.pause("a", True)
-    assert queue.ahead_of("a") is None
-    assert "resume a" in (queue.waiting_reason("a") or "")
-    assert take(queue).take_up == ("b",)
-    queue.pause("a", False)
-    assert queue.ahead_of("a") == 0
-    assert queue.ahead_of("c") == 1
-    queue.pause("b", True)
-    assert take(queue).take_up == ("a",)
-    queue.pause("b", False)
-    assert take(queue) == Decision()  # nobody of one's own loses a place
-    queue.remove("a")
-    assert take(queue).release == ("b",)
-
-
-def test_a_job_that_is_paused_while_it_is_prepared_is_held_then() -> None:
-    queue = queue_of(1)
-    queue.add("a", None, 0, 0.0)
-    queue.begin("a")
-    queue.pause("a", True)
-    assert queue.decide() == Decision()
-    queue.search("a")
-    assert queue.is_held("a")
-    assert queue.under_way == 0
-
-
 def test_a_user_has_no_more_places_than_allowed_and_others_pass() -> None:
     queue = queue_of(4, user=Allowance(running=1), users={"bob": Allowance(running=2)})
     for user in ("ann", "bob"):
@@ -144,31 +99,6 @@ def test_a_user_has_no_more_places_than_allowed_and_others_pass() -> None:
     assert queue.waiting_reason("ann1") == "waits: 1 of its user's jobs are under way, as many as limits allow"
     queue.limits = Limits(total=Total(running=1))
     assert len(take(queue).hold) == 2
-
-
-def test_a_paused_queue_takes_nothing_up_and_what_is_under_way_goes_on() -> None:
-    queue = queue_of(2)
-    queue.add("a", None, 0, 0.0)
-    fill(queue)
-    queue.add("b", None, 0, 0.0)
-    queue.is_paused = True
-    assert take(queue) == Decision()
-    assert queue.waiting_reason("b") == "waits: the queue is paused by an admin"
-    queue.is_paused = False
-    assert take(queue).take_up == ("b",)
-
-
-def test_who_has_used_up_the_time_of_a_day_has_no_place() -> None:
-    queue = queue_of(2)
-    queue.add("a", "ann", 0, 0.0)
-    queue.add("b", "bob", 0, 0.0)
-    fill(queue)
-    queue.add("c", "ann", 0, 0.0)
-    queue.exhausted = frozenset({"ann"})
-    assert take(queue) == Decision(hold=("a",))
-    assert "used up" in (queue.waiting_reason("c") or "")
-    queue.exhausted = frozenset()
-    assert take(queue).release == ("a",)
 
 
 def test_what_is_not_there_is_let_go_without_effect_and_counts_are_kept() -> None:

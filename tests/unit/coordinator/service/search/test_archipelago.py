@@ -3,7 +3,6 @@
 import pytest
 
 from atoll_coordinator.service.search.archipelago import PLAN_COMMITS, Archipelago, Checkpoint
-from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
 from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
@@ -74,46 +73,6 @@ def commit(made: Archipelago, epoch: int, now: float, term: int = 1) -> tuple[Ch
     return checkpoint, told
 
 
-def test_a_checkpoint_is_written_when_its_states_and_all_reports_before_it_are_there() -> None:
-    made = archipelago()
-    place(made, 1)
-    assert made.next_pulls(9) == []
-    report_snapshots(made, 8)
-    answer(made)
-    report(made, 0, 7)
-    assert made.take_complete_checkpoint() is None
-    report(made, 7, 11)
-    checkpoint = made.take_complete_checkpoint()
-    assert checkpoint is not None
-    assert (checkpoint.epoch, checkpoint.term, checkpoint.search_state.epochs) == (8, 1, 8)
-    assert checkpoint.search_state.evaluations == {"offspring": 16}
-    assert checkpoint.states == {island: state(island, 8) for island in (0, 1)}
-    assert made.is_writing
-    assert made.take_complete_checkpoint() is None
-    assert made.next_pulls(9) == []
-    told = made.mark_durable(checkpoint, 4.0)
-    assert told is not None
-    assert (told.epoch, told.schedule.next, made.durable, made.is_writing) == (8, 16, 8, False)
-
-
-def test_only_checkpoints_that_were_told_of_are_gathered() -> None:
-    made = archipelago()
-    place(made, 1)
-    report(made, 0, 12)
-    report_snapshots(made, 7)
-    assert made.next_pulls(9) == []
-    report_snapshots(made, 8, 16)
-    assert {pull.epoch for _, pull in made.next_pulls(9)} == {16}
-
-
-def test_the_next_interval_follows_from_the_time_that_epochs_took() -> None:
-    made = archipelago()
-    place(made, 1)
-    report(made, 0, 8)
-    _, told = commit(made, 8, 8 * 0.05)
-    assert told.schedule == Schedule(next=16, last=36)
-
-
 def test_a_new_term_begins_at_the_commit_and_old_reports_are_compared_not_counted() -> None:
     made = archipelago()
     place(made, 1)
@@ -135,18 +94,6 @@ def test_reports_before_the_term_are_refused() -> None:
     place(made, 2)
     with pytest.raises(RemoteProtocolError, match="before its term began"):
         report(made, 7, 8, term=2)
-
-
-def test_answers_of_a_former_term_are_dropped() -> None:
-    made = archipelago()
-    place(made, 1)
-    report_snapshots(made, 8)
-    asks = made.next_pulls(9)
-    place(made, 2)
-    for worker, pull in asks:
-        made.add_states(worker, pull, States(pieces=split_states(pull.islands, 0, lambda island: state(island, 8))))
-    report(made, 0, 8, term=2)
-    assert made.take_complete_checkpoint() is None
 
 
 def test_a_write_that_ends_under_another_term_is_not_told() -> None:
@@ -193,16 +140,3 @@ def test_newcomers_have_to_wait_for_some_commits_after_a_planned_change() -> Non
         commit(made, commit_at, 100.0 * commits, term=2)
         epoch, commits = commit_at, commits + 1
     assert commits == PLAN_COMMITS
-
-
-def test_what_was_committed_earlier_is_where_the_first_term_begins() -> None:
-    made, other = archipelago(), archipelago()
-    place(other, 1)
-    report(other, 0, 8)
-    checkpoint, _ = commit(other, 8, 1.0)
-    made.resume(checkpoint.stored_search_state(1.0).search_state())
-    place(made, 2)
-    report(made, 8, 12, term=2)
-    report(other, 8, 12)
-    assert made.collector.state == other.collector.state
-    assert made.interval == FIRST_INTERVAL

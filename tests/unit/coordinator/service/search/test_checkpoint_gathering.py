@@ -1,19 +1,12 @@
 """Checkpoints: how far apart they lie, which ones follow, how their states are gathered, and what is stored."""
 
-import math
-from itertools import pairwise
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll_coordinator.service.search import checkpoints
-from atoll_coordinator.service.search.collector import SearchState
-from atoll_coordinator.service.search.ending import Improvement
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
-from atoll_core.search.pareto import FrontEntry
-from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.epochs import States
 from atoll_core.wire.messages.workers import Placement, Schedule
 from atoll_core.wire.state_pieces import IslandState, split_states
@@ -62,25 +55,6 @@ def test_no_epoch_that_may_have_begun_becomes_a_checkpoint_or_a_barrier(steps: l
         schedule = after
 
 
-def test_a_barrier_lies_one_epoch_behind_what_is_known_and_stays() -> None:
-    assert checkpoints.schedule_after(Schedule(next=8, last=16), 8, 20, wants_barrier=True) == Schedule(
-        next=16, last=17, holds=True
-    )
-    assert checkpoints.schedule_after(Schedule(next=8, last=16), 16, 20, wants_barrier=True) == Schedule(
-        next=17, last=17, holds=True
-    )
-    barrier = Schedule(next=16, last=17, holds=True)
-    assert checkpoints.schedule_after(barrier, 16, 20, wants_barrier=False) == Schedule(next=17, last=17, holds=True)
-
-
-def test_the_latest_epoch_is_taken_of_which_all_have_snapshots() -> None:
-    assert checkpoints.common_epoch([(8, 16), (8, 16)], 0) == 16
-    assert checkpoints.common_epoch([(8, 16), (8,)], 0) == 8
-    assert checkpoints.common_epoch([(8, 16), (8,)], 8) is None
-    assert checkpoints.common_epoch([(8,), ()], 0) is None
-    assert checkpoints.common_epoch([], 0) is None
-
-
 def answered(islands: tuple[int, ...], offset: int = 0, room: int = 1000) -> States:
     return States(pieces=split_states(islands, offset, STATES.__getitem__, room))
 
@@ -113,23 +87,3 @@ def test_a_damaged_state_is_asked_for_again() -> None:
         gathering.add("a", States(pieces=(piece.model_copy(update={"data": b"x" * 30}),)))
     ((worker, pull),) = gathering.next_pulls(5)
     assert (worker, pull.islands, pull.offset) == ("a", (0, 2), 0)
-
-
-@pytest.mark.parametrize("best_length", [12.5, -3.0, math.inf])
-def test_progress_comes_back_from_the_store_as_it_was(best_length: float) -> None:
-    entry = FrontEntry(3, 0.1, 0.02, 5, 40, 1, b"\x01\x02")
-    state = SearchState(
-        epochs=24,
-        front=(entry,),
-        runners_up=(entry,),
-        evaluations={"offspring": 9},
-        counted={1: {"offspring": 5}, 0: {"offspring": 4}},
-        best_length=best_length,
-        improved_at=7,
-        seconds=1.5,
-        convergence={1: (Improvement(generation=3, error=0.5),)},
-    )
-    stored = decode(encode(checkpoints.StoredSearchState.of(state, 3.5)), checkpoints.StoredSearchState)
-    assert stored.search_state() == state
-    assert stored.search_seconds == 3.5
-    assert all(isinstance(one, int) and isinstance(two, int) for one, two in pairwise(stored.search_state().counted))

@@ -10,11 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from atoll_coordinator.service.search.collector import Collector, DivergedError, entries_of
-from atoll_coordinator.service.search.ending import Cut, SearchLimits, Stagnation
+from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
 from atoll_core.errors import RemoteProtocolError
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.search.pareto import FrontEntry, merge
-from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages.epochs import Addition, HitStatement, IslandReport, SliceCounters
 
 COMMIT_ORDER = CommitOrder(generations=100, stride=10, joining=8)
@@ -67,24 +66,10 @@ def fill(collector: Collector, epoch: int, *reports: IslandReport) -> None:
     collector.add_reports("w", epoch, reports or (report(0), report(1)), float(epoch + 1))
 
 
-def test_an_epoch_counts_when_all_islands_have_reported_it(collector: Collector) -> None:
-    assert not collector.add_reports("w0", 0, [report(0)], 1.0)
-    assert collector.state.epochs == 0
-    assert collector.add_reports("w1", 0, [report(1)], 2.0)
-    assert collector.state.epochs == 1
-    assert collector.state.seconds == 2.0
-
-
 def test_another_digest_for_the_same_key_is_divergence_and_names_both_workers(collector: Collector) -> None:
     collector.add_reports("first", 0, [report(0)], 1.0)
     with pytest.raises(DivergedError, match=r"first and second .* island 0 of x in epoch 0"):
         collector.add_reports("second", 0, [report(0, digest="cd" * 16)], 2.0)
-
-
-def test_divergence_is_noticed_also_after_the_epoch_was_complete(collector: Collector) -> None:
-    fill(collector, 0)
-    with pytest.raises(DivergedError):
-        collector.add_reports("late", 0, [report(1, digest="cd" * 16)], 2.0)
 
 
 @pytest.mark.parametrize(("epoch", "island"), [(50, 0), (0, 2)])
@@ -116,20 +101,6 @@ def test_convergence_has_the_improvements_of_each_island_in_order(collector: Col
 # ------------------------------------------------------------------------------------------------- ends
 
 
-def test_the_target_ends_the_search_with_the_least_generation_and_island(collector: Collector) -> None:
-    fill(collector, 0)
-    fill(collector, 1, report(0, hit=30), report(1, hit=20))
-    assert collector.cut is not None
-    assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("target", 2, 120)
-
-
-def test_a_report_given_up_at_a_hit_waits_for_the_report_of_that_hit(collector: Collector) -> None:
-    assert not collector.add_reports("w0", 0, [report(0, generations=20)], 1.0)
-    assert collector.state.epochs == 0
-    assert collector.add_reports("w1", 0, [report(1, hit=20)], 2.0)
-    assert collector.cut is not None
-
-
 @pytest.mark.parametrize(
     ("first", "second"),
     [(report(0, hit=20), report(0, generations=50)), (report(0, generations=50), report(0, hit=20))],
@@ -157,14 +128,6 @@ def test_a_report_without_the_counters_of_its_slices_is_refused(collector: Colle
         collector.add_reports("w", 0, [broken], 1.0)
 
 
-def test_a_search_that_does_not_get_better_stagnates(collector: Collector) -> None:
-    for epoch in range(6):
-        assert collector.cut is None
-        fill(collector, epoch, report(0, error=1.0 - 0.001 * epoch), report(1))
-    assert collector.cut is not None
-    assert (collector.cut.why, collector.cut.epochs, collector.cut.generation) == ("stagnation", 6, None)
-
-
 def test_with_a_law_the_first_epoch_is_the_last_unless_it_met_the_target() -> None:
     for hit, why in ((None, "law"), (50, "target")):
         collector = Collector("x", replace(LIMITS, has_law=True), best_error)
@@ -179,16 +142,6 @@ def test_what_took_the_longer_to_get_better_is_waited_for_the_longer(improved_at
     assert not growing.is_due(due_at - 1, improved_at)
     assert growing.is_due(due_at, improved_at)
     assert Stagnation(5).is_due(improved_at + 5, improved_at)
-
-
-def test_the_last_epoch_ends_the_search() -> None:
-    collector = Collector(
-        "x", SearchLimits(islands=1, epochs=2, stagnation=Stagnation(100), commit_order=COMMIT_ORDER), best_error
-    )
-    fill(collector, 0, report(0))
-    fill(collector, 1, report(0))
-    assert collector.cut is not None
-    assert (collector.cut.why, collector.cut.epochs) == ("max-epochs", 2)
 
 
 def test_the_target_comes_before_stagnation_and_stagnation_before_the_last_epoch() -> None:
@@ -273,16 +226,6 @@ def test_a_member_of_the_front_that_is_displaced_becomes_a_runner_up() -> None:
     pool = collected(epochs, [(0, 0), (0, 1), (1, 0), (1, 1)]).state
     assert [entry.error for entry in pool.front] == [0.9]
     assert [entry.error for entry in pool.runners_up] == [1.0]
-
-
-def test_a_cut_comes_back_from_the_store_with_its_pool() -> None:
-    epochs = [[report(0, near=[runner_up(3, 2.0, 3)]), report(1)]]
-    cut = collected(epochs, [(0, 0), (0, 1)]).cut
-    assert cut is not None
-    restored = decode(encode(cut), Cut)
-    assert restored == cut
-    assert restored.pool == cut.pool
-    assert len(cut.pool.runners_up) == 1
 
 
 def test_missing_reports_are_found(collector: Collector) -> None:

@@ -3,11 +3,11 @@
 import pytest
 
 from atoll_coordinator.service.search import pull_budget as module
-from atoll_coordinator.service.search.archipelago import Archipelago, Checkpoint
+from atoll_coordinator.service.search.archipelago import Archipelago
 from atoll_coordinator.service.search.checkpoints import FIRST_INTERVAL
 from atoll_coordinator.service.search.collector import SearchState
 from atoll_coordinator.service.search.ending import SearchLimits, Stagnation
-from atoll_coordinator.service.search.pull_budget import MAX_PULLS, PullBudget
+from atoll_coordinator.service.search.pull_budget import PullBudget
 from atoll_core.search.commit_order import CommitOrder
 from atoll_core.wire.messages.epochs import PullStates, States
 from atoll_core.wire.messages.limits import CHUNK_SIZE
@@ -42,35 +42,6 @@ def reply(coordinator: PullBudget, made: Archipelago, worker: str, pull: PullSta
     coordinator.add_states(made, worker, pull, States(pieces=pieces))
 
 
-def complete(coordinator: PullBudget, made: Archipelago) -> Checkpoint:
-    """Pull all states of an archipelago and return its checkpoint."""
-    while pulls := coordinator.next_pulls(made):
-        for worker, pull in pulls:
-            reply(coordinator, made, worker, pull)
-    checkpoint = coordinator.take_complete_checkpoint(made)
-    assert checkpoint is not None
-    return checkpoint
-
-
-def test_few_pulls_are_under_way_at_a_time() -> None:
-    coordinator, x, y = PullBudget(), archipelago("x", MAX_PULLS + 2), archipelago("y", 1)
-    first = coordinator.next_pulls(x)
-    assert len(first) == MAX_PULLS
-    assert coordinator.next_pulls(x) == coordinator.next_pulls(y) == []
-    reply(coordinator, x, *first[0])
-    assert len(coordinator.next_pulls(y)) == 1
-    assert coordinator.next_pulls(x) == []
-
-
-def test_states_count_from_their_arrival_until_they_are_written() -> None:
-    coordinator, made = PullBudget(), archipelago("x", 3)
-    checkpoint = complete(coordinator, made)
-    assert coordinator.held_bytes == checkpoint.size == 3 * len(STATE)
-    assert coordinator.take_complete_checkpoint(made) is None
-    coordinator.mark_written(checkpoint)
-    assert coordinator.held_bytes == 0
-
-
 def test_without_memory_the_checkpoint_that_was_begun_first_goes_on_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_BYTES", CHUNK_SIZE)
     coordinator, x, y = PullBudget(), archipelago("x", 2), archipelago("y", 2)
@@ -99,10 +70,3 @@ def test_states_of_an_archipelago_that_lost_its_placement_count_no_more() -> Non
     assert coordinator.held_bytes == 0
     reply(coordinator, made, *late)
     assert coordinator.held_bytes == 0
-
-
-def test_a_pull_without_an_answer_is_made_again() -> None:
-    coordinator, made = PullBudget(), archipelago("x", 1)
-    ((worker, pull),) = coordinator.next_pulls(made)
-    coordinator.add_states(made, worker, pull, None)
-    assert coordinator.next_pulls(made) == [(worker, pull)]

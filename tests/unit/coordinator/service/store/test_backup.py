@@ -43,17 +43,6 @@ def files(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def test_a_copy_of_a_store_that_is_served_holds_what_was_committed(state: Path, tmp_path: Path) -> None:
-    with Store.open(state) as store:
-        store.add_job(job(2))
-        found = back_up(state, tmp_path / "copy")
-        store.add_job(job(3))
-        store.check()
-        assert (found.cluster, found.incarnation, found.jobs) == (store.cluster, store.incarnation, 3)
-    assert files(tmp_path) == {"state", "copy"}, "one file, and nothing left of the way there"
-    assert (tmp_path / "copy").stat().st_mode & 0o077 == 0
-
-
 def test_a_copy_comes_to_an_end_and_is_of_one_instant_while_commits_come(
     state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

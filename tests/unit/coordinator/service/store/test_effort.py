@@ -12,7 +12,6 @@ import pytest
 from atoll_coordinator.service.store.events import EventRecord
 from atoll_coordinator.service.store.holdings import ALL, Held
 from atoll_coordinator.service.store.jobs import MAX_COUNTED, JobRecord, Viewer
-from atoll_coordinator.service.store.schema import _LAYOUTS
 from atoll_coordinator.service.store.store import Store
 from tests.blobs import put_blob
 
@@ -196,30 +195,3 @@ def test_sums_hold_whatever_becomes_of_jobs(seed: int) -> None:
         for job in (*live, *ended):
             store.delete_job(job)
         assert (store.held(ALL), store.blob_bytes(), store.count_holders()) == (Held(), 0, 0)
-
-
-def test_a_store_of_layout_7_adds_up_once_when_it_is_opened() -> None:
-    with filled(FEW) as store:
-        for name, owner in (("hers", "ann"), ("his", "bob")):
-            store.add_job(JobRecord(name, name, "{}", put_blob(store, b"of both"), "2026", submitter=owner))
-        store.commit_result("hers", "done", "{}")
-        expected = [store.held(owner) for owner in ("ann", "bob", "*")], store.blob_bytes()
-        sql = store._connection
-        statements = [
-            "DROP INDEX uses_of_blob", "DROP TABLE uses", "DROP TABLE holdings",
-            "ALTER TABLE realm DROP COLUMN blob_bytes",
-            *(f"DROP INDEX {name}" for (name,) in sql.execute(
-                "SELECT name FROM sqlite_master WHERE type = 'index' AND sql IS NOT NULL AND name <> 'events_of_job'"
-            ).fetchall() if f" {name} " in _LAYOUTS[7]),
-            "ALTER TABLE jobs DROP COLUMN prepared_digest", "ALTER TABLE jobs DROP COLUMN submitted_s",
-            "ALTER TABLE events DROP COLUMN owner", "ALTER TABLE events DROP COLUMN shared",
-            "CREATE INDEX jobs_by_submitter ON jobs (submitter, table_digest, result_bytes)",
-            "CREATE INDEX sizes_of_blobs ON blobs (size)",
-        ]  # fmt: skip
-        for statement in statements:
-            sql.execute(statement)
-        for statement in filter(str.strip, ";".join(_LAYOUTS[7:]).split(";")):
-            sql.execute(statement)
-        assert ([store.held(owner) for owner in ("ann", "bob", "*")], store.blob_bytes()) == expected
-        assert len(store.events(None, 0, 200, ANN)) == 21
-        check_sums(store)

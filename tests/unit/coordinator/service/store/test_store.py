@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from atoll_coordinator.service.store.events import LEAST_COMMITS, MAX_EVENTS, EventRecord
-from atoll_coordinator.service.store.holdings import ALL, Held
 from atoll_coordinator.service.store.jobs import JobRecord
 from atoll_coordinator.service.store.lock import Lock, last_beat
 from atoll_coordinator.service.store.schema import FILE_NAME, SCHEMA_VERSION
@@ -68,29 +67,6 @@ def test_the_first_end_of_a_job_wins(store: Store) -> None:
     assert (job.state, job.reason, job.finished, store.result("j1")) == ("done", None, "2026-01-02", '{"schema": 1}')
 
 
-def test_terms_begin_together_or_not_at_all(store: Store) -> None:
-    store.add_job(JOB)
-    begin_term(store, "j1", "x")
-    store.begin_terms([("j1", "x"), ("j1", "y")], lambda index, term: f"{index} {term}".encode())
-    assert placements_in(store, "j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
-    with pytest.raises(ZeroDivisionError):
-        store.begin_terms([("j1", "x"), ("j1", "y")], lambda index, term: b"%d" % (term // (1 - index)))
-    assert placements_in(store, "j1") == {"x": (2, b"0 2"), "y": (1, b"1 1")}
-
-
-@pytest.mark.parametrize("size", [0, 1, CHUNK_SIZE, CHUNK_SIZE + 1, 3 * CHUNK_SIZE])
-def test_a_blob_is_found_by_its_digest_whole_or_by_chunks(store: Store, size: int) -> None:
-    data = bytes(range(251)) * (size // 251 + 1)
-    data = data[:size]
-    digest = put_blob(store, data)
-    assert digest == hashlib.sha256(data).hexdigest() == put_blob(store, data)
-    assert store.has_blob(digest)
-    assert store.get_blob(digest) == data
-    assert store.blob_bytes() == size
-    if size:
-        assert store.get_chunk(digest, (size - 1) // CHUNK_SIZE)[-1] == data[-1]
-
-
 def test_a_damaged_blob_is_forgotten_and_can_be_put_again(store: Store) -> None:
     data, digest = _upload(CHUNK_SIZE + 1)
     for _ in range(2):
@@ -105,18 +81,6 @@ def test_a_damaged_blob_is_forgotten_and_can_be_put_again(store: Store) -> None:
 def _upload(size: int) -> tuple[bytes, str]:
     data = b"\x07" * size
     return data, hashlib.sha256(data).hexdigest()
-
-
-def test_chunks_of_an_upload_are_kept_in_their_order(store: Store) -> None:
-    data, digest = _upload(2 * CHUNK_SIZE + 5)
-    chunks = [data[:CHUNK_SIZE], data[CHUNK_SIZE : 2 * CHUNK_SIZE], data[2 * CHUNK_SIZE :]]
-    assert store.put_chunk("hers", 0, chunks[0])
-    assert not store.put_chunk("hers", 2, chunks[2], digest)
-    assert store.put_chunk("hers", 1, chunks[1])
-    assert (store.has_blob(digest), store.blob_bytes()) == (False, 2 * CHUNK_SIZE)
-    assert store.put_chunk("hers", 2, chunks[2], digest)
-    assert store.get_blob(digest) == data
-    assert (store.unused_blobs(), store.blob_bytes()) == ((digest,), len(data))
 
 
 @pytest.mark.parametrize("is_first", [True, False])
@@ -140,35 +104,6 @@ def test_threads_may_share_a_store(store: Store) -> None:
     for thread in threads:
         thread.join()
     assert sorted(terms) == list(range(1, 9))
-
-
-def test_nobody_else_reads_what_is_stored(tmp_path: Path) -> None:
-    with Store.open(tmp_path) as store:
-        put_blob(store, b"measured")
-        modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.glob(f"{FILE_NAME}*")}
-    assert set(modes.values()) == {0o600}, modes
-    assert len(modes) == 3
-
-
-def test_everything_is_there_after_opening_again_under_a_higher_incarnation(tmp_path: Path) -> None:
-    with Store.open(tmp_path) as store:
-        cluster, incarnation = store.cluster, store.incarnation
-        store.add_job(JOB)
-        begin_term(store, "j1", "x")
-        store.commit_cuts("j1", {"x": b"cut"})
-        digest = put_blob(store, b"abc")
-    with Store.open(tmp_path) as store:
-        assert (store.cluster, store.incarnation) == (cluster, incarnation + 1)
-        assert store.jobs() == (JOB,)
-        assert begin_term(store, "j1", "x") == 2
-        assert store.cuts("j1") == {"x": b"cut"}
-        assert store.get_blob(digest) == b"abc"
-
-
-def test_a_second_coordinator_on_the_same_store_is_refused_and_told_who_has_it(tmp_path: Path) -> None:
-    with Store.open(tmp_path), pytest.raises(StoreError, match=r"in use by another coordinator \(process \d+\)"):
-        Store.open(tmp_path)
-    Store.open(tmp_path).close()
 
 
 def _spoil(directory: Path, how: str) -> None:
@@ -411,37 +346,6 @@ def checkpoint(store: Store, epoch: int, variable: str = "x", size: int = 5) -> 
     return store.commit_checkpoint("j1", variable, epoch, progress, states_of(epoch, size), elapsed=epoch / 2)
 
 
-def test_the_last_checkpoint_is_found_again_whole_and_the_one_before_is_kept(store: Store) -> None:
-    store.add_job(JOB)
-    assert store.checkpoints("j1") == {}
-    for epoch in (8, 24, 40):
-        assert checkpoint(store, epoch)
-        assert checkpoint(store, epoch + 1, "y")
-    assert store.checkpoints("j1") == {"x": (40, b"progress 40"), "y": (41, b"progress 41")}
-    for epoch in (24, 40):
-        assert [store.state("j1", "x", epoch, island) for island in range(3)] == list(states_of(epoch).values())
-    with pytest.raises(KeyError):
-        store.state("j1", "x", 8, 0)
-    job = store.job("j1")
-    assert job is not None
-    assert job.elapsed == 20.5
-
-
-def test_a_full_disk_is_said_and_everything_committed_before_is_there(tmp_path: Path) -> None:
-    with Store.open(tmp_path) as store:
-        store.add_job(JOB)
-        checkpoint(store, 8)
-        (pages,) = store._connection.execute("PRAGMA page_count").fetchone()
-        store._connection.execute(f"PRAGMA max_page_count = {pages + 10}")
-        with pytest.raises(StoreError, match=r"full.*there is room"):
-            checkpoint(store, 16, size=100_000)
-        assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
-    with Store.open(tmp_path) as store:
-        assert store.checkpoints("j1") == {"x": (8, b"progress 8")}
-        assert store.state("j1", "x", 8, 2) == states_of(8)[2]
-        assert checkpoint(store, 16)
-
-
 def test_of_the_last_jobs_that_failed_so_the_last_checkpoints_are_kept(store: Store) -> None:
     for number in range(MAX_FAILED + 2):
         store.add_job(JobRecord(f"j{number}", "", "{}", "", ""))
@@ -522,44 +426,12 @@ def ended(store: Store, name: str, finished: str | None, table: bytes, dataset: 
     store.commit_result(name, "done", "{}", finished=finished)
 
 
-def test_a_deleted_job_leaves_nothing_and_takes_nothing_of_another(store: Store) -> None:
-    ended(store, "a", "2026-01-02", b"table", b"dataset of a")
-    ended(store, "b", "2026-01-03", b"table", b"dataset of b")
-    store.delete_job("a")
-    assert (store.job("a"), store.submitter("a"), store.result("a"), store.cuts("a")) == (None, None, None, {})
-    assert {event.job for event in store.events(None, 0, 9)} == {"b"}
-    assert store.blob_bytes() == len(b"table") + len(b"dataset of b")
-    assert (store.result("b"), store.cuts("b")) == ("{}", {"x": b"cut"})
-    store.delete_job("b")
-    assert (store.jobs(), store.blob_bytes()) == ((), 0)
-    store.delete_job("b")
-
-
-def test_the_id_of_a_deleted_job_is_remembered(store: Store) -> None:
-    store.add_job(JOB)
-    store.commit_result("j1", "done", "{}")
-    assert not store.is_deleted("j1")
-    store.delete_job("j1")
-    assert store.is_deleted("j1")
-    assert not store.is_deleted("j2")
-
-
 def test_a_checkpoint_of_a_job_that_was_deleted_while_it_waited_to_be_written_is_dropped(store: Store) -> None:
     store.add_job(JOB)
     store.commit_result("j1", "cancelled", "{}")
     store.delete_job("j1")
     assert not checkpoint(store, 8)
     assert store.checkpoints("j1") == {}
-
-
-def test_the_oldest_ended_job_is_the_one_that_ended_first_whatever_the_time_of_day(store: Store) -> None:
-    assert store.oldest_ended_job() is None
-    ended(store, "early", "2099-01-05", b"1", b"2")
-    ended(store, "late", "2026-01-04", b"1", b"2")
-    store.add_job(JOB)
-    oldest = store.oldest_ended_job()
-    assert oldest is not None
-    assert oldest.id == "early"
 
 
 def test_a_store_counts_the_seconds_that_it_is_served_in_all_lives(tmp_path: Path) -> None:
@@ -580,27 +452,6 @@ def test_a_store_counts_the_seconds_that_it_is_served_in_all_lives(tmp_path: Pat
         assert job.ended_at == 90.0
 
 
-def test_space_of_a_deleted_job_is_used_again(tmp_path: Path) -> None:
-    with Store.open(tmp_path) as store:
-        ended(store, "a", None, bytes(1_000_000), b"dataset")
-    used = (tmp_path / FILE_NAME).stat().st_size
-    assert used > 1_000_000
-    with Store.open(tmp_path) as store:
-        store.delete_job("a")
-        ended(store, "b", None, bytes(range(250)) * 4_000, b"dataset")
-    assert (tmp_path / FILE_NAME).stat().st_size < used + 10_000
-
-
-def test_uploads_that_no_job_uses_are_deleted(store: Store) -> None:
-    ended(store, "a", None, b"table", b"dataset")
-    store.put_chunk("0" * 64, 0, bytes(CHUNK_SIZE))
-    waiting = put_blob(store, b"waits for its job")
-    assert set(store.unused_blobs()) == {"0" * 64, waiting}
-    assert store.held(ALL) == Held(stored=len(b"table{}"), live=0, freeable=len(b"tabledataset{}"))
-    store.delete_unused_blobs(["0" * 64, hashlib.sha256(b"table").hexdigest()])
-    assert store.blob_bytes() == len(b"tabledatasetwaits for its job")
-
-
 def test_what_was_prepared_is_written_again_where_another_job_took_it_along_when_it_was_deleted() -> None:
     with Store.open(None) as store:
         for name in ("j1", "j2"):
@@ -618,30 +469,3 @@ def test_what_was_prepared_is_written_again_where_another_job_took_it_along_when
         assert store.keep_prepared("j2", made, b"rest") is None
         assert store.get_blob(hashlib.sha256(made).hexdigest()) == made
         assert store.unused_blobs() == ()
-
-
-def test_another_dataset_does_not_replace_the_one_of_a_search_that_is_durable() -> None:
-    with Store.open(None) as store:
-        store.add_job(JobRecord("j", "j", "{}", put_blob(store, b"table"), "2026"))
-        first = hashlib.sha256(b"dataset").hexdigest()
-        assert store.keep_prepared("j", b"dataset", b"rest") is None
-        assert store.keep_prepared("j", b"dataset", b"rest") == first
-        store.begin_terms([("j", "x")], lambda index, term: b"")
-        store.commit_cuts("j", {"x": b"cut"})
-        assert store.keep_prepared("j", b"another", b"rest of it") == first
-        record = store.job("j")
-        assert record is not None
-        assert record.dataset_digest == first
-        assert not store.has_blob(hashlib.sha256(b"another").hexdigest())
-
-
-def test_no_upload_touches_what_is_being_written_and_what_was_not_finished_is_deleted_later(tmp_path: Path) -> None:
-    data = b"d" * (CHUNK_SIZE + 1)
-    digest = hashlib.sha256(data).hexdigest()
-    with Store.open(tmp_path) as store:
-        store._write_blob(digest, data)
-        assert store.is_begun(digest)
-        assert not store.put_chunk(digest, 2, b"foreign", digest)
-        assert store.unused_blobs() == ()
-    with Store.open(tmp_path) as store:
-        assert store.unused_blobs() == (digest,)

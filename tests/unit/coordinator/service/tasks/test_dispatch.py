@@ -30,17 +30,6 @@ def helps(made: TaskPlan) -> list[tuple[str, str]]:
     return [(one.id, worker) for one, worker in made.helps]
 
 
-def test_tasks_go_out_in_their_order_as_long_as_there_are_workers() -> None:
-    made = plan([task("a"), task("b"), task("c")], [], [slot("w0", "h0"), slot("w1", "h1")], Counter())
-    assert leases(made) == [("a", "w0", 1), ("b", "w1", 1)]
-    assert (made.helps, made.recalled) == ([], [])
-
-
-def test_without_workers_or_tasks_nothing_is_planned() -> None:
-    assert plan([task("a")], [running("b")], [], Counter()) == TaskPlan()
-    assert plan([], [], [slot("w0")], Counter()) == TaskPlan()
-
-
 def test_a_task_goes_where_its_data_are_then_where_a_process_is_loaded_then_where_islands_are_few() -> None:
     slots = [
         slot("w0", islands=9), slot("w1", islands=2), slot("w2", islands=2, is_loaded=True),

@@ -4,10 +4,9 @@ import hashlib
 
 import pytest
 
-from atoll_coordinator.service.tasks.analyses import MAX_OPEN, WANTED_S, Analysis
+from atoll_coordinator.service.tasks.analyses import MAX_OPEN, Analysis
 from atoll_coordinator.service.tasks.background import (
     JobPrepared,
-    JobRefined,
     PreparationBegun,
     PreparationFailed,
     RefiningFailed,
@@ -27,7 +26,7 @@ from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.clients import AskAnalysis
 from atoll_core.wire.messages.handshake import Hello
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
-from atoll_core.wire.messages.views import TaskView, WorkerState
+from atoll_core.wire.messages.views import WorkerState
 from atoll_core.wire.messages.workers import ControlBody, WorkerStatus
 from atoll_core.wire.values import decode_value, encode_value
 from tests.simulation.harness.simulated_cluster import prepare as prepare_stub
@@ -35,7 +34,6 @@ from tests.simulation.harness.simulated_cluster import prepare as prepare_stub
 TABLE = "c" * 64
 CONFIG = JobConfig(seed=3)
 PREPARED = prepare(b"x,y", CONFIG.model_dump_json().encode(), prepare_stub)
-REFINED = b'{"job": "j", "warnings": ["made"]}'
 
 
 class Scene:
@@ -146,36 +144,6 @@ def test_a_table_is_leased_begun_and_prepared() -> None:
     assert decode_value(scene.controller.encoded("j"), Prepared).config == scene.posted[1].prepared.config
 
 
-def test_people_are_shown_who_has_a_task_and_how_far_it_is_until_it_is_tried_again() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    scene.beat("w0", j="running")
-    status = scene.membership.member("w0").status
-    held = (status.tasks[0].model_copy(update={"compared": 41}),)
-    scene.controller.add_heartbeat("w0", status.model_copy(update={"tasks": held}), scene.now)
-    scene.controller.table.of_job("j")[0].helpers["w1"] = scene.now
-    assert scene.controller.views("j") == (TaskView(function="prepare", worker="w0", helpers=1, compared=41),)
-    assert scene.controller.views("k") == ()
-    scene.fail("w0")
-    assert scene.controller.views("j") == (TaskView(function="prepare", worker="w0"),)
-
-
-def test_refining_takes_what_preparing_gave_as_it_came() -> None:
-    scene = Scene("w0")
-    scene.prepare()
-    scene.chunk("w0", "j", PREPARED)
-    scene.said()
-    scene.controller.refine(Searched("j", ()), CONFIG, 7.5, scene.now)
-    ((_, lease),) = scene.said()
-    assert isinstance(lease, messages.Lease)
-    assert (lease.function, lease.seconds) == ("refine", 7.5)
-    assert lease.inputs[0].data is not None
-    assert PREPARED.count(lease.inputs[0].data) == 1
-    scene.chunk("w0", "j", REFINED)
-    assert isinstance(scene.posted[-1], JobRefined)
-    assert scene.posted[-1].text == REFINED.decode()
-
-
 def test_refining_is_taken_over_though_less_of_its_time_is_left_then() -> None:
     before = refining("j", "w0", seconds=20.0)
     after = refining("j", "w1", seconds=19.5)
@@ -252,22 +220,6 @@ def test_what_breaks_says_what_to_send() -> None:
     assert f"Atoll {VERSION}" in failed.sentence
 
 
-def test_where_memory_ran_out_it_is_tried_again_alone() -> None:
-    scene = Scene("w0", "w1")
-    scene.prepare("j")
-    scene.prepare("k")
-    assert sorted(scene.leased_to()) == ["w0", "w1"]
-    worker = scene.controller.table.get(scene.ids["j"]).worker
-    scene.fail(worker, "j", "memory")
-    scene.prepare("l")
-    assert scene.leased_to() == []  # nothing else begins on its host
-    other = scene.controller.table.get(scene.ids["k"]).worker
-    scene.chunk(other, "k", PREPARED)
-    assert [(one.job, one.worker is not None) for one in scene.controller.table] == [("j", True), ("l", False)]
-    scene.chunk(scene.controller.table.get(scene.ids["j"]).worker, "j", PREPARED)
-    assert scene.controller.table.get(scene.ids["l"]).worker is not None
-
-
 def test_large_inputs_are_kept_as_long_as_one_of_the_jobs_needs_them() -> None:
     scene = Scene("w0")
     data = b"x" * (INLINE + 1)
@@ -330,35 +282,6 @@ def test_no_more_is_charged_for_a_task_than_the_time_since_it_was_leased() -> No
     assert scene.charged == [("j", 3.0)]
 
 
-def test_tasks_that_may_not_run_are_leased_to_nobody_and_those_that_run_go_on() -> None:
-    scene = Scene("w0")
-    scene.prepare("a")
-    scene.paused = {"a", "b"}
-    scene.prepare("b")
-    scene.join("w1")
-    scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w0", "a")]
-    assert (scene.controller.waits("a"), scene.controller.waits("b")) == (False, True)
-    scene.paused = set()
-    scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w1", "b")]
-
-
-def test_cordoned_and_drained_workers_get_no_tasks_but_end_the_one_that_they_have() -> None:
-    scene = Scene("w0", "w1", "w2")
-    scene.prepare("a")
-    scene.membership.set_cordons({"w0": True, "w1": False})
-    scene.prepare("b")
-    scene.prepare("c")
-    scene.controller.tick(scene.now)
-    assert [(worker, body.job) for worker, body in scene.said(messages.Lease)] == [("w0", "a"), ("w2", "b")]
-    scene.chunk("w0", "a", PREPARED)
-    assert scene.leased_to() == []
-    scene.membership.set_cordons({})
-    scene.controller.tick(scene.now)
-    assert scene.leased_to() == ["w0"]
-
-
 def test_a_task_is_helped_with_once_it_has_run_for_as_long_as_a_helper_takes_to_be_ready() -> None:
     scene = refining("j", "w0", "w1")
     scene.controller.help_after_s = HELP_AFTER_S
@@ -385,52 +308,6 @@ def asked(question: bytes = b"q", job: str = "ended") -> AskAnalysis:
 
 def analyse(scene: Scene, question: bytes = b"q") -> Analysis:
     return scene.controller.analyse(asked(question), b'{"job": "ended"}', 0, "ann", scene.now)
-
-
-def test_a_question_is_leased_with_the_result_and_answered_to_whoever_asks() -> None:
-    scene = Scene("w0")
-    analysis = analyse(scene)
-    ((worker, lease),) = scene.said()
-    assert isinstance(lease, messages.Lease)
-    assert (worker, lease.function, [given.data for given in lease.inputs]) == (
-        "w0", "report", [b'{"job": "ended"}', b"q"]
-    )  # fmt: skip
-    assert analysis.is_open
-    scene.chunk("w0", "ended", b"page", seconds=0.0)
-    assert scene.posted == []
-    assert (analysis.answer, analysis.is_open) == (b"page", False)
-    assert scene.controller.analyses.ask(asked(), 5.0) is analysis
-    assert scene.said() == [("w0", messages.Release(task=lease.task))]
-
-
-def test_a_question_that_nobody_asks_again_is_ended_and_forgotten() -> None:
-    scene = Scene("w0")
-    analysis = analyse(scene)
-    scene.said()
-    scene.now = WANTED_S
-    scene.controller.tick(scene.now)
-    assert scene.said() == []
-    scene.controller.analyses.ask(asked(), scene.now)
-    scene.now = 2.0 * WANTED_S
-    scene.controller.tick(scene.now)
-    assert len(scene.controller.table) == 1
-    scene.now += 1.0
-    scene.controller.tick(scene.now)
-    assert scene.said() == [("w0", messages.Release(task=analysis.id))]
-    assert len(scene.controller.table) == 0
-    assert scene.controller.analyses.ask(asked(), scene.now) is None
-    assert scene.forgotten == [analysis.id]
-
-
-def test_a_question_is_tried_again_and_then_says_why_it_failed() -> None:
-    scene = Scene("w0")
-    analysis = analyse(scene)
-    scene.fail("w0", "ended")
-    assert scene.leased_to() == ["w0", "w0"]
-    assert analysis.is_open
-    scene.fail("w0", "ended")
-    assert analysis.failed is not None
-    assert "it broke, twice" in analysis.failed
 
 
 def test_questions_of_a_user_are_bounded_and_go_with_their_job() -> None:

@@ -1,6 +1,5 @@
 """Tasks, who has them, and which of them are tried again."""
 
-import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -59,18 +58,6 @@ def test_workers_that_had_said_that_they_leave_cost_a_task_nothing_however_many(
         table.lease(one, "w", 0.0)
         assert table.lose("w", float(number), had_left=True) == [(one, None)]
     assert one.losses == 0
-
-
-@pytest.mark.parametrize("failure", ["error", "crash", "memory"])
-def test_what_fails_is_tried_once_more_and_where_memory_ran_out_alone(failure) -> None:
-    one = task()
-    table = table_with(one)
-    table.lease(one, "w", 0.0)
-    assert table.fail(one, failure, "it broke", 1.0) is None
-    assert (one.state, one.is_alone) == ("waiting", failure == "memory")
-    table.lease(one, "w", 2.0)
-    assert table.fail(one, failure, "it broke", 3.0) == "it broke, twice"
-    assert len(table) == 0
 
 
 def test_what_takes_too_long_is_never_tried_again() -> None:

@@ -4,7 +4,6 @@ from atoll_coordinator.service.workers.membership import (
     LEASE_S,
     STANDING_S,
     Membership,
-    version_refusal,
 )
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.wire.messages.handshake import Hello
@@ -32,17 +31,6 @@ def with_worker(name: str = "w0") -> Membership:
     return membership
 
 
-def test_a_worker_gets_islands_only_once_it_has_named_our_kernels() -> None:
-    membership = Membership("f")
-    membership.register(hello(fingerprint=""), 0.0)
-    membership.record_heartbeat("w0", status("ready"), 1.0)
-    assert (membership.ready(), membership.arriving()) == ((), 1)
-    membership.register(hello(fingerprint="f"), 2.0)
-    assert membership.ready() == ("w0",)
-    membership.register(hello(fingerprint=""), 3.0)  # sent before, and late
-    assert membership.ready() == ("w0",)
-
-
 def test_a_gap_in_our_own_loop_gives_everybody_a_fresh_lease() -> None:
     membership = with_worker()
     membership.expire(1.0)
@@ -57,26 +45,6 @@ def test_other_kernels_are_refused_and_both_fingerprints_named() -> None:
     assert "has f;" in refusal
     assert membership.register(hello("w0", fingerprint="f"), 1.0) is None
     assert membership.register(hello("w1", fingerprint=""), 1.0) is None
-
-
-def test_clients_need_the_same_protocol_only() -> None:
-    assert version_refusal(hello(role="client", version="0.0.1")) is None
-    refusal = version_refusal(hello(role="client", protocol=99))
-    assert refusal is not None
-    assert "protocol 99" in refusal
-    assert f"protocol {PROTOCOL_VERSION}" in refusal
-
-
-def test_views_show_what_people_want_to_know() -> None:
-    membership = with_worker()
-    membership.register(hello("v", "x", cores=8), 1.0)
-    first, second = membership.views(3.0)
-    assert [(view.cores, view.joined) for view in (first, second)] == [(8, 2.0), (1, 3.0)]
-    assert (first.worker, first.state, first.islands) == ("v", "compiling", 0)
-    assert (second.worker, second.state, second.islands, second.silent, second.host) == ("w0", "ready", 4, 3.0, "lab")
-    membership.record_presence("w0", False, 3.0)
-    membership.expire(20.0)
-    assert [view.state for view in membership.views(20.0)] == ["lost", "lost"]
 
 
 def test_views_say_what_a_worker_computes_islands_before_tasks() -> None:

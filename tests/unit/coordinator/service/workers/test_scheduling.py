@@ -94,23 +94,6 @@ def test_the_expected_workers_are_waited_for_but_not_for_ever(scheduler_of: Call
     assert placed(scheduler, archipelago(), now=EXPECT_S) == [("a", "a", "a", "a")]
 
 
-def four_jobs() -> list[Job]:
-    """Return jobs of two variables with eight islands each, none of them placed."""
-    return [
-        running(*(archipelago(islands=8, job=f"job{number}", variable=name) for name in "xy")) for number in range(4)
-    ]
-
-
-def islands_of(jobs: list[Job]) -> Counter[str]:
-    archipelagos = [archipelago for job in jobs for archipelago in job.open_archipelagos]
-    return Counter(
-        name
-        for archipelago in archipelagos
-        if archipelago.placement is not None
-        for name in archipelago.placement.workers
-    )
-
-
 def test_what_a_lost_worker_had_goes_to_those_with_the_least_to_do(scheduler_of: Callable[..., Scheduler]) -> None:
     membership = members("a", "b", "c")
     scheduler = scheduler_of(membership)

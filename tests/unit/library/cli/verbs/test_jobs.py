@@ -2,15 +2,13 @@
 
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from atoll.cli.main import main
-from atoll.cli.verbs import jobs as verb
 from atoll.cli.verbs import jobs as verbs
 from atoll.cli.verbs.jobs import coordinator_lines, line, worker_table
 from atoll_coordinator.service.service_loop import Service
@@ -61,6 +59,25 @@ def test_a_coordinator_that_answers_is_told_from_one_whose_loop_does_not_turn(
             loop.join()
 
 
+PLACED = EventView(
+    number=7, time="2026-01-01T10:11:12.123+00:00", event="placed", text="4 islands on w0", job="alpha", variable="x",
+    term=2, details={"workers": 1},
+)  # fmt: skip
+DONE = EventView(number=9, time="2026-01-01T10:11:13.000+00:00", event="done", text="done", job="alpha")
+
+
+TRAFFIC = (Traffic(kind="mail", messages_in=2, bytes_in=1500), Traffic(kind="report", messages_out=1, bytes_out=20))
+COUNTERS = Counters(traffic=TRAFFIC, memory_bytes=123_400_000, cpu_s=61.0, waited_s=1.5, refused=2, duplicates=1)
+WORKER = WorkerView(
+    worker="lab2", host="lab", pid=7, state="computing", islands=8, silent=0.1, version="0.1.0", counters=COUNTERS,
+    doing="alpha/x island 3 epoch 17", standing=40.0,
+)  # fmt: skip
+COORDINATOR = CoordinatorView(
+    version="0.1.0", incarnation=3, seconds=125.0, counters=COUNTERS, queued=5, under_way=4,
+    store=StoreView(transactions=4, total_s=0.01, worst_s=0.005),
+)  # fmt: skip
+
+
 def job(name: str, state: str) -> JobView:
     progress = {"epoch": 2, "normalized_error": 0.1, "complexity": 3, "expression": "2.0*x"}
     variables = (VARIABLE.model_copy(update=progress),)
@@ -70,10 +87,14 @@ def job(name: str, state: str) -> JobView:
 
 
 class FakeClient:
-    """A coordinator's answers."""
+    """A coordinator's answers about jobs, workers and events; each look at a followed job takes it further."""
 
     def __init__(self, *jobs: JobView) -> None:
         self._jobs = {view.job: view for view in jobs}
+        self.asked: list[tuple[object, ...]] = []
+        self.log = [PLACED]
+        self.looks = 0
+        self.clock = 0.0
 
     def jobs(self, prefix: str = "", *, is_open: bool = False, last: int | None = None) -> tuple[JobView, ...]:
         ended = ("done", "failed", "cancelled")
@@ -86,14 +107,8 @@ class FakeClient:
     def resolve(self, prefix: str) -> str:
         names = [name for name in self._jobs if name.startswith(prefix)]
         if len(names) != 1:
-            raise RefusedError(f"no job {prefix!r}")
+            raise RefusedError(f"the coordinator has no job {prefix!r}")
         return names[0]
-
-    def workers(self) -> tuple[WorkerView, ...]:
-        return tuple(
-            WorkerView(worker=name, host="h", pid=7, state="computing", islands=8, silent=0.1, version="0.1.0")
-            for name in ("lab-0", "lab-1", "den-0")
-        )
 
     def delete(self, name: str) -> None:
         if self._jobs[name].state == "running":
@@ -105,23 +120,58 @@ class FakeClient:
         ended = view.state in ("done", "failed", "cancelled")
         return view if ended else view.model_copy(update={"state": "cancelled"})
 
+    def _changed(self, *asked: object, **changes: object) -> JobView:
+        self.asked.append(asked)
+        return job_view(job="alpha", **changes)
 
-class EndingClient(FakeClient):
-    """A coordinator whose only job has gone on each time it is asked for, and is done the third time."""
+    def pause_job(self, job: str, *, paused: bool = True) -> JobView:
+        return self._changed("pause", job, paused, paused=paused, reason="waits for its turn (it is next)")
 
-    def __init__(self) -> None:
-        super().__init__(job("alpha", "running"))
-        self.looks = 0
-        self.clock = 0.0
+    def set_priority(self, job: str, priority: int) -> JobView:
+        return self._changed("priority", job, priority, priority=priority)
+
+    def share(self, job: str, *, shared: bool = True) -> JobView:
+        return self._changed("share", job, shared, shared=shared)
+
+    def retry(self, job: str, again: str) -> JobView:
+        return self._changed("retry", job, again).model_copy(update={"job": again})
+
+    def workers(self, prefix: str = "") -> tuple[WorkerView, ...]:
+        views = (WORKER.model_copy(update={"worker": name}) for name in ("lab-0", "lab-1", "den-0"))
+        return tuple(view for view in views if view.worker.startswith(prefix))
+
+    def set_worker(self, worker: str, service: WorkerService) -> tuple[WorkerView, ...]:
+        self.asked.append(("worker", worker, service))
+        return tuple(view.model_copy(update={"service": service}) for view in self.workers())
+
+    def coordinator(self) -> CoordinatorView:
+        return COORDINATOR
+
+    def pause_queue(self, *, paused: bool = True) -> CoordinatorView:
+        self.asked.append(("queue", paused))
+        return COORDINATOR.model_copy(update={"paused": paused})
+
+    def events(
+        self, job: str | None, after: int = 0, limit: int = 200, *, of_workers: bool = False
+    ) -> tuple[EventView, ...]:  # fmt: skip
+        self.asked.append((job, after, limit))
+        asked = [event for event in self.log if event.number > after and (event.event == "log" or not of_workers)]
+        return tuple(asked)[:limit]
 
     def follow(self, name: str, after: int | None, sequence: int) -> Following:
+        """Say that the job goes on, and the third time that it is done."""
         self.looks += 1
+        if self.looks == 3:
+            self.log.append(DONE)
+        events = tuple(event for event in self.log if event.number > (after or 0))
         view = job_view(
             job=name, state="done" if self.looks >= 3 else "running", elapsed=1.0, point_evaluations=self.looks,
             target_error=1e-9, variables=(),
         )  # fmt: skip
-        workforce = Workforce.of(self.workers())
-        change = JobChange(job=name, sequence=self.looks, previous=sequence, view=view, workforce=workforce)
+        change = JobChange(
+            job=name, sequence=self.looks, previous=sequence, view=view, events=events,
+            last=events[-1].number if events else 0, workforce=Workforce.of(self.workers()),
+        )  # fmt: skip
         return Following(lease_s=30.0, change=change)
 
     def now(self) -> float:
@@ -131,30 +181,34 @@ class EndingClient(FakeClient):
         self.clock += limit_s
 
 
-def connect(fake: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have the verbs ask `fake`."""
+@pytest.fixture
+def connect(monkeypatch: pytest.MonkeyPatch) -> Callable[..., FakeClient]:
+    """Have the verbs ask a coordinator of these jobs."""
 
-    @contextmanager
-    def connected(address: Destination, wait_s: float) -> Iterator[FakeClient]:
-        assert str(address) == "tcp/there:7447"
-        yield fake
+    def asking(*jobs: JobView) -> FakeClient:
+        fake = FakeClient(*jobs)
 
-    monkeypatch.setattr(verbs, "connected", connected)
-    monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
+        @contextmanager
+        def connected(address: Destination, wait_s: float) -> Iterator[FakeClient]:
+            assert str(address) == "tcp/there:7447"
+            yield fake
+
+        monkeypatch.setattr(verbs, "connected", connected)
+        monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
+        return fake
+
+    return asking
 
 
 @pytest.fixture
-def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
-    fake = FakeClient(job("alpha", "done"), job("beta", "running"), job("gamma", "failed"))
-    connect(fake, monkeypatch)
-    return fake
+def client(connect: Callable[..., FakeClient]) -> FakeClient:
+    return connect(job("alpha", "done"), job("beta", "running"), job("gamma", "failed"))
 
 
 def test_a_followed_status_ends_with_the_exit_code_of_the_job(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    connect: Callable[..., FakeClient], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    client = EndingClient()
-    connect(client, monkeypatch)
+    client = connect(job("alpha", "running"))
     assert main(["status", "al", "--follow", "--json"]) == 0
     views = [json.loads(cell) for cell in capsys.readouterr().out.splitlines()]
     assert [view["state"] for view in views] == ["running", "running", "done"]
@@ -175,15 +229,18 @@ def test_a_followed_status_ends_with_the_exit_code_of_the_job(
     ],
 )
 def test_cancel_promises_equations_only_where_there_are_some(
-    variables: tuple[VariableView, ...], said: str, client: FakeClient, capsys: pytest.CaptureFixture[str]
-) -> None:
-    client.__init__(job("one", "running").model_copy(update={"variables": variables}))  # type: ignore[misc]
+    variables: tuple[VariableView, ...], said: str, connect: Callable[..., FakeClient],
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    connect(job("one", "running").model_copy(update={"variables": variables}))
     assert main(["cancel"]) == 0
     assert said in capsys.readouterr().out
 
 
-def test_cancel_without_a_name_refuses_to_choose(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
-    client.__init__(job("one", "running"), job("two", "queued"))  # type: ignore[misc]
+def test_cancel_without_a_name_refuses_to_choose(
+    connect: Callable[..., FakeClient], capsys: pytest.CaptureFixture[str]
+) -> None:
+    connect(job("one", "running"), job("two", "queued"))
     assert main(["cancel"]) == 2
     assert "one, two; name one" in capsys.readouterr().err
 
@@ -197,66 +254,6 @@ def test_an_address_is_needed_and_checked(
     assert "--connect" in capsys.readouterr().err
     assert main([verb, "--connect", "there:7447"]) == 2
     assert "tcp/HOST:PORT" in capsys.readouterr().err
-
-
-class ControlClient:
-    """A coordinator with one job, `alpha`, and three workers."""
-
-    def __init__(self) -> None:
-        self.asked: list[tuple[object, ...]] = []
-
-    def resolve(self, prefix: str) -> str:
-        if not "alpha".startswith(prefix):
-            raise RefusedError(f"the coordinator has no job {prefix!r}")
-        return "alpha"
-
-    def _job(self, *asked: object, **changes: object) -> JobView:
-        self.asked.append(asked)
-        return job_view(job="alpha", **changes)
-
-    def pause_job(self, job: str, *, paused: bool = True) -> JobView:
-        return self._job("pause", job, paused, paused=paused, reason="waits for its turn (it is next)")
-
-    def set_priority(self, job: str, priority: int) -> JobView:
-        return self._job("priority", job, priority, priority=priority)
-
-    def share(self, job: str, *, shared: bool = True) -> JobView:
-        return self._job("share", job, shared, shared=shared)
-
-    def retry(self, job: str, again: str) -> JobView:
-        return self._job("retry", job, again).model_copy(update={"job": again})
-
-    def workers(self) -> tuple[WorkerView, ...]:
-        return tuple(
-            WorkerView(worker=name, host="h", pid=7, state="computing", islands=8, silent=0.1, version="0.1.0")
-            for name in ("lab-0", "lab-1", "den-0")
-        )
-
-    def set_worker(self, worker: str, service: WorkerService) -> tuple[WorkerView, ...]:
-        self.asked.append(("worker", worker, service))
-        return tuple(view.model_copy(update={"service": service}) for view in self.workers())
-
-    def coordinator(self) -> CoordinatorView:
-        return CoordinatorView(
-            version="0.1.0", incarnation=1, seconds=1.0, counters=Counters(), store=StoreView(), queued=5, under_way=4
-        )
-
-    def pause_queue(self, *, paused: bool = True) -> CoordinatorView:
-        self.asked.append(("queue", paused))
-        return self.coordinator().model_copy(update={"paused": paused})
-
-
-@pytest.fixture
-def control(monkeypatch: pytest.MonkeyPatch) -> ControlClient:
-    fake = ControlClient()
-
-    @contextmanager
-    def connected(address: Destination, wait_s: float) -> Iterator[ControlClient]:
-        yield fake
-
-    monkeypatch.setattr(verbs, "connected", connected)
-    monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
-    return fake
 
 
 @pytest.mark.parametrize(
@@ -276,29 +273,25 @@ def control(monkeypatch: pytest.MonkeyPatch) -> ControlClient:
     ],
 )
 def test_what_is_asked_and_printed(
-    control: ControlClient,
-    capsys: pytest.CaptureFixture[str],
-    words: list[str],
-    asked: tuple[object, ...],
-    printed: str,
+    client: FakeClient, capsys: pytest.CaptureFixture[str], words: list[str], asked: tuple[object, ...], printed: str
 ) -> None:
     assert main(words) == 0
-    assert control.asked == [asked]
+    assert client.asked == [asked]
     assert capsys.readouterr().out.startswith(printed)
 
 
-def test_the_queue_is_shown_without_changing_it(control: ControlClient, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_queue_is_shown_without_changing_it(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["queue", "--json"]) == 0
-    assert control.asked == []
+    assert client.asked == []
     assert json.loads(capsys.readouterr().out)["queued"] == 5
 
 
-@pytest.mark.usefixtures("control")
+@pytest.mark.usefixtures("client")
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["cordon", "lab"], "lab-0, lab-1"),
-        (["pause", "beta"], "the coordinator has no job 'beta'"),
+        (["pause", "delta"], "the coordinator has no job 'delta'"),
         (["priority", "alpha", "11"], "expected a whole number from -10 to 10"),
         (["retry", "alpha", "--id", "a b"], "--id must be 1 to 64 letters"),
         (["queue", "stop"], "must be one of"),
@@ -309,95 +302,27 @@ def test_what_cannot_be_is_said(capsys: pytest.CaptureFixture[str], words: list[
     assert said in capsys.readouterr().err
 
 
-PLACED = EventView(
-    number=7, time="2026-01-01T10:11:12.123+00:00", event="placed", text="4 islands on w0", job="alpha", variable="x",
-    term=2, details={"workers": 1},
-)  # fmt: skip
-DONE = EventView(number=9, time="2026-01-01T10:11:13.000+00:00", event="done", text="done", job="alpha")
-
-
-class LogClient:
-    """A coordinator on which something more has happened each time it is asked."""
-
-    def __init__(self) -> None:
-        self.log = [PLACED]
-        self.looks = 0
-        self.clock = 0.0
-        self.asked: list[tuple[str | None, int, int]] = []
-
-    def resolve(self, prefix: str) -> str:
-        return "alpha"
-
-    def events(
-        self, job: str | None, after: int = 0, limit: int = 200, *, of_workers: bool = False
-    ) -> tuple[EventView, ...]:  # fmt: skip
-        self.asked.append((job, after, limit))
-        asked = [event for event in self.log if event.number > after and (event.event == "log" or not of_workers)]
-        return tuple(asked)[:limit]
-
-    def follow(self, job: str, after: int | None, sequence: int) -> Following:
-        self.looks += 1
-        if self.looks == 3:
-            self.log.append(DONE)
-        events = tuple(event for event in self.log if event.number > (after or 0))
-        change = JobChange(
-            job=job,
-            sequence=self.looks,
-            previous=sequence,
-            view=self._view(),
-            events=events,
-            last=events[-1].number if events else 0,
-        )
-        return Following(lease_s=30.0, change=change)
-
-    def next_change(self, limit_s: float) -> None:
-        self.clock += limit_s
-
-    def now(self) -> float:
-        return self.clock
-
-    def _view(self) -> JobView:
-        state: Any = "done" if self.looks >= 3 else "running"
-        return JobView(
-            job="alpha", name="n", state=state, seed=0, preset="default", submitted="", elapsed=1.0, workers=1,
-            point_evaluations=self.looks, target_error=1e-9,
-        )  # fmt: skip
-
-
-@pytest.fixture
-def logged(monkeypatch: pytest.MonkeyPatch) -> LogClient:
-    fake = LogClient()
-
-    @contextmanager
-    def connected(address: str, wait_s: float) -> Iterator[LogClient]:
-        yield fake
-
-    monkeypatch.setattr(verb, "connected", connected)
-    monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
-    return fake
-
-
 def test_an_event_is_one_line_with_where_it_happened() -> None:
     assert line(PLACED) == "2026-01-01 10:11:12.123  placed         4 islands on w0  [job=alpha variable=x term=2]"
 
 
-def test_the_log_of_a_job_is_lines_or_a_list(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_log_of_a_job_is_lines_or_a_list(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["logs", "al", "--lines", "5"]) == 0
     assert capsys.readouterr().out == line(PLACED) + "\n"
-    assert logged.asked == [("alpha", 0, 5)]
+    assert client.asked == [("alpha", 0, 5)]
     assert main(["logs", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == [PLACED.model_dump(mode="json")]
-    assert logged.asked[-1] == (None, 0, 200)
+    assert client.asked[-1] == (None, 0, 200)
 
 
-def test_lines_of_workers_and_warnings_can_be_asked_for(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_of_workers_and_warnings_can_be_asked_for(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
     said = {"time": "2026-01-01T10:11:12.123+00:00", "event": "log", "job": "alpha", "worker": "w0"}
     for number, level in ((20, "info"), (21, "warning")):
-        logged.log.append(
+        client.log.append(
             EventView.model_validate({**said, "number": number, "text": level, "details": {"level": level}})
         )
     stalled = EventView(number=22, time="2026-01-01T10:11:13.000+00:00", event="stalled", text="waits", job="alpha")
-    logged.log.append(stalled)
+    client.log.append(stalled)
 
     def shown(*words: str) -> list[str]:
         assert main(["logs", "al", *words]) == 0
@@ -410,10 +335,12 @@ def test_lines_of_workers_and_warnings_can_be_asked_for(logged: LogClient, capsy
     assert shown("--workers", "--level", "error") == ["no events of job alpha"]
 
 
-def test_followed_logs_end_with_the_job_and_miss_nothing(logged: LogClient, capsys: pytest.CaptureFixture[str]) -> None:
+def test_followed_logs_end_with_the_job_and_miss_nothing(
+    client: FakeClient, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["logs", "al", "--follow"]) == 0
     assert capsys.readouterr().out.splitlines() == [line(PLACED), line(DONE)]
-    logged.looks, logged.log = 0, []
+    client.looks, client.log = 0, []
     assert main(["logs", "al", "--follow", "--json"]) == 0
     assert [json.loads(cell)["event"] for cell in capsys.readouterr().out.splitlines()] == ["done"]
 
@@ -426,47 +353,8 @@ def test_numbers_out_of_range_are_refused_with_the_range(words: list[str], capsy
     assert "expected a whole number from" in capsys.readouterr().err
 
 
-TRAFFIC = (Traffic(kind="mail", messages_in=2, bytes_in=1500), Traffic(kind="report", messages_out=1, bytes_out=20))
-COUNTERS = Counters(traffic=TRAFFIC, memory_bytes=123_400_000, cpu_s=61.0, waited_s=1.5, refused=2, duplicates=1)
-WORKER = WorkerView(
-    worker="lab2", host="lab", pid=7, state="computing", islands=8, silent=0.1, version="0.1.0", counters=COUNTERS,
-    doing="alpha/x island 3 epoch 17", standing=40.0,
-)  # fmt: skip
-COORDINATOR = CoordinatorView(
-    version="0.1.0", incarnation=3, seconds=125.0, counters=COUNTERS,
-    store=StoreView(transactions=4, total_s=0.01, worst_s=0.005),
-)  # fmt: skip
-
-
-class WorkerClient:
-    """A coordinator's answers."""
-
-    def __init__(self) -> None:
-        self.views = (WORKER,)
-
-    def workers(self, prefix: str = "") -> tuple[WorkerView, ...]:
-        return tuple(view for view in self.views if view.worker.startswith(prefix))
-
-    def coordinator(self) -> CoordinatorView:
-        return COORDINATOR
-
-
-@pytest.fixture
-def listed(monkeypatch: pytest.MonkeyPatch) -> WorkerClient:
-    fake = WorkerClient()
-
-    @contextmanager
-    def connected(address: Destination, wait_s: float) -> Iterator[WorkerClient]:
-        assert str(address) == "tcp/there:7447"
-        yield fake
-
-    monkeypatch.setattr(verb, "connected", connected)
-    monkeypatch.setenv("ATOLL_CONNECT", "tcp/there:7447")
-    return fake
-
-
-def test_workers_show_what_they_do_and_take(listed: WorkerClient, capsys: pytest.CaptureFixture[str]) -> None:
-    del listed
+def test_workers_show_what_they_do_and_take(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
+    del client
     heads, row = worker_table([WORKER]).splitlines()
     cells = dict(zip(heads.split(), [cell for cell in row.split("  ") if cell], strict=True))
     assert {name: cells[name].strip() for name in ("MEMORY", "CPU", "IN", "OUT", "WAITED", "TROUBLE", "DOING")} == {
@@ -474,12 +362,12 @@ def test_workers_show_what_they_do_and_take(listed: WorkerClient, capsys: pytest
         "TROUBLE": "2 refused, 1 twice", "DOING": "alpha/x island 3 epoch 17, 40 s without progress",
     }  # fmt: skip
     assert main(["workers", "--json"]) == 0
-    (view,) = json.loads(capsys.readouterr().out)
+    view, *_ = json.loads(capsys.readouterr().out)
     assert view["counters"]["traffic"][0]["bytes_in"] == 1500
 
 
-def test_the_coordinators_own_counters(listed: WorkerClient, capsys: pytest.CaptureFixture[str]) -> None:
-    del listed
+def test_the_coordinators_own_counters(client: FakeClient, capsys: pytest.CaptureFixture[str]) -> None:
+    del client
     assert main(["workers", "--coordinator"]) == 0
     out = capsys.readouterr().out
     assert out == coordinator_lines(COORDINATOR) + "\n"

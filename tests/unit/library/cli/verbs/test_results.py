@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from atoll.api.model import Model
 from atoll.cli.main import main
-from atoll.model.model import Model
 from atoll_coordinator.result.result import Result
 from tests.unit.library.experiments.made import measured
 from tests.unit.library.experiments.test_comparison import decay
@@ -497,7 +497,7 @@ def test_the_heading_of_one_group_names_it(exportable: Path, capsys: pytest.Capt
     contents["equations"][0] |= {"front": [member | {"r2": 0.5, "constants": []}], "why": "target", "target_error": 0.1}
     (exportable / "result.json").write_text(json.dumps(contents))
     picked = exported(capsys, *words, *start, "--pick", "x=0")
-    assert "those of dx/dt are of all groups together." in picked
+    assert "the constants of dx/dt belong to all groups together." in picked
     assert "0.75" in picked
     assert "Constants belong to group a b." in text
     assert "0.6" in text

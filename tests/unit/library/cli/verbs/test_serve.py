@@ -5,7 +5,6 @@ import ipaddress
 import os
 import socket
 import threading
-from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -13,8 +12,6 @@ import pytest
 
 from atoll.cli.main import main
 from atoll.cli.verbs import serve
-from atoll.cli.verbs import serve as listener
-from atoll.cli.verbs import serve as router
 from atoll.cli.verbs.serve import greeting
 from atoll_coordinator.service.service_loop import Service
 from atoll_coordinator.service.store.store import Store
@@ -34,8 +31,8 @@ def test_one_address_gives_the_line_that_starts_a_worker() -> None:
 
 
 def test_every_address_heard_on_is_named_when_listening_everywhere(monkeypatch) -> None:
-    monkeypatch.setattr(listener, "_interface_address", {"lo": "127.0.0.1", "a": "10.0.0.5", "b": None}.get)
-    monkeypatch.setattr(listener.socket, "if_nameindex", lambda: [(1, "lo"), (2, "a"), (3, "b")])
+    monkeypatch.setattr(serve, "_interface_address", {"lo": "127.0.0.1", "a": "10.0.0.5", "b": None}.get)
+    monkeypatch.setattr(serve.socket, "if_nameindex", lambda: [(1, "lo"), (2, "a"), (3, "b")])
     lines = greeting(destination("tcp/0.0.0.0:7447"), "state").splitlines()
     assert [line.split()[-1] for line in lines if "island-worker" in line] == [
         "tcp/10.0.0.5:7447",
@@ -44,25 +41,10 @@ def test_every_address_heard_on_is_named_when_listening_everywhere(monkeypatch) 
     assert "trusted network" in lines[-2]
 
 
-def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path) -> None:
-    place = tmp_path / "file"
-    place.write_text("")
-    options = Namespace(
-        http=None,
-        http_users=None,
-        metrics=None,
-        listen="tcp/127.0.0.1:0",
-        router=None,
-        state=str(place),
-        roster=None,
-        limits=None,
-        log_format="text",
-        log_level="info",
-        standby=False,
-    )
-    with pytest.raises(WrongStoreError, match="choose another directory with --state") as refused:
-        serve.serve(options)
-    assert refused.value.exit_code == 2
+def test_a_state_that_cannot_be_a_folder_is_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["serve", "--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path / "file")]) == 2
+    assert "choose another directory with --state" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("reason", "code"), [(errno.ENOSPC, 1), (errno.EMFILE, 1), (errno.EACCES, 2)])
@@ -148,7 +130,7 @@ def test_each_address_is_printed_once_and_somebody_listens_there(monkeypatch, ho
 def test_a_listener_that_nobody_could_dial_is_refused(tmp_path, monkeypatch, capsys, host, verb) -> None:
     """The bus dials no IPv6 address with a certificate, and on ::1 no name of the certificate leads to it."""
     named = ("::1", "2001:db8::5") if host != "::1" else NAMED
-    monkeypatch.setattr(listener, "credentials_of", lambda *_: tls(host, named).credentials)
+    monkeypatch.setattr(serve, "credentials_of", lambda *_: tls(host, named).credentials)
     monkeypatch.setattr(socket, "getaddrinfo", first_address)
     words = [verb, "--listen", f"tls/[{host}]:7447", *(["--state", str(tmp_path / "state")] if verb == "serve" else [])]
     assert main(words) == 2
@@ -159,18 +141,9 @@ def test_a_listener_that_nobody_could_dial_is_refused(tmp_path, monkeypatch, cap
     assert not (tmp_path / "state").exists()
 
 
-LOGS = {"log_format": "text", "log_level": "info", "standby": False}
-
-
 @pytest.fixture
 def central() -> Iterator[ZenohBus]:
     with open_router("tcp/127.0.0.1:0") as bus:
-        yield bus
-
-
-@pytest.fixture
-def site(central: ZenohBus) -> Iterator[ZenohBus]:
-    with open_router("tcp/127.0.0.1:0", router.upstream_settings([central.endpoint])) as bus:
         yield bus
 
 
@@ -191,56 +164,31 @@ def coordinator(central: ZenohBus, tmp_path: Path) -> Iterator[str]:
 
 
 def test_a_second_coordinator_behind_one_router_is_refused(
-    central: ZenohBus, request: pytest.FixtureRequest, tmp_path: Path
+    central: ZenohBus, request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with open_client(central.endpoint, 5.0) as bus:
         serve.refuse_another(bus, central.endpoint)
         request.getfixturevalue("coordinator")
         with pytest.raises(UsageError, match="stop it first, or use another router"):
             serve.refuse_another(bus, central.endpoint)
-    place = str(tmp_path / "two")
-    options = Namespace(
-        http=None,
-        http_users=None,
-        metrics=None,
-        router=central.endpoint,
-        listen=None,
-        state=place,
-        roster=None,
-        limits=None,
-        connect_file=None,
-        wait=1.0,
-        **LOGS,
-    )
-    with pytest.raises(UsageError, match="behind the router"):
-        serve.serve(options)
+    assert main(["serve", "--router", central.endpoint, "--state", str(tmp_path / "two"), "--wait", "1"]) == 1
+    assert "behind the router" in capsys.readouterr().err
 
 
-def test_a_coordinator_whose_router_is_not_there_says_so_after_the_wait(tmp_path: Path) -> None:
-    options = Namespace(
-        http=None,
-        http_users=None,
-        metrics=None,
-        router="tcp/127.0.0.1:9",
-        listen=None,
-        state=str(tmp_path),
-        roster=None,
-        limits=None,
-        connect_file=None,
-        wait=0.2,
-        **LOGS,
-    )
-    with pytest.raises(UnreachableError, match=r"tcp/127\.0\.0\.1:9 within 0\.2 s"):
-        serve.serve(options)
+def test_a_coordinator_whose_router_is_not_there_says_so_after_the_wait(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["serve", "--router", "tcp/127.0.0.1:9", "--state", str(tmp_path), "--wait", "0.2"]) == 3
+    assert "tcp/127.0.0.1:9 within 0.2 s" in capsys.readouterr().err
 
 
 def test_a_router_starts_without_those_above_it_and_says_how_to_use_it() -> None:
-    with open_router("tcp/127.0.0.1:0", router.upstream_settings(["tcp/127.0.0.1:9"])) as bus:
-        lines = router.router_greeting(destination(bus.endpoint), ["tcp/127.0.0.1:9"]).splitlines()
+    with open_router("tcp/127.0.0.1:0", serve.upstream_settings(["tcp/127.0.0.1:9"])) as bus:
+        lines = serve.router_greeting(destination(bus.endpoint), ["tcp/127.0.0.1:9"]).splitlines()
         assert lines[0].endswith("passes on to tcp/127.0.0.1:9")
         assert f"  island-worker --connect {bus.endpoint}" in lines
         assert not any("serve" in line for line in lines), "the coordinator is at the central one"
     assert any(
         "serve --router tcp/10.0.0.1:1" in line
-        for line in router.router_greeting(destination("tcp/10.0.0.1:1"), []).splitlines()
+        for line in serve.router_greeting(destination("tcp/10.0.0.1:1"), []).splitlines()
     )

@@ -1,1 +1,0 @@
-"""What the data leave open: ``python -m benchmarks.experiments.coverage`` measures intervals of constants."""

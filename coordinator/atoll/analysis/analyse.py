@@ -1,0 +1,163 @@
+"""Analyse the dynamics of a model: fixed points, cycles, basins, comparison with the data, branches."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from atoll.analysis.basins import Attractor, basins
+from atoll.analysis.conserved import conserved_quantities, is_volume_preserving
+from atoll.analysis.continuation import Branch, Coefficients, ContinuationParameter, continuation
+from atoll.analysis.cycle_continuation import CycleBranch, cycle_continuation
+from atoll.analysis.dynamics import MeasuredTrajectory, compared, measured_trajectories
+from atoll.analysis.fixed_points import fixed_points
+from atoll.analysis.flow import Box, Flow
+from atoll.analysis.limit_cycles import LimitCycle, limit_cycles
+from atoll.analysis.lyapunov import lyapunov_spectrum
+from atoll.analysis.nullclines import nullclines
+from atoll.model.arguments import by_name, interval, number
+from atoll.model.core import ModelCore
+from atoll.model.vector_field import VectorField
+from atoll_coordinator.result.result import Result
+from atoll_core.data.dataset import FloatArray
+from atoll_core.errors import UsageError
+from atoll_core.quoting import did_you_mean, shown
+
+if TYPE_CHECKING:
+    pass
+
+from atoll.analysis.analysis import Analysis
+
+MOST_STATES: Final = 12
+"""The Lorenz 96 model with 12 states takes 8 s of one core, near the 10 s that an analysis may take."""
+
+_MARGIN: Final = 0.5
+"""Widths of the measured range by which the default box is larger on either side. It decides where the analysis
+searches, which is reported, and not the results there."""
+
+
+@np.errstate(all="ignore")  # rates may overflow in a part of the box
+def analyse(
+    field: VectorField,
+    box: Box,
+    *,
+    inputs: FloatArray | None = None,
+    measured: Sequence[MeasuredTrajectory] = (),
+    vary: tuple[str, tuple[float, float]] | None = None,
+) -> Analysis:
+    """Return the dynamics of `field` in `box`; every part is bounded in steps and reports its extent.
+
+    The `inputs` (U,) are held, by default at 0; the model is compared with `measured` trajectories; `vary` is the name
+    of a parameter, as `Coefficients.find` takes it, and its range. Raises UsageError for more than `MOST_STATES` states
+    and for an unknown name.
+    """
+    if len(field.states) > MOST_STATES:
+        raise UsageError(f"the model has {len(field.states)} states; at most {MOST_STATES} can be analysed")
+    flow, coefficients = Flow.of(field, inputs), Coefficients.of(field)
+    varied, parameter = (flow, None) if vary is None else coefficients.find(flow, vary[0])
+    branches: tuple[Branch, ...] = ()
+    cycle_branches: tuple[CycleBranch, ...] = ()
+    fixed = fixed_points(flow, box)
+    cycles = limit_cycles(flow, box, fixed.points, fixed.sets)
+    stable: list[Attractor] = [point for point in (*fixed.points, *cycles.resting) if point.attracts_in_box]
+    stable += [fixed_set for fixed_set in fixed.sets if fixed_set.attracts_in_box]
+    stable += [cycle for cycle in cycles.cycles if cycle.is_stable]
+    reached = basins(flow, box, stable)
+    is_open = flow.size > 2 and len(cycles.unsettled) > 0
+    if vary is not None and parameter is not None:
+        branches, cycle_branches = _continued(box, varied, parameter, vary[1], cycles.cycles)
+    return Analysis(
+        field,
+        box,
+        flow.inputs,
+        fixed,
+        nullclines(flow, box) if flow.size == 2 else (),
+        cycles,
+        lyapunov_spectrum(flow, box, cycles.unsettled) if is_open else None,
+        reached,
+        conserved_quantities(flow, box),
+        is_volume_preserving(flow, box),
+        compared(flow, box, stable, measured, reached.duration, has_family=cycles.has_family),
+        coefficients,
+        parameter,
+        branches,
+        cycle_branches,
+        tuple(trajectory.name for trajectory in measured if field.inputs and trajectory.inputs is None),
+    )
+
+
+def _continued(
+    box: Box, flow: Flow, parameter: ContinuationParameter, bounds: tuple[float, float], cycles: Sequence[LimitCycle]
+) -> tuple[tuple[Branch, ...], tuple[CycleBranch, ...]]:
+    branches = continuation(flow, box, parameter, bounds)
+    value = parameter.value
+    if not bounds[0] <= value <= bounds[1]:
+        value = 0.5 * (bounds[0] + bounds[1])
+        shifted = parameter.at(flow, value)
+        shifted_points = fixed_points(shifted, box)
+        cycles = limit_cycles(shifted, box, shifted_points.points, shifted_points.sets).cycles
+    known = [(value, cycle) for cycle in cycles]
+    return branches, cycle_continuation(flow, box, parameter, bounds, branches=branches, known=known)
+
+
+def analyse_model(
+    model: ModelCore,
+    box: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    inputs: Mapping[str, float] | None = None,
+    vary: tuple[str, tuple[float, float]] | None = None,
+) -> Analysis:
+    """Return the dynamics of a model; see `atoll.Model.analyse`."""
+    model.require_one_group()
+    bounds = {name: interval(ends, f"the bounds of {name!r}") for name, ends in by_name(box, "the box").items()}
+    held = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
+    if vary is not None and not (isinstance(vary, tuple) and len(vary) == 2 and isinstance(vary[0], str)):
+        raise UsageError(f"vary must be a name and a range, such as ('c1', (0.0, 1.0)), but {shown(vary)} was given")
+    varied = None if vary is None else (vary[0], interval(vary[1], f"the range of {vary[0]!r}"))
+    field = model.field
+    for name in held:
+        if name not in field.inputs:
+            raise UsageError(f"there is no input '{name}' to hold; inputs: {', '.join(field.inputs) or 'none'}")
+    values = np.array([held.get(name, 0.0) for name in field.inputs])
+    measured = measured_trajectories(model.result, field)
+    sides = [equation.lhs for equation in model.result.equations if equation.verdict == "no model"]
+    caveat = f"The verdict on {', '.join(sides)} is no model: these equations do not fit the data." if sides else ""
+    found = analyse(field, box_of(model.result, field, measured, bounds), inputs=values, measured=measured, vary=varied)
+    return replace(found, caveat=caveat)
+
+
+def box_of(
+    result: Result,
+    field: VectorField,
+    measured: Sequence[MeasuredTrajectory],
+    bounds: Mapping[str, tuple[float, float]],
+) -> Box:
+    """Return the box to search: `bounds` by state, otherwise the measured range, wider by half on either side.
+
+    The box does not reach below 0 if no value below 0 was measured. Raises UsageError for a state with neither bounds
+    nor measurements.
+    """
+    ranges = {name: ends for name, ends in result.ranges.items() if name in field.states}
+    if measured:
+        states = np.vstack([trajectory.states for trajectory in measured])
+        ends = zip(states.min(axis=0).tolist(), states.max(axis=0).tolist(), strict=True)
+        ranges |= dict(zip(field.states, ends, strict=True))
+    known: dict[str, tuple[float, float]] = {}
+    for name, (low, high) in ranges.items():
+        # a state that was measured at one value has the width of that value, or 1 if it is 0
+        beyond = _MARGIN * (high - low) or _MARGIN * abs(high) or 1.0
+        known[name] = (max(low - beyond, 0.0) if low >= 0.0 else low - beyond, high + beyond)
+    for name in bounds:
+        if name not in field.states:
+            hint = did_you_mean(name, field.states)
+            raise UsageError(f"there is no state '{name}' to bound; the states are {', '.join(field.states)}{hint}")
+    known |= bounds
+    for name in field.states:
+        if name not in known:
+            raise UsageError(f"state '{name}' was not measured, so that the box needs its lower and upper bound")
+        low, high = known[name]
+        if not (np.isfinite([low, high]).all() and low < high):
+            raise UsageError(f"the bounds {low:g} and {high:g} of '{name}' are not an interval; give the lower first")
+    lower, upper = np.array([known[name] for name in field.states], dtype=np.float64).T.copy()
+    return Box(lower, upper)

@@ -1,0 +1,555 @@
+"""The model of users: a `ModelCore` with methods that simulate, predict, score, analyse, plan, display and export.
+
+Each method imports the package that does the work when it is called, so that loading a model stays quick. Letters: D
+states, U inputs, N rows or times.
+"""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from atoll.api.tables import python_words, table_of
+from atoll.model.arguments import (
+    Columns,
+    Given,
+    GivenInputs,
+    by_name,
+    column,
+    has,
+    has_columns,
+    inputs_along,
+    number,
+    points_of,
+    read_columns,
+    recorded_inputs,
+    require_inputs,
+    rows_of,
+    stacked,
+    start_of,
+    times_of,
+)
+from atoll.model.core import ModelCore
+from atoll.model.equations import (
+    LEVEL,
+    measured_ranges,
+    outside_sentence,
+    quantile,
+)
+from atoll.model.simulation import (
+    EarlyEndWarning,
+    ExtrapolationWarning,
+    Inputs,
+    Simulation,
+    SimulationWarning,
+    density_of_process,
+    ensemble_of,
+    process_of,
+    simulate,
+)
+from atoll_coordinator.stochastic.paths import PATHS, Ensemble, StationaryDensity
+from atoll_core.data.dataset import FloatArray
+from atoll_core.data.frames import FrameLibrary, frame_of
+from atoll_core.data.table import Table
+from atoll_core.errors import UsageError
+from atoll_core.expression.evaluation import values_of
+from atoll_core.expression.text.parsing import from_infix
+from atoll_core.quoting import path_of, shown, write_text
+
+if TYPE_CHECKING:
+    import polars
+    import sympy
+
+    from atoll.analysis.analysis import Analysis
+    from atoll.experiments.comparison import Comparison
+    from atoll.experiments.designs import Cost
+    from atoll.experiments.identifiability import Identifiability, ProfiledConstant
+    from atoll.experiments.suggestion import Suggestions
+    from atoll.export.description import HeldInputs, Times
+
+
+class Model(ModelCore):
+    """A model as users hold it: the result of a job that has found every equation, with methods to use it.
+
+    Exports take `x0`, `t` and `u`, the initial state, the times and the inputs of the file, as `simulate` does, with
+    the recorded inputs where `x0` is None. Unknown inputs are held at 0; functions of time are refused. Each raises
+    UsageError where the format cannot hold the model, or where the initial state or the times are not known.
+    docs/export.md lists the programs that open each format.
+    """
+
+    @overload
+    def simulate(
+        self,
+        x0: Given | None = None,
+        t: npt.ArrayLike | float | None = None,
+        u: GivenInputs = None,
+        *,
+        has_bands: bool = True,
+        group: object = None,
+        paths: None = None,
+        seed: int = 0,
+    ) -> Simulation: ...
+
+    @overload
+    def simulate(
+        self,
+        x0: Given | None = None,
+        t: npt.ArrayLike | float | None = None,
+        u: GivenInputs = None,
+        *,
+        has_bands: bool = True,
+        group: object = None,
+        paths: int,
+        seed: int = 0,
+    ) -> Ensemble: ...
+
+    def simulate(  # noqa: PLR0913, the keywords are the options of the command
+        self,
+        x0: Given | None = None,
+        t: npt.ArrayLike | float | None = None,
+        u: GivenInputs = None,
+        *,
+        has_bands: bool = True,
+        group: object = None,
+        paths: int | None = None,
+        seed: int = 0,
+    ) -> Simulation | Ensemble:
+        """Integrate from an initial state. Its `status` says how it ends: a blow-up is a result, not an error.
+
+        One that ends early has only the times that were reached, and an `EarlyEndWarning` says so. An
+        `ExtrapolationWarning` says that `x0` is outside of the measured range.
+
+        Args:
+            x0: the initial state, by name or in order, angles in radians; None: of the first measured trajectory, with
+                its inputs where `u` names none.
+            t: ascending times, the first one at `x0`; one number: the last time, from the first measured one; None: the
+                times of the first trajectory.
+            u: inputs: by name numbers, arrays at the times `t` or functions of time; or an array (N, U), or a function
+                of time that returns U numbers. An input that is the time itself is not given.
+            has_bands: whether errors of the constants are propagated to 95 % bands, where they are known.
+            group: the group of trajectories whose constants are used, where these differ; one of `groups`.
+            paths: for a stochastic process, the number of paths to draw: an `Ensemble`. None: the drift alone.
+            seed: of the paths; the same seed gives the same paths.
+
+        Raises:
+            UsageError: the arguments do not fit, the model has no time, constants differ between groups and none is
+                named, or paths are requested of a model without noise.
+        """
+        model = self if group is None else self.of_group(group)
+        model.require_one_group()
+        if paths is not None:
+            process_of(model)
+        field, times, start = model.field, times_of(model, t), start_of(model, x0)
+        inputs = inputs_along(model, u, times, recorded_inputs(model) if x0 is None else {})
+        remark = "" if x0 is None else _extrapolated(model, start, None if u is None else inputs, float(times[0]))
+        if remark:
+            warnings.warn(remark, ExtrapolationWarning, stacklevel=2)
+        if paths is not None:
+            return ensemble_of(model, start, times, inputs, (paths, seed))
+        errors = model.joint_errors if has_bands else None
+        bands = None if errors is None else (errors, quantile(LEVEL, model.degrees_of_freedom))
+        simulation = replace(simulate(field, start, times, inputs, bands), time=model.time, remark=remark)
+        if len(simulation.t) < len(times):
+            warnings.warn(simulation.message, EarlyEndWarning, stacklevel=2)
+        return simulation
+
+    def stationary_density(
+        self,
+        x0: Given | None = None,
+        *,
+        inputs: Mapping[str, float] | None = None,
+        paths: int = PATHS,
+        seed: int = 0,
+    ) -> StationaryDensity | None:
+        """Return the stationary density of the paths of a stochastic process; None where they do not settle.
+
+        Paths that stay in one of two wells for the whole simulation give the density in that well.
+
+        Args:
+            x0: the initial state of all paths; None: as measured.
+            inputs: held values of inputs, by name; 0 by default.
+            paths: the number of paths, at least 2.
+            seed: of the paths.
+
+        Raises:
+            UsageError: the arguments do not fit, or the model has no noise.
+        """
+        process_of(self)
+        named = {name: number(value, f"the input {name!r}") for name, value in by_name(inputs, "inputs").items()}
+        require_inputs(self, named)
+        held = {self.result.symbols.get(name, name): value for name, value in named.items()}
+        return density_of_process(
+            self, start_of(self, x0), [held.get(name, 0.0) for name in self.inputs], (paths, seed)
+        )
+
+    def predict(self, x: Columns | npt.ArrayLike, u: Columns | npt.ArrayLike | None = None) -> FloatArray:
+        """Return the derivatives at rows of states, or the target of a regression.
+
+        Args:
+            x: (N, D) states, or columns by name (also a frame of pandas or polars); (N, U) inputs of a regression.
+                Columns are read as in the fit, with angles in degrees if they were; arrays have angles in radians.
+            u: (N, U) inputs; None where there are none, or where `x` has them by name.
+
+        Returns:
+            (N, D) derivatives, (N,) values of a regression; NaN where undefined.
+        """
+        self.require_one_group()
+        x = read_columns(self, x) if has_columns(x) else x
+        u = read_columns(self, u) if has_columns(u) else u
+        if self.is_regression:
+            program = from_infix(self.equations[0].exact, self.result.names)
+            values = values_of(program, np.ascontiguousarray(points_of(self, x, self.inputs).T))
+            return np.asarray(np.where(np.isfinite(values), values, np.nan))
+        points = points_of(self, x, self.states)
+        if not self.inputs:
+            return self.field.values(points)
+        given = u if u is not None else (x if has_columns(x) else None)
+        if given is None:
+            raise UsageError(f"the model has the inputs {', '.join(self.inputs)}; give their values as u")
+        held = points_of(self, given, self.inputs)
+        if len(held) != len(points):
+            raise UsageError(f"there are {len(held)} rows of inputs for {len(points)} of states; give one for each")
+        return self.field.values(points, held)
+
+    def score(self, data: Columns | Sequence[Columns]) -> float:
+        """Return R2 on data: columns by name (also a frame), or a list of these, one for each trajectory.
+
+        A model of dynamics is simulated from the first row of each trajectory; R2 is the mean over the measured states,
+        and minus infinity where a simulation does not reach the end. A regression is judged by its target.
+        """
+        self.require_one_group()
+        given: list[object] = [*data] if isinstance(data, (list, tuple)) else [data]
+        parts = [read_columns(self, part) for part in given if has_columns(part)]
+        if not given or len(parts) < len(given):
+            raise UsageError(f"a score takes columns by name, a frame or a list of these, but {shown(data)} was given")
+        if self.is_regression:
+            target = self._result.equations[0].variable
+            both = [stacked([column(part, target), self.predict(part)]) for part in parts]
+            return _r2(*np.concatenate(both, axis=1))
+        columns = self._result.columns_by_symbol
+        states = [name for name in self.states if all(has(part, columns[name]) for part in parts)]
+        if not states:
+            names = ", ".join(columns[name] for name in self.states)
+            raise UsageError(f"the data have none of the columns {names} in every part; give a measured state")
+        simulated, measured = [], []
+        for part in parts:
+            times, _, start = rows_of(self, part)
+            inputs = {name: column(part, columns[name]) for name in self.inputs}
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", SimulationWarning)
+                simulation = self.simulate(start, times, inputs or None, has_bands=False)
+            if simulation.status != "finished":
+                return -np.inf
+            simulated.append(stacked([simulation[name] for name in states]))
+            measured.append(stacked([column(part, columns[name]) for name in states]))
+        pairs = zip(np.concatenate(measured, axis=1), np.concatenate(simulated, axis=1), strict=True)
+        return float(np.mean([_r2(rows, values) for rows, values in pairs]))
+
+    def conf_int(
+        self, level: float = LEVEL, method: Literal["stderr", "profile"] = "stderr"
+    ) -> dict[str, tuple[float, float] | None]:
+        """Return the confidence interval of each constant at `level`, None where it is not known.
+
+        It follows from the standard error, or from the `profile`: then an end that the data do not bound is infinite.
+        """
+        if not 0.0 < number(level, "a level") < 1.0:
+            raise UsageError(f"a level lies between 0 and 1, but {level!r} was given")
+        if method not in ("stderr", "profile"):
+            raise UsageError(f"the method of an interval is 'stderr' or 'profile', but {method!r} was given")
+        if method == "profile":
+            known = self.profile(level)
+            return {name: known[name].interval if name in known else None for name in self.params}
+        return {name: parameter.interval_at(level, self.degrees_of_freedom) for name, parameter in self.params.items()}
+
+    def analyse(
+        self,
+        box: Mapping[str, tuple[float, float]] | None = None,
+        *,
+        inputs: Mapping[str, float] | None = None,
+        vary: tuple[str, tuple[float, float]] | None = None,
+    ) -> "Analysis":
+        """Return fixed points, limit cycles, basins and the rest of the dynamics, compared with the data.
+
+        Args:
+            box: bounds of states, by name; None: around the measured range.
+            inputs: held values of inputs, by name; 0 by default.
+            vary: a parameter and the range over which fixed points and limit cycles are followed: a constant (c1),
+                several in their ratio (c1,c2), the coefficient of a term (y:x*y, of x*y in dy/dt), or an input.
+
+        Raises:
+            UsageError: a name is unknown, a range is invalid, or a state has neither bounds nor measurements.
+        """
+        from atoll.analysis.analyse import analyse_model
+
+        return analyse_model(self, box, inputs=inputs, vary=vary)
+
+    def profile(self, level: float = LEVEL, data: object = None) -> "dict[str, ProfiledConstant]":
+        """Return the profile likelihood of each constant, by name; see `identifiability`."""
+        return {constant.name: constant for constant in self.identifiability(level, data).constants}
+
+    def identifiability(self, level: float = LEVEL, data: object = None) -> "Identifiability":
+        """Return how well the data determine each constant, and which constants only together.
+
+        Args:
+            level: of the intervals.
+            data: as for `atoll.discover`, in place of the measurements in the result.
+
+        Raises:
+            UsageError: states were not measured in time, or the result has no measurements.
+            DataError: the data cannot be used as they are.
+        """
+        from atoll.experiments.identifiability import identify
+
+        self.require_one_group()
+        with python_words():
+            return identify(self.result, self._table(data), level)
+
+    def suggest(  # noqa: PLR0913, the keywords are the options of the command
+        self,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        *,
+        duration: float | None = None,
+        samples: int | None = None,
+        cost: "Cost" = "trajectory",
+        count: int = 3,
+        rivals: Mapping[str, str] | Sequence[Mapping[str, str]] = (),
+        seed: int = 0,
+        data: object = None,
+    ) -> "Suggestions":
+        """Return the next experiments: the most information about the right candidate for their cost.
+
+        If candidates do not differ, or there is only one, experiments are chosen that determine its constants best.
+
+        Args:
+            bounds: bounds of initial states and constant inputs, by name; None: the range of the data.
+            duration: duration of an experiment; None: as the median measured trajectory.
+            samples: measurements of each state; None: as the median measured trajectory.
+            cost: ``"trajectory"`` (all the same), ``"duration"`` or ``"samples"``: then also for shorter ones.
+            count: the number of suggestions.
+            rivals: alternative models to distinguish, as right-hand sides by state; their constants are fitted.
+            seed: random seed of the experiments that are tried.
+            data: as for `identifiability`.
+
+        Raises:
+            UsageError: a name or number does not fit, or the result has no measurements.
+            DataError: the data cannot be used as they are.
+        """
+        from atoll.experiments.designs import DesignRequest
+        from atoll.experiments.suggestion import suggest
+
+        request = DesignRequest(
+            bounds=bounds or {},
+            duration=duration,
+            samples=samples,
+            cost=cost,
+            count=count,
+            seed=seed,
+            rivals=[rivals] if isinstance(rivals, Mapping) else [*rivals],
+        )
+        with python_words():
+            return suggest(self.result, request, self._table(data))
+
+    def compare(self, other: "Model", data: object = None) -> "Comparison":
+        """Compare this model, A, with another model, B, such as one of its `candidates`, on the same data.
+
+        The result has the better model, its odds, and the equations that have the same form.
+
+        Args:
+            other: a model of the same states or target.
+            data: as for `identifiability`, in place of the data of both.
+
+        Raises:
+            UsageError: the models have different states, or a result has no measurements.
+            AtollError: one of them cannot be simulated along the data.
+        """
+        from atoll.experiments.comparison import compare
+
+        with python_words():
+            return compare(self.result, other.result, table=self._table(data))
+
+    def summary(self) -> str:
+        """Return equations, verdicts, constants and provenance as text."""
+        from atoll.display.notation import summary
+
+        return summary(self)
+
+    def to_sympy(self) -> "dict[str, sympy.Expr]":
+        """Return the right-hand sides as sympy expressions, by left-hand side; constants keep every bit.
+
+        Constants that differ between `groups` are means over them; see `of_group`.
+        """
+        from atoll.display.notation import sympy_expressions
+
+        return sympy_expressions(self)
+
+    def latex(self) -> str:
+        """Return the equations as lines of LaTeX's ``aligned`` environment.
+
+        Constants that differ between `groups` are means over them; see `of_group`.
+        """
+        from atoll.display.notation import latex
+
+        return latex(self)
+
+    def mathml(self) -> str:
+        """Return the equations as MathML (presentation), one line of a table for each."""
+        from atoll.display.notation import mathml
+
+        return mathml(self)
+
+    def report(self, path: str | Path = "report.html") -> Path:
+        """Write the result as one HTML page without scripts or external resources; return its path.
+
+        An existing file is replaced. The analysis of the model takes a second or two for two states.
+
+        Raises:
+            UsageError: the file cannot be written.
+        """
+        file = path_of(path)
+        write_text(file, self.to_html())
+        return file
+
+    def to_html(self) -> str:
+        """Return the page that `report` writes."""
+        from atoll.report.page import as_html
+
+        return as_html(self.result)
+
+    def to_frame(self, library: FrameLibrary = "polars") -> "polars.DataFrame | Any":
+        """Return the constants, a row each: `name`, `equation`, `value`, `stderr`, ends of the 95 % interval, `unit`.
+
+        As a frame of ``"polars"`` or ``"pandas"``; null where it is not known. Raises UsageError if it is missing.
+        """
+        constants = self.params.values()
+        intervals = [constant.interval or (None, None) for constant in constants]
+        return frame_of(
+            {
+                "name": [constant.name for constant in constants],
+                "equation": [constant.variable for constant in constants],
+                "value": [constant.value for constant in constants],
+                "stderr": [constant.stderr for constant in constants],
+                "lower": [low for low, _ in intervals],
+                "upper": [high for _, high in intervals],
+                "unit": [constant.unit for constant in constants],
+            },
+            library,
+        )
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def _repr_html_(self) -> str:
+        from atoll.display.notation import html
+
+        return html(self)
+
+    def plot_fit(self, axes: object = None) -> "npt.NDArray[np.object_]":
+        """Plot measurements and simulations with bands over time; see `atoll.display.plots.plot_fit`."""
+        from atoll.display.plots import plot_fit
+
+        return plot_fit(self, axes)
+
+    def plot_residuals(self, axes: object = None) -> "npt.NDArray[np.object_]":
+        """Plot the residuals of simulations; see `atoll.display.plots.plot_residuals`."""
+        from atoll.display.plots import plot_residuals
+
+        return plot_residuals(self, axes)
+
+    def plot_phase(self, axes: object = None) -> "npt.NDArray[np.object_]":
+        """Plot the phase plane of two states; see `atoll.display.plots.plot_phase`."""
+        from atoll.display.plots import plot_phase
+
+        return plot_phase(self, axes)
+
+    def plot_front(self, axes: object = None) -> "npt.NDArray[np.object_]":
+        """Plot error over complexity; see `atoll.display.plots.plot_front`."""
+        from atoll.display.plots import plot_front
+
+        return plot_front(self, axes)
+
+    def export(self, format: str, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
+        """Return the model in a format of one file, by its name."""
+        from atoll.export.formats import written
+
+        return written(self, format, x0, t, u)
+
+    def to_python(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
+        """Return a Python module that needs only numpy and has its own integrator."""
+        return self.export("python", x0, t, u)
+
+    def to_c(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
+        """Return a C99 program that integrates by itself and prints CSV."""
+        return self.export("c", x0, t, u)
+
+    def to_julia(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
+        """Return a Julia script with a system of ModelingToolkit."""
+        return self.export("julia", x0, t, u)
+
+    def to_matlab(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
+        """Return a MATLAB function that calls ode45."""
+        return self.export("matlab", x0, t, u)
+
+    def to_modelica(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
+        """Return a Modelica model."""
+        return self.export("modelica", x0, t, u)
+
+    def to_xppaut(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
+        """Return an .ode file of XPPAUT."""
+        return self.export("xppaut", x0, t, u)
+
+    def to_sbml(self, x0: "Given | None" = None, t: "Times" = None, u: "HeldInputs" = None) -> str:
+        """Return SBML L3V2, checked by libsbml where it is installed (``pip install 'atoll[sbml]'``)."""
+        return self.export("sbml", x0, t, u)
+
+    def to_latex(self) -> str:
+        """Return the equations as LaTeX, aligned."""
+        return self.export("latex")
+
+    def to_csv(self) -> str:
+        """Return the fronts as CSV: for each equation the displayed one, then its front."""
+        return self.export("csv")
+
+    def to_json(self) -> str:
+        """Return the content of result.json."""
+        return self.export("json")
+
+    def to_petab(self, folder: str | Path, data: "Sequence[Columns] | None" = None) -> None:
+        """Write a PEtab problem: SBML, measurements, noise and bounds.
+
+        Args:
+            folder: it is created if needed.
+            data: measured columns by name (or a frame) for each trajectory; None: the measurements in the result.
+
+        Raises:
+            UsageError: the model has no time, is a process or has no measurements; the folder cannot be written.
+        """
+        from atoll.export.petab import export_petab
+
+        export_petab(self, folder, data)
+
+    def _table(self, data: object) -> Table | None:
+        """Return the measurements of a user, read as the fit has read its own; None for None."""
+        from atoll.experiments.fits import config_of
+
+        return None if data is None else table_of(data, config_of(self.result).data)
+
+
+def _extrapolated(model: Model, start: FloatArray, inputs: Inputs | None, time: float) -> str:
+    """Return a sentence on states of `start` (D,), and inputs then, outside of the measured range; "" without."""
+    values = dict(zip(model.states, start.tolist(), strict=True))
+    if inputs is not None:
+        clock = model.result.symbols.get(model.time)
+        driven = zip(model.inputs, np.asarray(inputs(time), dtype=np.float64).tolist(), strict=True)
+        values |= {name: value for name, value in driven if name != clock}
+    return outside_sentence(values, measured_ranges(model.result))
+
+
+def _r2(measured: FloatArray, values: FloatArray) -> float:
+    known = np.isfinite(measured)
+    residual = float(((measured - values)[known] ** 2).sum())
+    spread = float(((measured[known] - measured[known].mean()) ** 2).sum())
+    return 1.0 - residual / spread if spread > 0.0 else (1.0 if residual == 0.0 else -np.inf)
