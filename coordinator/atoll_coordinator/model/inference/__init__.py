@@ -3,7 +3,6 @@
 - `conclusion`: the way through this list, on one page: `conclude`
 - `final_model`: the equations as they are shown, fitted to all rows, rounded, simulated in whole
 - `groups`: which constants groups of trajectories share; `shared_terms`: terms that equations share, fitted together
-- `standard_errors`: standard errors, intervals and correlations of constants
 - `trajectory_simulation`: the model along measured trajectories, with bands
 - `long_run`: whether whole trajectories are described, and whether a chaotic model keeps the measured averages
 - `prediction`: whether the model and its alternatives predict the same from other initial states

@@ -2,7 +2,8 @@
 
 An object of `EquationChecks` stands for one equation. Its methods `check_...` are the checks, whose names are listed in
 the table of `verdict`; its properties are the quantities, computed when the first check asks for them.
-`trajectory_checks` and `target_checks` say where the quantities come from, and have the further checks of their kind.
+`trajectory_checks`, `target_checks` and `stochastic.checks` say where the quantities come from, and have the further
+checks of their kind.
 """
 
 import math
@@ -109,6 +110,11 @@ class EquationChecks:
     def prediction(self) -> Prediction | None:
         """How far a state can be predicted from other initial states; None if that was not tested."""
         return None
+
+    @property
+    def merit(self) -> str:
+        """Why an equation is good of which the checks say nothing better."""
+        return "all checks have passed"
 
     @cached_property
     def statistics(self) -> ResidualStatistics:

@@ -11,19 +11,20 @@ from dataclasses import replace
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation
-from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.inference.final_model import FinalModel, finalize
-from atoll_coordinator.model.inference.long_run import long_run_of
-from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
-from atoll_coordinator.model.inference.remarks import stochastic_remarks
-from atoll_coordinator.model.inference.standard_errors import (
+from atoll_coordinator.model.constants.standard_errors import (
     ConstantErrors,
+    Known,
     describe_constants,
-    estimate_errors,
     find_correlations,
     fitted_places,
     joint_covariance,
+    student_95,
 )
+from atoll_coordinator.model.criteria import structure_length
+from atoll_coordinator.model.inference.final_model import FinalModel, errors_of_constants, estimate_errors, finalize
+from atoll_coordinator.model.inference.long_run import long_run_of
+from atoll_coordinator.model.inference.prediction import AlternativeSystem, draws, predict
+from atoll_coordinator.model.inference.remarks import stochastic_remarks
 from atoll_coordinator.model.inference.trajectory_checks import TrajectoryChecks
 from atoll_coordinator.model.inference.trajectory_simulation import (
     SimulatedTrajectory,
@@ -31,12 +32,10 @@ from atoll_coordinator.model.inference.trajectory_simulation import (
     fit_starts,
     listed_simulation,
     r2_of,
-    scaled_covariance,
     simulate_trajectories,
 )
 from atoll_coordinator.model.inference.verdict import judge
 from atoll_coordinator.model.refinement import Alternative, Refined, Refinement
-from atoll_coordinator.model.regression.covariance import Known, student_95
 from atoll_coordinator.model.regression.errors import grouped_errors_on
 from atoll_coordinator.model.regression.fit import contains
 from atoll_coordinator.model.selection.comparison import ModelComparison
@@ -62,7 +61,7 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
         return None
     task, groups = final.task, final.groups
     errors = estimate_errors(final.comparison, final.free)
-    of_constants = errors if groups is not None else errors.of_constants(final.free.fit.system)
+    of_constants = errors if groups is not None else errors_of_constants(final.comparison, final.free)
     constants, by_group = _constants(final, of_constants)
     out = None if final.unseen is None else _held_out(final, final.unseen, errors)
     long_run = long_run_of(final)
@@ -78,12 +77,12 @@ def conclude(selection: SelectedModel, preparation: Preparation) -> Refinement |
     if measurements.rows > final.comparison.estimator.measurements.rows:
         spread = _carried_bands(final, final.seen, final.seen_fit, errors)
     else:
-        spread = bands(measurements, final.free.fit, *scaled_covariance(final.free.fit, errors))
+        spread = bands(measurements, final.free.fit, errors.bounded, errors.scale)
     trajectories = simulate_trajectories(measurements, final.seen_fit, spread, task.variables, held_out=False)
     recording = preparation.recording
     assert recording is not None
     covariances = [] if groups is None else groups.covariances(errors, task.variables)
-    places = [] if groups is not None else fitted_places(final.comparison, task.variables, final.explicit)
+    places = [] if groups is not None else fitted_places(final.comparison.fixed, task.variables, final.explicit)
     whole = joint_covariance(places, of_constants.covariance, of_constants.degrees_of_freedom)
     return Refinement(
         equations,
@@ -113,13 +112,13 @@ def _constants(
     """Return the estimates of the constants of each equation, and of each group if groups have their own."""
     groups = final.groups
     if groups is None:
-        described = describe_constants(final.comparison, final.explicit, final.programs, errors)
+        described = describe_constants(final.comparison.fixed, final.explicit, final.programs, errors)
         pairs = zip(described, final.rounded.simple, strict=True)
         return [known.with_simple(simple) for known, simple in pairs], [[] for _ in described]
     known, by_group = [], []
     for equation, program in enumerate(final.programs):
         together, of_groups = groups.of_equation(errors, equation, program, len(final.by_group))
-        known.append(Known(together, ()))
+        known.append(Known(together))
         by_group.append(of_groups)
     return known, by_group
 
@@ -195,14 +194,13 @@ def _carried_bands(
 
     One trajectory after another: with dozens of states, all sensitivities together would not fit into memory.
     """
-    free = final.free.fit
-    spread, trajectory_bands = scaled_covariance(free, errors), []
+    free, trajectory_bands = final.free.fit, []
     for owner in sorted(set(comparison.estimator.measurements.owners.tolist())):
         estimator, starts = comparison.estimator.of_trajectory(owner, fit)
         near = estimator.fit(free.system, None, 0, starts, free.errors, is_stiff=fit.is_stiff)
         if near is None:
             return None
-        trajectory_bands.append(bands(estimator.measurements, near, *spread))
+        trajectory_bands.append(bands(estimator.measurements, near, errors.bounded, errors.scale))
     return np.concatenate(trajectory_bands, axis=1)
 
 
@@ -224,7 +222,7 @@ def _predictions(final: FinalModel, errors: ConstantErrors, *, is_near: bool) ->
         for equation, alternatives in enumerate(ranking.alternatives)
         for alternative in alternatives
     ]
-    drawn = draws(final.free.fit.system, scaled_covariance(final.free.fit, errors)[0])
+    drawn = draws(final.free.fit.system, errors.bounded)
     seen = final.seen.estimator
     return predict(seen.measurements, final.seen_fit.system, others, seen.tolerance, drawn, is_near=is_near)
 

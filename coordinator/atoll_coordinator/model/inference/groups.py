@@ -13,18 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from atoll_coordinator.model.inference.standard_errors import ConstantErrors, joint_covariance
-from atoll_coordinator.model.regression.covariance import constant_of, student_95
-from atoll_coordinator.model.regression.rounding import Estimates
+from atoll_coordinator.model.constants.standard_errors import ConstantErrors, joint_covariance
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import SelectedModel
 from atoll_coordinator.model.shooting import system
-from atoll_coordinator.model.shooting.trajectory_fit import bounded_covariance, covariance
-from atoll_coordinator.model.structure.one_sided import within_bounds
+from atoll_coordinator.model.shooting.trajectory_fit import covariance
 from atoll_coordinator.result.equations import Constant
 from atoll_coordinator.result.findings import Covariance, Place
-from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, structure
 from atoll_core.expression.writing.expansion import factored_forms
@@ -104,16 +100,6 @@ def _writings(whole: SelectedModel, equation: int, program: Program, write: Writ
             yield writing
 
 
-def displayed_values(comparison: ModelComparison, model: FittedModel) -> FloatArray:
-    """Return the numbers (Q,) as they are shown: with two digits of their errors, simple ones where singled out."""
-    numbers = model.fit.system
-    if not numbers.count:
-        return numbers.values
-    spread = comparison.score.inflation(model) * bounded_covariance(model.fit)
-    is_many = numbers.count > SETTINGS.effort.beam
-    return Estimates(numbers.values, spread).rounded(estimates=range(numbers.count) if is_many else ()).values
-
-
 class GroupConstants:
     """The constants of a model by group, with their errors."""
 
@@ -150,21 +136,10 @@ class GroupConstants:
     def _of_group(self, errors: ConstantErrors, equation: int, group: int) -> Mapping[int, Constant]:
         """Return the fitted constants of an equation in one group, by node."""
         return {
-            node: self._described(errors, int(self._system.columns[group, number]), (equation, node) in self.shared)
-            for number, (owner, node) in enumerate(self._places)
+            node: errors.described(column, self._values[column], shared=(equation, node) in self.shared)
+            for column, (owner, node) in zip(self._system.columns[group].tolist(), self._places, strict=True)
             if owner == equation
         }
-
-    def _described(self, errors: ConstantErrors, number: int, is_shared: bool) -> Constant:
-        """Return one of the Q numbers with its errors."""
-        error = float(np.sqrt(max(errors.covariance[number, number], 0.0)))
-        quantile = student_95(errors.degrees_of_freedom)
-        known = constant_of(self._values[number], float(errors.values[number]), error, quantile, shared=is_shared)
-        if errors.lower is None or errors.upper is None:
-            return known
-        return within_bounds(
-            known, float(errors.lower[number]), float(errors.upper[number]), errors.reaches.get(number)
-        )
 
     def covariances(self, errors: ConstantErrors, variables: Sequence[str]) -> list[Covariance | None]:
         """Return the joint covariance of the constants of each group."""

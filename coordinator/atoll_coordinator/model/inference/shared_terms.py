@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from atoll_coordinator.model.constants.rounding import Estimates
 from atoll_coordinator.model.criteria import structure_length
-from atoll_coordinator.model.regression.rounding import find_simple
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.shooting.system import Place, SharedNumber
@@ -305,8 +305,8 @@ def _simple_ratio(estimates: _Estimates, base: tuple[Place, float], constant: tu
         return None
     ratio = above / below
     variance = estimates.variance(estimates.row((constant, 1.0 / below), (base, -ratio / below)))
-    number = find_simple(np.array([ratio]), np.array([[variance]])).get(0)
-    denominators = SETTINGS.regression.denominators
+    number = Estimates(np.array([ratio]), np.array([[variance]])).singled_out.get(0)
+    denominators = SETTINGS.inference.denominators
     is_simple = number is not None and any((number * denominator).is_integer() for denominator in denominators)
     return number if is_simple else None
 

@@ -11,10 +11,9 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.recording import Preparation, Recording
-from atoll_coordinator.model.inference.standard_errors import ConstantErrors
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.shooting.measurements import Measurements
-from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit, bounded_covariance
+from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.model.thinning import curve, spread_places
 from atoll_coordinator.result.listed_trajectories import Simulated, Simulation
 from atoll_coordinator.settings import SETTINGS
@@ -163,12 +162,6 @@ def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice
         spread = float((inverse_variances * (values - mean) ** 2).sum())
         shares.append(1.0 - float(squares.sum()) / spread if spread > 0.0 else None)
     return shares
-
-
-def scaled_covariance(fit: TrajectoryFit, errors: ConstantErrors) -> tuple[FloatArray, float]:
-    """Return the covariance (P, P) of the constants, large where it is infinite, and the factor for the variances of
-    initial states."""
-    return errors.scale * bounded_covariance(fit), errors.scale
 
 
 def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float) -> FloatArray:

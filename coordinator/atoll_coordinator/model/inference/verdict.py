@@ -47,32 +47,40 @@ class Rule:
 
 _SIMULATED: Final[Sequence[JobKind]] = ("trajectories",)
 _TARGET: Final[Sequence[JobKind]] = ("target",)
-_ALL: Final = (*_SIMULATED, *_TARGET)
-"""The steps of a process have checks of their own, see `stochastic.conclusion`."""
+_PROCESS: Final[Sequence[JobKind]] = ("process",)
+_FITTED: Final = (*_SIMULATED, *_TARGET)
+_ALL: Final = (*_FITTED, *_PROCESS)
 
 # name, quantity measured, limit, kinds of job; the most important checks come first, also in the sentence
 RULES: Final[Sequence[Rule]] = (
-    Rule("explained variance", "R2 of the simulation, or on the target", "0.1", _ALL),
+    Rule("explained variance", "R2 of the simulation, or on the target", "0.1", _FITTED),
     Rule("simulation", "whether the trajectories could be simulated", "all", _SIMULATED),
     Rule("time", "stages that the time limit stopped", "nothing", _ALL),
-    Rule("degrees of freedom", "rows minus the numbers fitted to them", "1", _ALL),
-    Rule("distinct rows", "rows that differ by more than rounding", "5", _ALL),
+    Rule("degrees of freedom", "rows minus the numbers fitted to them", "1", _FITTED),
+    Rule("distinct rows", "rows that differ by more than rounding", "5", _FITTED),
     Rule("inputs between rows", "share of the variance of a rate that is not known", "0.1", _SIMULATED),
-    Rule("no equation", "Δ log-likelihood over a constant and a random walk", "4.6", _ALL),
+    Rule("no equation", "Δ log-likelihood over a constant and a random walk", "4.6", _FITTED),
     Rule("held-out trajectories", "R2 of trajectories left out", "0.9 minus the noise", _SIMULATED),
     Rule("rows left out", "R2 of rows left out one at a time", "0.9", _TARGET),
     Rule("target uncertainty", "uncertainty of the target", "0.01", _TARGET),
     Rule("residual size", "residuals over the noise", "1.25, p < 0.01", _SIMULATED),
-    Rule("residual pattern", "correlation of neighbouring residuals", "0.1, p < 0.01", _ALL),
+    Rule("residual pattern", "correlation of neighbouring residuals", "0.1, p < 0.01", _FITTED),
     Rule("whole trajectories", "whether whole trajectories are described", "all", _SIMULATED),
     Rule("long run", "means and variances of a chaotic model", "p < 0.01", _SIMULATED),
     Rule("other initial states", "odds of models that predict the same", "0.95", _SIMULATED),
     Rule("poles", "poles that the simulation passes", "none", _SIMULATED),
+    Rule("noise", "noise of the states", "1e-4 of a step", _PROCESS),
+    Rule("pattern of steps", "means of steps in bins of the states", "p < 0.01", _PROCESS),
+    Rule("serial correlation", "correlation of steps with the steps before them", "p < 0.01", _PROCESS),
+    Rule("size of steps", "variance of the steps of a state without noise of its own", "p < 0.01", _PROCESS),
+    Rule("correlation of states", "correlation of the steps of two states", "p < 0.01", _PROCESS),
+    Rule("pattern of squared steps", "means of squared steps in bins of the states", "p < 0.01", _PROCESS),
+    Rule("normal steps", "fourth moment of the steps", "p < 0.01", _PROCESS),
     Rule("alternative equations", "Δ description length of the next best equation", "3", _ALL),
     Rule("constants", "constants that the data do not determine", "none", _ALL),
-    Rule("precision", "residuals without noise", "1e-6, or rounding", _ALL, is_exactness=True),
-    Rule("odds against chance", "Δ log-likelihood over no equation", "5.3", _ALL, is_exactness=True),
-    Rule("precision of constants", "standard error over estimate", "1e-3", _ALL, is_exactness=True),
+    Rule("precision", "residuals without noise", "1e-6, or rounding", _FITTED, is_exactness=True),
+    Rule("odds against chance", "Δ log-likelihood over no equation", "5.3", _FITTED, is_exactness=True),
+    Rule("precision of constants", "standard error over estimate", "1e-3", _FITTED, is_exactness=True),
     Rule("digits of constants", "digits of constants and values", "as many", _TARGET, is_exactness=True),
     Rule("other laws", "odds of other equations", "1/200", _SIMULATED, is_exactness=True),
 )
@@ -95,14 +103,15 @@ def judge(equation: EquationChecks) -> Verdict:
     """
     findings, exactness = make_checks(equation), make_checks(equation, of_exactness=True)
     checks = checks_of(findings)
-    if findings["explained variance"].outcome == "failed":
-        return Verdict("no model", sentence([findings["explained variance"]]), checks)
+    explained = findings.get("explained variance")
+    if explained is not None and explained.outcome == "failed":
+        return Verdict("no model", sentence([explained]), checks)
     against = failures(findings.values())
     if against:
         return Verdict("doubtful", sentence(against), checks)
-    precise, *others = exactness.values()
-    if precise.outcome == "passed":
-        unsure = [finding for finding in others if finding.outcome not in ("passed", "not applicable")]
+    precise = exactness.get("precision")
+    if precise is not None and precise.outcome == "passed":
+        unsure = [finding for finding in exactness.values() if finding.outcome not in ("passed", "not applicable")]
         return Verdict("good" if unsure else "exact", sentence([precise, *unsure]), (*checks, *checks_of(exactness)))
     return Verdict("good", _capitalised(_merits(equation, findings)), checks)
 
@@ -175,4 +184,4 @@ def _merits(equation: EquationChecks, findings: Mapping[str, Finding]) -> str:
             f"from other initial states within the measured range it reaches {known.reached:.3g}, outside of this "
             f"range: measure from {where(known)} to test this"
         )
-    return "; ".join(merits) or "all checks have passed"
+    return "; ".join(merits) or equation.merit

@@ -368,13 +368,13 @@ class ModelComparison:
 
     def fit_beside(
         self, near: FittedModel, programs: Sequence[Program], steps: int = SETTINGS.effort.steps,
-        fixed_nodes: Sequence[Iterable[int]] = (), shared: Collection[SharedNumber] = (),
+        shared: Collection[SharedNumber] = (),
     ) -> FittedModel | None:  # fmt: skip
         """Return the fitted `system` of `programs` and the rest, begun with the initial states of `near`.
 
         None when it cannot be simulated or may not stand.
         """
-        return self._fit_from(self._beginning(near), programs, steps, fixed_nodes, shared)
+        return self._fit_from(self._beginning(near), programs, steps, shared)
 
     def _beginning(self, near: FittedModel) -> Beginning:
         """Return where the fits of systems near one begin."""
@@ -382,13 +382,12 @@ class ModelComparison:
         return Beginning(fit.starts, fit.errors, fit.is_stiff, None if self.groups is None else fit.system)
 
     def _fit_from(
-        self, near: Beginning, programs: Sequence[Program], steps: int, fixed_nodes: Sequence[Iterable[int]] = (),
-        shared: Collection[SharedNumber] = (),
+        self, near: Beginning, programs: Sequence[Program], steps: int, shared: Collection[SharedNumber] = (),
     ) -> FittedModel | None:  # fmt: skip
         admitted = self.admitted(programs)
         if admitted is None:
             return None
-        system = self.system(admitted, fixed_nodes, near.system, shared)
+        system = self.system(admitted, near=near.system, shared=shared)
         fit = self.estimator.fit(system, None, steps, near.starts, near.errors, is_stiff=near.is_stiff)
         return None if fit is None else self.measure(fit)
 

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from atoll_coordinator.model.constants.rounding import quadratic_form
 from atoll_coordinator.model.criteria import (
     TrajectoryMisfit,
     constant_nats_of,
@@ -25,7 +26,6 @@ from atoll_coordinator.model.criteria import (
     structure_length,
     system_length,
 )
-from atoll_coordinator.model.regression.rounding import quadratic_form
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.multiple_shooting import MultipleShooting
 from atoll_coordinator.model.shooting.noise import ROUGHNESS_VARIANCE, count_pieces, roughness, slow_shares

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from atoll_coordinator.data.recording import Recording, Smoothing
-from atoll_coordinator.model.regression.rounding import find_simple
+from atoll_coordinator.model.constants.rounding import Estimates
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.shooting.measurements import Measurements, measurements_of
 from atoll_coordinator.model.shooting.system import System
@@ -153,7 +153,7 @@ def _settled(
 def _simplified(system: System) -> System:
     """Return the system with constants rounded to simple numbers within the errors of an exact model."""
     values = system.values.copy()
-    simple = find_simple(values, np.diag((SETTINGS.inference.exact * values) ** 2))
+    simple = Estimates(values, np.diag((SETTINGS.inference.exact * values) ** 2)).singled_out
     values[[*simple]] = [*simple.values()]
     return system.with_values(values)
 

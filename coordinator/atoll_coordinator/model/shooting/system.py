@@ -101,6 +101,11 @@ class System:
         return np.arange(len(self.places))[None] if self.sharing is None else self.sharing.columns
 
     @property
+    def multiples(self) -> FloatArray:
+        """How many times its number each constant (P,) is."""
+        return np.ones(len(self.places)) if self.sharing is None else self.sharing.multiples
+
+    @property
     def values(self) -> FloatArray:
         """The fitted numbers (Q,)."""
         return self.constants[self.places] if self.sharing is None else self.sharing.numbers(self.places)

@@ -11,12 +11,13 @@ import pytest
 
 from atoll_coordinator.data.prepare import prepare
 from atoll_coordinator.model.batches import Batches
+from atoll_coordinator.model.constants.rounding import FittedEquations
+from atoll_coordinator.model.constants.standard_errors import describe_constants
 from atoll_coordinator.model.criteria import system_length
 from atoll_coordinator.model.deadline import CHOICE_SHARE, Deadline
 from atoll_coordinator.model.inference import conclusion, final_model, trajectory_checks
 from atoll_coordinator.model.inference.conclusion import _odds_of_data
-from atoll_coordinator.model.inference.final_model import _show
-from atoll_coordinator.model.inference.standard_errors import describe_constants, estimate_errors
+from atoll_coordinator.model.inference.final_model import _show, estimate_errors
 from atoll_coordinator.model.inference.trajectory_checks import no_elaborations, share_of_rate, standard_deviation
 from atoll_coordinator.model.pipeline import NOT_SIMULATED, refine_all
 from atoll_coordinator.model.pools import Pool
@@ -296,7 +297,7 @@ def test_what_was_fitted_to_fewer_rows_is_simulated_along_all(monkeypatch, noise
 
 
 def test_constants_stay_as_fitted_where_simple_ones_cannot_be_simulated(monkeypatch):
-    monkeypatch.setattr(final_model, "round_system", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
+    monkeypatch.setattr(FittedEquations, "simplified", lambda *_: (DECAY.parsed("exp(900.0*x*x)"),))
     refinement = refined(DECAY, ([1.0], [-2.0]), {"x": ("-0.4*x",)}, noise=0.02, seed=108)
     (constant,) = refinement.equations["x"].constants
     assert constant.value == pytest.approx(constant.fitted, abs=0.1 * constant.std_error)
@@ -555,13 +556,13 @@ def test_constants_are_shown_within_their_intervals(monkeypatch):
     shown = _show(comparison, near, near.programs)
     assert 2.0 not in np.abs(shown.rounded.programs[1].constants)
     known = describe_constants(
-        comparison, shown.explicit, shown.rounded.programs, narrow(estimate_errors(comparison, shown.free))
+        (), shown.explicit, shown.rounded.programs, narrow(estimate_errors(comparison, shown.free))
     )
     assert all(constant.is_within for equation in known for constant in equation.written)
 
 
 def narrow(errors):
-    return replace(errors, covariance=1e-6 * errors.covariance)
+    return replace(errors, bounded=1e-6 * errors.bounded)
 
 
 @pytest.mark.parametrize("seed", [7, 11])

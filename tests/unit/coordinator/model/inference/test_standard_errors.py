@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference import standard_errors
+from atoll_coordinator.model.constants import standard_errors
+from atoll_coordinator.model.inference.final_model import estimate_errors
 from atoll_coordinator.model.inference.residual_covariance import widening
-from atoll_coordinator.model.inference.standard_errors import estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import (
     bands,
     fit_starts,
     r2_of,
-    scaled_covariance,
     simulate_trajectories,
 )
 from atoll_coordinator.model.shooting.measurements import measurements_of
@@ -32,17 +31,20 @@ def describe_constants(comparison, shown, errors):
     """Return the written constants of each program, errors being those of the programs as they are written."""
     return [
         constant.written
-        for constant in standard_errors.describe_constants(comparison, tuple(map(as_written, shown)), shown, errors)
+        for constant in standard_errors.describe_constants(
+            comparison.fixed, tuple(map(as_written, shown)), shown, errors
+        )
     ]
 
 
 def find_correlations(comparison, variables, shown, errors):
-    places = standard_errors.fitted_places(comparison, variables, tuple(map(as_written, shown)))
+    places = standard_errors.fitted_places(comparison.fixed, variables, tuple(map(as_written, shown)))
     return standard_errors.find_correlations(places, errors)
 
 
 def banded(comparison, rows, model):
-    return bands(rows, model.fit, *scaled_covariance(model.fit, estimate_errors(comparison, model)))
+    errors = estimate_errors(comparison, model)
+    return bands(rows, model.fit, errors.bounded, errors.scale)
 
 
 def drawn(seed, noise=NOISE):
@@ -122,9 +124,9 @@ def test_bands_integrate_once_however_many_pieces_there_are(monkeypatch):
     model = comparison.fit_model([LOTKA.parsed("2.9*x - 2.1*x*y - 0.9*x*x"), LOTKA.parsed("1.9*y - 0.9*x*y - 1.1*y*y")])
     integrate, times = MultipleShooting.sensitivities, []
     monkeypatch.setattr(MultipleShooting, "sensitivities", lambda self, fit: times.append(1) or integrate(self, fit))
-    spread, scale = scaled_covariance(model.fit, estimate_errors(comparison, model))
+    errors = estimate_errors(comparison, model)
     times.clear()
-    bands(rows, model.fit, spread, scale)
+    bands(rows, model.fit, errors.bounded, errors.scale)
     assert len(times) == 1
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from atoll_coordinator.data.recording import Preparation, Recording, Smoothing, Source, Trajectory
-from atoll_coordinator.model.inference.standard_errors import joint_covariance
+from atoll_coordinator.model.constants.standard_errors import joint_covariance
 from atoll_coordinator.model.inference.trajectory_simulation import SimulatedTrajectory, listed_simulation
 from atoll_coordinator.result.findings import Place
 from atoll_core.data.dataset import Dataset, Target

@@ -76,9 +76,8 @@ def test_r2_is_never_rounded_up() -> None:
 
 
 def test_every_check_applies_to_some_kind_of_job_and_every_kind_has_checks() -> None:
-    """The steps of a process have checks of their own."""
     assert all(rule.kinds for rule in RULES)
-    assert {kind for rule in RULES for kind in rule.kinds} == {*get_args(JobKind)} - {"process"}
+    assert {kind for rule in RULES for kind in rule.kinds} == {*get_args(JobKind)}
 
 
 @pytest.mark.parametrize("evidence", [NOISY, CLEAN, TARGET, EXACT_TARGET])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atoll_coordinator.model.inference.standard_errors import estimate_errors
+from atoll_coordinator.model.inference.final_model import estimate_errors
 from atoll_coordinator.model.inference.trajectory_simulation import simulate_trajectories
 from atoll_coordinator.model.shooting.measurements import measurements_of
 from tests.unit.coordinator.model.shooting.made import LOTKA, LOTKA_TEXT, compare, recording
