@@ -5,7 +5,7 @@ known).
 """
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from operator import itemgetter
@@ -13,14 +13,19 @@ from operator import itemgetter
 import numpy as np
 
 from atoll_coordinator.model.least_squares import coefficients_of
+from atoll_coordinator.model.regression.fit import LeastSquares
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_coordinator.model.sparse.atoms import libraries, sum_of
 from atoll_coordinator.model.sparse.pursuit import PURSUED, Pursuit
+from atoll_coordinator.model.structure.moves.reductions import reductions
+from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import Problem
 from atoll_core.expression.evaluation import values_of
-from atoll_core.expression.program import Program
+from atoll_core.expression.operators import CONSTANT, POW
+from atoll_core.expression.program import Program, structure, with_constants
+from atoll_core.expression.writing.shortest import shortened
 
 
 def propose_nearest(task: ModellingTask, name: str, most: float) -> Iterable[Program]:
@@ -49,6 +54,39 @@ def propose_like(model: FittedModel, comparison: ModelComparison, task: Modellin
     most = comparison.score.affordable(model, equation)
     sums = [] if along is None else _sums(task, along, Pursuit(task.columns(name), task.operators(name), most=most))
     return [program for program in sums if task.may_be_shown(program)]
+
+
+def propose_reduced(
+    model: FittedModel, comparison: ModelComparison, task: ModellingTask, equation: int, candidates: Sequence[Program]
+) -> list[Program]:
+    """Return candidates that are too long to matter, with one part removed, by their error."""
+    most, own = comparison.score.affordable(model, equation), model.programs[equation]
+    long = [program for program in candidates if comparison.score.length(program) >= most][: SETTINGS.effort.beam]
+    known = {structure(own), *map(structure, candidates)}
+    smaller = (shortened(reduced) for program in long if not task.is_over for reduced in reductions(program))
+    tried = {
+        structure(program): program
+        for program in smaller
+        if structure(program) not in known and comparison.score.length(program) < most and task.may_be_shown(program)
+    }
+    squares = LeastSquares(
+        task.dataset.problem(task.variables[equation]), restrictions=comparison.restrictions(equation)
+    )
+    fits = (squares.fit(program) for program in tried.values() if not task.is_over)
+    fitted = sorted(fits, key=lambda one: one.mse)
+    kept = [one.program for one in fitted if math.isfinite(one.mse)][: SETTINGS.effort.beam]
+    whole = (whole for program in kept for whole in _with_whole_powers(program))
+    return [*kept, *filter(task.may_be_shown, whole)] or [own]
+
+
+def _with_whole_powers(program: Program) -> Iterator[Program]:
+    """Yield the program with each constant exponent, and with all of them, as the whole number that is nearest."""
+    nodes = program.nodes()
+    exponents = {right: nodes[right][3] for code, _, right, _ in nodes if code == POW and nodes[right][0] == CONSTANT}
+    whole = {place: float(round(value)) for place, value in exponents.items() if math.isfinite(value) and round(value)}
+    choices = [{place: value} for place, value in whole.items()]
+    for choice in [*choices, whole] if len(choices) > 1 else choices:
+        yield shortened(with_constants(program, choice))
 
 
 def rates_of(program: Program, problem: Problem, uncertainty: float) -> Problem | None:

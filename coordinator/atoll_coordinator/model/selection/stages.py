@@ -9,8 +9,8 @@ next one. The stages fall into three parts:
 2. *Candidates*: each stage adds what it proposes for each equation to the pool, until the pool suffices
    (`CandidatePool.suffices`): the residuals of a system are noise, and it is not longer than laws usually are. Then the
    best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
-3. *Second looks* at the system found: sums with about the same values, operators with which no search began, the
-   user's guesses, and terms that noise has hidden.
+3. *Second looks* at the system found: candidates that were too long with one part removed, sums with about the same
+   values, operators with which no search began, the user's guesses, and terms that noise has hidden.
 
 Doubts: the second looks repair what the first parts miss, each for a kind of law that was missed once. A search over
 all candidates by one criterion would make them unnecessary, at several times the work.
@@ -42,6 +42,7 @@ from atoll_coordinator.model.selection.proposals import (
     propose_like,
     propose_nearest,
     propose_pairs,
+    propose_reduced,
     propose_sums,
 )
 from atoll_coordinator.model.selection.score import FittedModel
@@ -228,6 +229,23 @@ def improve(second_look: Callable[[SelectedModel], SelectedModel]) -> Callable[[
     return run
 
 
+def with_reduced_candidates(selection: SelectedModel) -> SelectedModel:
+    """Return the selection, or a shorter description by a candidate that was too long, less one of its parts.
+
+    If the residuals of a short equation are noise, longer candidates are not fitted; one of them may be the law except
+    for one term, such as 0.8 x**0.75 - 1.5 x**3 in a x**b - c x**d - 0.003.
+    """
+    task, comparison, best = selection.task, selection.comparison, selection.model
+    lists = [
+        [own] if equation in comparison.fixed else propose_reduced(best, comparison, task, equation, candidates)
+        for equation, (own, candidates) in enumerate(zip(best.programs, selection.lists, strict=True))
+    ]
+    if not any(program is not own for own, programs in zip(best.programs, lists, strict=True) for program in programs):
+        return selection
+    better = exchange(comparison, best, lists, ((SETTINGS.effort.steps, SETTINGS.effort.beam),))
+    return selection if better is best else replace(selection, model=reduce_all(comparison, better))
+
+
 def with_sums_like(selection: SelectedModel) -> SelectedModel:
     """Return the selection, or a shorter description by sums with about the values of its equations.
 
@@ -320,6 +338,10 @@ def _is_clean_and_lacking(choice: Choice) -> bool:
     return choice.lacks_candidates and _best(choice) is not None and choice.task.is_nearly_clean
 
 
+def _may_be_reduced(choice: Choice) -> bool:
+    return choice.may_improve and not (choice.task.recording.groups or choice.has_laws_of_rates)
+
+
 def _may_have_sums_like(choice: Choice) -> bool:
     selection = choice.selection
     may_improve = choice.may_improve and not choice.task.recording.groups and selection is not None
@@ -345,6 +367,7 @@ STAGES: Final = (
     Stage("sums with further operators", _is_clean_and_lacking, propose(propose_further_sums)),
     Stage("all candidates", lambda choice: choice.lacks_candidates, propose(propose_all)),
     Stage("search among the candidates", lambda choice: choice.selection is None, search),
+    Stage("candidates less one part", _may_be_reduced, improve(with_reduced_candidates)),
     Stage("sums like the equations", _may_have_sums_like, improve(with_sums_like)),
     Stage("further operators", lambda choice: choice.may_improve, improve(with_further_operators)),
     Stage("the laws of the beginning", lambda c: c.begun is not None and c.is_over, compare_with_laws),
