@@ -42,6 +42,7 @@ _NOT_FORKED: Final = 255
 """Exit code of a reader when the process that forks has ended."""
 
 _FORKS: Final = multiprocessing.get_context("forkserver")
+_FORKS.set_forkserver_preload(["atoll.web.reading_process"])
 
 LATE: Final = -int(signal.SIGALRM)
 """Exit code of a reader that exceeded the total time."""
@@ -167,7 +168,6 @@ class Readers:
 
     def start(self) -> None:
         """Start the process that forks, unless it is running; it ends with this one. Raises OSError."""
-        _FORKS.set_forkserver_preload(["atoll.web.reading_process"])
         forkserver.ensure_running()
 
 
