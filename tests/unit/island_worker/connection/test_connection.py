@@ -42,6 +42,19 @@ def welcome(cluster: str = "r", incarnation: int = 1) -> bytes:
     return encode(GreetingAnswer(body=body))
 
 
+def test_a_worker_is_accepted_only_after_a_greeting_with_a_fingerprint() -> None:
+    bench = ConnectionBench()
+    assert bench.connection.handle_answer("", welcome()) is None
+    assert not bench.connection.is_accepted
+    bench.connection.kernels_ready("f")
+    greetings = len(bench.requests.greetings)
+    assert bench.connection.handle_answer("", welcome()) is None
+    assert len(bench.requests.greetings) == greetings + 1
+    assert bench.connection.handle_answer("f", welcome()) is None
+    assert len(bench.requests.greetings) == greetings + 1
+    assert bench.connection.is_accepted
+
+
 def test_another_incarnation_or_cluster_voids_what_is_held() -> None:
     bench = ConnectionBench()
     bench.connection.handle_answer("", welcome())

@@ -13,6 +13,8 @@ from atoll_core.wire.messages.epochs import (
     IslandFinished,
     IslandReport,
     Migrants,
+    NewerTerm,
+    NotYet,
     PullMigrants,
     PullReports,
     PullStates,
@@ -22,10 +24,13 @@ from atoll_core.wire.messages.epochs import (
 from atoll_core.wire.messages.workers import Commit, Placement, Schedule
 from atoll_core.wire.state_pieces import IslandState, split_states
 from atoll_island_worker.session.interface import (
+    Abandoned,
     AskPeer,
     Discard,
     DiscardJob,
     EpochComputed,
+    FetchPlacements,
+    FetchStates,
     JobReady,
     LoadFailed,
     Mailed,
@@ -34,8 +39,10 @@ from atoll_island_worker.session.interface import (
     Reset,
     Respond,
     RunTask,
+    SendHeartbeat,
     SendReport,
     ShardKey,
+    Snapshot,
     StatesCame,
     TaskKey,
     Tick,
@@ -182,6 +189,16 @@ def test_mail_that_cannot_be_is_refused_and_changes_nothing(session: Session, ev
     assert tasks(list(session.handle(mail(0, (1, 0, b"true"))))) == [key(0, 1)]
 
 
+def test_mail_that_comes_before_its_placement_is_kept_and_the_placement_fetched_once(session: Session) -> None:
+    assert session.handle(mail(0, (1, 0, b"early"))) == [FetchPlacements("job")]
+    assert session.handle(mail(1, (1, 0, b"earlier"))) == []
+    assert session.handle(mail(0, (0, 0, b"forged"), sender="stranger")) == []
+    begun(session, "me", "peer")
+    (action, *_) = session.handle(computed(key(0, 0), {}, 1))
+    assert isinstance(action, RunTask)
+    assert action.task.blocks == {1: b"early"}
+
+
 # ---------------------------------------------------------------------------------------------- failure
 
 
@@ -216,6 +233,13 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
         session.handle(computed(key(0, 1), {}))
 
 
+def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
+    begun(session, "me", "peer", term=5)
+    assert session.handle(Reset()) == [Discard(ShardKey("job", "x", 5)), DiscardJob("job")]
+    session.handle(Abandoned(key(0, 0, term=5)))
+    assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]
+
+
 # ----------------------------------------------------------------------------------------------- ending
 
 
@@ -230,6 +254,41 @@ def states(**of: bytes) -> States:
     """Return whole states, given by island as i0=b"...", i1=b"..."."""
     by_island = {int(name[1:]): IslandState.of(data) for name, data in of.items()}
     return States(pieces=split_states(list(by_island), 0, by_island.__getitem__))
+
+
+def to_the_first_checkpoint(session: Session) -> list[object]:
+    begun(session, "me", "me")
+    session.handle(computed(key(0, 0), {0: b"a"}))
+    session.handle(computed(key(1, 0), {1: b"b"}))
+    session.handle(computed(key(0, 1), {0: b"a"}))
+    return list(session.handle(computed(key(1, 1), {1: b"b"})))
+
+
+def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durable(session: Session) -> None:
+    to_the_first_checkpoint(session)
+    assert session.handle(Snapshot(key(0, 2), b"state 0", is_at_barrier=False)) == []
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
+    assert session.assignment_statuses()[0].snapshots == ()
+    assert session.handle(Snapshot(key(1, 2), b"state 1", is_at_barrier=False)) == [SendHeartbeat()]
+    assert session.assignment_statuses()[0].snapshots == (2,)
+    answer = Respond("h", states(i0=b"state 0", i1=b"state 1"))
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [answer]
+    assert session.handle(PullAsked("h", pull_states(2, 0, offset=7))) == [Respond("h", NotYet())]
+    assert session.handle(PullAsked("h", pull_states(2, 0, term=9))) == [
+        Respond("h", NewerTerm(job="job", variable="x", term=1))
+    ]
+    session.handle(committed(2, 4, 6))
+    assert session.assignment_statuses()[0].snapshots == ()
+    assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
+
+
+def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Session) -> None:
+    session.handle(placed("me", term=2, epoch=6))
+    asked = pull_states(6, 0, term=2)
+    (piece,) = states(i0=b"good").pieces
+    with pytest.raises(RemoteProtocolError, match="damaged"):
+        session.handle(StatesCame(asked, States(pieces=(piece.model_copy(update={"data": b"evil"}),))))
+    assert session.handle(Tick(1.0)) == [FetchStates(asked)]
 
 
 def test_a_state_that_does_not_fit_fails_the_job(session: Session) -> None:

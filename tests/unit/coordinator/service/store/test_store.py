@@ -83,6 +83,18 @@ def _upload(size: int) -> tuple[bytes, str]:
     return data, hashlib.sha256(data).hexdigest()
 
 
+def test_chunks_of_an_upload_are_kept_in_their_order(store: Store) -> None:
+    data, digest = _upload(2 * CHUNK_SIZE + 5)
+    chunks = [data[:CHUNK_SIZE], data[CHUNK_SIZE : 2 * CHUNK_SIZE], data[2 * CHUNK_SIZE :]]
+    assert store.put_chunk("hers", 0, chunks[0])
+    assert not store.put_chunk("hers", 2, chunks[2], digest)
+    assert store.put_chunk("hers", 1, chunks[1])
+    assert (store.has_blob(digest), store.blob_bytes()) == (False, 2 * CHUNK_SIZE)
+    assert store.put_chunk("hers", 2, chunks[2], digest)
+    assert store.get_blob(digest) == data
+    assert (store.unused_blobs(), store.blob_bytes()) == ((digest,), len(data))
+
+
 @pytest.mark.parametrize("is_first", [True, False])
 def test_two_uploads_of_one_blob_are_kept_once(store: Store, is_first: bool) -> None:
     data, digest = _upload(CHUNK_SIZE + 1)
