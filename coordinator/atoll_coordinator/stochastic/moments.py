@@ -29,9 +29,8 @@ import numpy as np
 
 from atoll_coordinator.stochastic import Discretisation
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.compiled import function_of
 from atoll_core.expression.derivative import derivative, with_variables
-from atoll_core.expression.evaluation import NUMPY, values_of
+from atoll_core.expression.evaluation import NUMPY, function_of, values_of
 from atoll_core.expression.program import Program, constant_places, structure
 
 Pair = tuple[int, int]

@@ -12,7 +12,6 @@ import numpy as np
 
 from atoll_coordinator.model.selection.comparison import ModelComparison
 from atoll_coordinator.model.selection.joint_search import fit_jointly, reduce_all, search_jointly
-from atoll_coordinator.model.selection.local_search import LocalSearch
 from atoll_coordinator.model.selection.score import FittedModel
 from atoll_coordinator.model.selection.solver_errors import without_solver_errors
 from atoll_coordinator.model.selection.task import ModellingTask, SelectedModel
@@ -61,50 +60,30 @@ def in_whole(task: ModellingTask) -> ModellingTask:
 def on_all_rows(selection: SelectedModel) -> SelectedModel | None:
     """Return the chosen system fitted to all rows, in shorter pieces if it must be; None when it cannot be.
 
-    Of dozens of states it is fitted to fewer. It is integrated so precisely that its constants do not show it, and
-    terms that followed errors of a coarser integration are left out.
+    Of dozens of states it is fitted to fewer. It is integrated so precisely that its constants do not show it.
     """
-    whole = _on_all_rows(selection)
-    return None if whole is None else _without_needless(whole)
-
-
-def _without_needless(selection: SelectedModel) -> SelectedModel:
-    """Return a selection whose residuals are integration errors, without unnecessary constants."""
-    comparison, model = selection.comparison, selection.model
-    if not comparison.score.is_exact(model):
-        return selection
-    descent = LocalSearch(comparison, lambda *_: iter(()), comparison.estimator.work)
-    for equation in range(len(model.programs)):
-        if equation not in comparison.fixed:
-            model = descent.prune(model, equation)
-    return selection if model is selection.model else replace(selection, model=model)
-
-
-def _on_all_rows(selection: SelectedModel) -> SelectedModel | None:
-    task = selection.task
+    task, chosen = selection.task, selection.comparison.estimator
     measurements = task.measurements(task.variables)
     measurements = measurements.thinned(SETTINGS.effort.fitted_sensitivities // len(task.variables) ** 2)
-    chosen = selection.comparison.estimator
     if measurements.rows == chosen.measurements.rows:
         comparison = task.compare(measurements, task.variables, is_precise=True)
         if comparison.estimator.tolerance >= chosen.tolerance:
             return selection
         model = comparison.fit_beside(selection.model, selection.model.programs)
-        if model is None:
-            return selection
-        comparison, model = comparison.calibrated(model)
-        return replace(selection, comparison=comparison, model=model)
+        return selection if model is None else _calibrated(replace(selection, comparison=comparison, model=model))
     selections: list[SelectedModel] = []
     for here in _tasks(task):
         fitted = _fitted(here, selection.model.programs, measurements.rows, is_precise=True)
-        if fitted is None:
-            continue
-        comparison, model = fitted.comparison.calibrated(fitted.model)
-        fitted = replace(fitted, comparison=comparison, model=model)
-        if fitted.is_like_noise:
-            return fitted
-        selections.append(fitted)
+        if fitted is not None:
+            selections.append(_calibrated(fitted))
+            if selections[-1].is_like_noise:
+                return selections[-1]
     return selections[0] if selections else None
+
+
+def _calibrated(selection: SelectedModel) -> SelectedModel:
+    comparison, model = selection.comparison.calibrated(selection.model)
+    return replace(selection, comparison=comparison, model=model)
 
 
 def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterator[str]:

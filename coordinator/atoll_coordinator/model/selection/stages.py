@@ -4,8 +4,8 @@
 them and writes the name of each to the log. A stage takes a `Choice`, the state of the choice so far, and returns the
 next one. The stages fall into three parts:
 
-1. *Shortcuts*: laws by sparse regression, and equations of converged searches, are fitted first. Where these describe
-   the trajectories up to the noise, nothing else is proposed.
+1. *Shortcuts*: laws by sparse regression are fitted first. Where these describe the trajectories up to the noise,
+   nothing else is proposed.
 2. *Candidates*: each stage adds what it proposes for each equation to the pool, until the pool suffices
    (`CandidatePool.suffices`): the residuals of a system are noise, and it is not longer than laws usually are. Then the
    best system is searched: candidates are exchanged, and descents look for shorter descriptions nearby.
@@ -144,21 +144,6 @@ def fit_laws(choice: Choice) -> Choice:
 def begin_with_laws(choice: Choice) -> Choice:
     """Fit the laws in short pieces: the model if time ends before the search has found a shorter description."""
     return replace(choice, begun=laws_in_short_pieces(choice.task))
-
-
-def fit_converged(choice: Choice) -> Choice:
-    """Take the equations of converged searches, with laws for the rest, if they give exactly the trajectories."""
-    task = choice.task
-    converged = [task.converged(name) for name in task.variables]
-    laws = [next((law.program for law in task.laws.get(name, ())), None) for name in task.variables]
-    programs = [program or law for program, law in zip(converged, laws, strict=True)]
-    whole = [program for program in programs if program is not None]
-    if not any(converged) or len(whole) < len(programs):
-        return choice
-    comparison = task.compare(task.compared_measurements, task.variables, has_noise=False)
-    model = comparison.fit_model(whole)
-    is_exact = model is not None and comparison.score.is_exact(model)
-    return replace(choice, lists=[[program] for program in whole]) if is_exact else choice
 
 
 # ------------------------------------------------------------------------------------------------ candidates
@@ -376,7 +361,6 @@ def _may_hide_terms(choice: Choice) -> bool:
 STAGES: Final = (
     Stage("laws by sparse regression, together", lambda choice: not choice.task.recording.groups, fit_laws),
     Stage("laws in short pieces", lambda choice: choice.is_open and choice.task.is_limited, begin_with_laws),
-    Stage("equations of converged searches", lambda choice: choice.is_open, fit_converged),
     Stage("the nearest candidates", lambda choice: choice.is_open, propose(propose_nearest)),
     Stage("candidates that cannot be simulated", lambda c: c.is_open and _best(c) is None, stop_without_simulation),
     Stage("sums by pursuit", lambda choice: choice.lacks_candidates, propose(propose_sums)),

@@ -11,8 +11,6 @@ from atoll_coordinator.model.selection.shortcut import with_laws
 from atoll_coordinator.model.selection.stages import STAGES, Choice
 from atoll_coordinator.model.selection.task import ModellingTask
 from atoll_core.config import BudgetConfig, JobConfig, SpaceConfig
-from atoll_core.expression.program import structure
-from atoll_core.expression.writing.shortest import shortest
 from tests.unit.coordinator.model.shooting.made import Known, pools, table
 
 
@@ -29,7 +27,6 @@ def final_candidates(task):
 
 
 DRAG = Known(("v",), lambda _, z: [-0.05 * z[0] ** 2])
-TRUTH = "-0.05*v*v"
 CLOSE = "100.0*cos(0.0316227766*v) - 100.0"
 """Differs from the truth by less than a thousandth, which counts as found here."""
 NO_LIBRARIES = JobConfig(space=SpaceConfig(operators=("-", "*")))
@@ -51,13 +48,8 @@ def candidates(prepared, text):
     return ranking
 
 
-def test_what_a_converged_search_found_without_noise_stands_alone(prepared):
-    (only,) = candidates(prepared, TRUTH)
-    assert structure(only) == structure(shortest(DRAG.parsed(TRUTH)))
-
-
 @pytest.mark.slow
-def test_unless_the_trajectories_show_that_it_only_comes_close(prepared):
+def test_trajectories_show_that_the_equation_of_a_converged_search_only_comes_close(prepared):
     first, *others = candidates(prepared, CLOSE)
     assert others
     assert "cos" not in DRAG.text(first)
