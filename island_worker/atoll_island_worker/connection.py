@@ -24,7 +24,7 @@ from atoll_core.machine import total_memory_bytes, usable_cores
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.epochs import Mail, Pull, PullAnswer, PullStates
+from atoll_core.wire.messages.epochs import Pull, PullAnswer
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import MAX_MESSAGE
 from atoll_core.wire.messages.tasks import PullBatch, TaskChunk, TaskFailed, TaskReport
@@ -32,6 +32,9 @@ from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_island_worker.session import interface as io
 
 PULL_TIMEOUT_S: Final = 5.0
+MIGRANTS_TIMEOUT_S: Final = 1.0
+"""Migrants are asked for before they exist: an answer that is lost costs so much time."""
+
 FETCH_TIMEOUT_S: Final = 20.0
 FETCH_PAUSE_S: Final = 0.5
 FETCH: Final = "fetch/"
@@ -41,7 +44,7 @@ FETCH_INPUTS: Final = "inputs/"
 
 @dataclass(frozen=True, slots=True)
 class PendingRequest:
-    """A request that has no reply yet: a `question` about `subject` (a job, task, peer or fingerprint) or `states`.
+    """A request that has no reply yet: a `question` about `subject` (a job, task or fingerprint), or a `pull`.
 
     `index` is the number of a chunk, of the blob `digest` if the subject is a task; for a greeting it is the number of
     welcomes before it.
@@ -51,7 +54,7 @@ class PendingRequest:
     subject: str = ""
     index: int = 0
     digest: str = ""
-    states: PullStates | None = None
+    pull: io.Ask | None = None
 
 
 class Requests:
@@ -112,24 +115,15 @@ class Requests:
     def send(self, action: io.Outgoing) -> None:
         """Carry out an action of the session: a message, an answer or a request."""
         match action:
-            case io.Send():
-                self._bus.put(topics.mail(self.cluster, self._name, action.peer), encode(Mail(body=action.body)))
             case io.SendReport():
                 self._bus.put(topics.worker(self.cluster, self._name, "report"), encode(action.report))
-            case io.AskPeer():
-                key = topics.worker(self.cluster, action.peer, "pull")
-                self.ask(key, encode(Pull(body=action.body)), PULL_TIMEOUT_S, PendingRequest("pull", action.peer))
+            case io.Ask():
+                key, timeout_s = topics.job(self.cluster, action.body.job, "state"), FETCH_TIMEOUT_S
+                if action.peer is not None:
+                    key, timeout_s = topics.worker(self.cluster, action.peer, "pull"), MIGRANTS_TIMEOUT_S
+                self.ask(key, encode(Pull(body=action.body)), timeout_s, PendingRequest("pull", pull=action))
             case io.Respond():
                 self._bus.reply(action.handle, encode(PullAnswer(body=action.body)))
-            case io.FetchStates():
-                key, request = (
-                    topics.job(self.cluster, action.body.job, "state"),
-                    PendingRequest("states", states=action.body),
-                )
-                self.ask(key, encode(Pull(body=action.body)), FETCH_TIMEOUT_S, request)
-            case io.FetchPlacements():
-                key = topics.job(self.cluster, action.job, "placement")
-                self.ask(key, b"", PULL_TIMEOUT_S, PendingRequest("placement", action.job))
 
 
 _LOG = logging.getLogger(__name__)
@@ -392,7 +386,6 @@ class CoordinatorConnection:
         self._clusters.add(cluster)
         self._bus.subscribe(topics.control(cluster))
         self._bus.subscribe(topics.control(cluster, self._name))
-        self._bus.subscribe(topics.inbox(cluster, self._name))
         self._bus.serve(topics.worker(cluster, self._name, "pull"))
         self._bus.announce(topics.worker(cluster, self._name, "alive"))
         _LOG.info("joined", extra=fields(realm=cluster))

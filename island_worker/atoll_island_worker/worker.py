@@ -200,14 +200,11 @@ class Worker:
 
     def _on_message(self, event: Message) -> None:
         key = topics.parse(event.key)
-        if not isinstance(key, topics.ControlKey | topics.MailKey):
+        if not isinstance(key, topics.ControlKey):
             raise RemoteProtocolError(f"nothing is expected on key {event.key}")
         if key.cluster != self._requests.cluster:
             raise RemoteProtocolError(f"a message of cluster {key.cluster} came, which is not ours")
-        if isinstance(key, topics.ControlKey):
-            self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
-        else:
-            self._handle(io.Mailed(key.worker, decode(event.payload, epochs.Mail, MAX_MESSAGE).body))
+        self._on_control(decode(event.payload, messages.Control, MAX_MESSAGE).body)
 
     def _on_query(self, event: Query) -> None:
         try:
@@ -220,9 +217,10 @@ class Worker:
         else:
             self._handle(io.PullAsked(event, body))
 
-    def _on_reply(self, event: Reply) -> None:  # noqa: C901  # a table of requests
+    def _on_reply(self, event: Reply) -> None:  # a table of requests
         request, payload = self._requests.pop(event.token), event.payload
-        if payload is not None and request is not None and request.question not in ("pull", "batch"):
+        is_of_peer = request is None or request.question == "batch" or (request.pull and request.pull.peer)
+        if payload is not None and not is_of_peer:
             self._connection.coordinator_heard()
         match request:
             case PendingRequest("hello"):
@@ -235,21 +233,13 @@ class Worker:
                 self._datasets.chunk_came(request.subject, request.index, payload)
             case PendingRequest("input" | "batch"):
                 self._tasks.answered(request, payload)
-            case PendingRequest("placement"):
-                if payload is not None:
-                    self._on_control(decode(payload, messages.Control, MAX_MESSAGE).body)
-                self.session.forget_pending(request.subject)
-            case PendingRequest("states", states=epochs.PullStates() as pull):
-                states: object = None  # without an answer the states are asked for again
+            case PendingRequest("pull", pull=io.Ask() as asked):
+                body: object = None  # without an answer it is asked again
                 try:
-                    states = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
+                    body = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body if payload is not None else None
                 finally:
-                    self._handle(io.StatesCame(pull, states if isinstance(states, epochs.States) else None))
-            case PendingRequest("pull") if payload is not None:
-                answer = decode(payload, epochs.PullAnswer, MAX_MESSAGE).body
-                if isinstance(answer, task_messages.GivenBatch | task_messages.NoTask):
-                    raise RemoteProtocolError(f"epochs were asked for, and {answer.kind!r} came")
-                self._handle(io.PullAnswered(request.subject, answer))
+                    answer = body if isinstance(body, epochs.Migrants | epochs.States) else None
+                    self._handle(io.PullEnded(asked, answer))
 
     # -------------------------------------------------------------------------------------- coordinator
 

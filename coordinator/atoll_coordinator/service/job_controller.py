@@ -84,7 +84,7 @@ from atoll_core.wire.messages.clients import AskAnalysis, QueueDepth, Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import TaskView, WorkerService
-from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
+from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, WorkerStatus
 
 _SAVE_S: Final = 10.0
 """Interval of storing task time: a commit takes milliseconds, and a killed coordinator loses no more."""
@@ -422,14 +422,6 @@ class JobController:
         """Return the announcement of a job that is being searched; None: it is not."""
         job = self.jobs.get(job_id)
         return job.announcement() if job is not None and job.state == "running" else None
-
-    def placements(self, job_id: str) -> Placements:
-        """Return the current placements of a job."""
-        job = self.jobs.get(job_id)
-        open_ones = job.open_archipelagos if job is not None else ()
-        return Placements(
-            placements=tuple(archipelago.placement for archipelago in open_ones if archipelago.placement is not None)
-        )
 
     def job_of_dataset(self, digest: str) -> str | None:
         """Return the id of a live job whose prepared dataset this is; None: there is none."""

@@ -3,20 +3,18 @@
 Events go in, actions come out (both in `atoll_island_worker.session.interface`); there is no clock, I/O or thread.
 `Session.handle` is called by the worker's loop, by the simulation and by tests. It keeps the rules of docs/protocol.md.
 
-Each archipelago that is placed here has a `Shard` of the newest term that this worker knows; messages of older terms
-are ignored, and messages of newer ones make it ask for the placement. So nothing depends on the order in which
-messages arrive, and a message that is lost costs time only: mail, reports and states can all be asked for again.
+Each archipelago that is placed here has a `Shard` of the newest term that this worker knows; pulls under other terms
+get nothing and are repeated, and heartbeats bring missing placements. So nothing depends on the order in which messages
+arrive, and a message that is lost costs time only: migrants, reports and states can all be asked for again.
 """
 
 from collections.abc import Mapping
 from typing import Final, Literal
 
-from atoll_core.errors import LocalProtocolError, RemoteProtocolError
-from atoll_core.search.commit_order import Position
+from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages import epochs, workers
 from atoll_core.wire.messages.views import WorkerState
 from atoll_island_worker.session import interface as io
-from atoll_island_worker.session.kept_messages import PendingMessages
 from atoll_island_worker.session.shard import Shard
 
 JobState = Literal["unknown", "loading", "loaded"]
@@ -44,7 +42,6 @@ class Session:
         self._shards: dict[ArchipelagoKey, Shard] = {}
         self._jobs: dict[str, JobState] = {}
         self._terms: dict[ArchipelagoKey, int] = {}
-        self._pending = PendingMessages()
         self._failures: list[workers.IslandFailure] = []
         self._waited_before_s = 0.0
         self._duplicates_before = 0
@@ -86,10 +83,6 @@ class Session:
         """Tell whether the job's dataset is still wanted."""
         return any(name == job for name, _ in self._shards)
 
-    def forget_pending(self, job: str) -> None:
-        """Forget the mail of a job for which the coordinator has answered with no placement: it can be pulled."""
-        self._pending.forget(job)
-
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
         for (job, variable), shard in self._shards.items():
@@ -112,7 +105,9 @@ class Session:
             if self._jobs.get(job) == "loaded"
             for local in shard.runnable()
         ]
-        return [*(io.RunTask(shard.begin(island)) for shard, island in runnable), *actions]
+        begun = [io.RunTask(shard.begin(island)) for shard, island in runnable]
+        early = [pull for shard, island in runnable for pull in shard.early_pulls(shard.islands[island].epoch)]
+        return [*begun, *actions, *early]
 
     def _on(self, event: io.SessionEvent) -> list[io.Action]:  # noqa: C901  # a table of events
         match event:
@@ -125,33 +120,24 @@ class Session:
             case workers.Commit():
                 shard = self._shards.get((event.job, event.variable))
                 if shard is not None and shard.placement.term == event.term:
-                    shard.commit_at(event)
+                    hit = shard.commit_at(event)
+                    stops = [io.StopAt(shard.key, hit, shard.placement.commit_order)] if hit is not None else []
+                    return [*stops, *shard.due_reports()]
             case workers.Close():
-                self._pending.forget(event.job, event.variable, event.term)
                 shard = self._shards.get((event.job, event.variable))
                 return self._drop((event.job, event.variable)) if shard and shard.placement.term <= event.term else []
             case workers.CloseJob():
                 return self._job_closed(event.job)
             case io.Reset():
                 return self._reset(event.incarnation)
-            case io.Mailed():
-                return self._mailed(event)
             case io.PullAsked():
-                return [io.Respond(event.handle, self._answer(event.body))]
-            case io.PullAnswered():
-                return self._pull_answered(event)
-            case io.StatesCame():
-                shard = self._shards.get((event.asked.job, event.asked.variable))
-                if shard is not None and shard.placement.term == event.asked.term and shard.fetched(event.body):
-                    return self._fetches(shard)  # otherwise the next tick asks again
+                return self._pull_asked(event)
+            case io.PullEnded(asked=io.Ask(body=pull)):
+                shard = self._shards.get((pull.job, pull.variable))
+                if shard is not None and shard.placement.term == pull.term:
+                    return [*shard.pull_ended(event.asked, event.body)]
             case io.Tick():
-                return [
-                    action
-                    for shard in self._shards.values()
-                    for action in (
-                        *(io.AskPeer(peer, pull) for peer, pull in shard.due_pulls(event.now)), *self._fetches(shard),
-                    )
-                ]  # fmt: skip
+                return [pull for shard in self._shards.values() for pull in shard.due_pulls()]
             case io.EpochComputed() | io.Snapshot() | io.Rejected() | io.Broken() | io.Abandoned():
                 return self._task_done(event)
             case _:
@@ -174,13 +160,7 @@ class Session:
         if not was_wanted and self._jobs.get(placement.job) != "loaded":
             actions.append(io.FetchJob(placement.job))
         self._step_job(placement.job, "placed")
-        for message in self._pending.take(*key):
-            if message.body.term == placement.term:
-                try:
-                    shard.deliver(message.sender, message.body)
-                except RemoteProtocolError:  # dropped, it can be pulled
-                    continue
-        return actions + self._fetches(shard) + self._stop_from(shard, None)
+        return [*actions, *shard.due_pulls()]
 
     def _load_failed(self, event: io.LoadFailed) -> None:
         for (job, variable), shard in self._shards.items():
@@ -191,7 +171,6 @@ class Session:
     def _job_closed(self, job: str) -> list[io.Action]:
         keys = [key for key in self._shards if key[0] == job]
         actions: list[io.Action] = [action for key in keys for action in self._drop(key)]
-        self._pending.forget(job)
         if self._jobs.get(job, "unknown") != "unknown":
             self._step_job(job, "close")
             del self._jobs[job]
@@ -204,48 +183,22 @@ class Session:
         actions += [io.DiscardJob(job) for job in self.jobs() if not self.wants(job)]
         self._jobs = {job: state for job, state in self._jobs.items() if self.wants(job)}
         self._terms = {key: shard.placement.term for key, shard in self._shards.items()}
-        self._pending.clear()
         return actions
 
     # ------------------------------------------------------------------------------------------ peers
 
-    def _mailed(self, event: io.Mailed) -> list[io.Action]:
-        key = (event.body.job, event.body.variable)
-        term = self._terms.get(key, 0)
-        if event.body.term > term:
-            is_first = self._pending.keep(event)
-            return [io.FetchPlacements(event.body.job)] if is_first else []
-        shard = self._shards.get(key)
-        if shard is None or event.body.term < term:
-            return []
-        before = shard.stop
-        shard.deliver(event.sender, event.body)
-        return self._stop_from(shard, before) + list(shard.due_reports())
-
-    def _answer(
-        self, pull: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
-    ) -> epochs.Sent | epochs.Reports | epochs.States | epochs.NotYet | epochs.NewerTerm:
-        key = (pull.job, pull.variable)
-        shard = self._shards.get(key)
+    def _pull_asked(self, event: io.PullAsked) -> list[io.Action]:
+        pull = event.body
+        shard = self._shards.get((pull.job, pull.variable))
         if shard is None or pull.term != shard.placement.term:
-            return epochs.NewerTerm(job=pull.job, variable=pull.variable, term=self._terms.get(key, 0))
+            return [io.Respond(event.handle, epochs.NotYet())]
         match pull:
             case epochs.PullReports():
-                return shard.answer_reports(pull)
+                return [io.Respond(event.handle, shard.answer_reports(pull))]
             case epochs.PullStates():
-                return shard.answer_states(pull)
+                return [io.Respond(event.handle, shard.answer_states(pull))]
             case epochs.PullMigrants():
-                return shard.answer_migrants(pull)
-
-    def _pull_answered(self, event: io.PullAnswered) -> list[io.Action]:
-        body = event.body
-        if isinstance(body, epochs.NewerTerm) and body.term > self._terms.get((body.job, body.variable), 0):
-            return [io.FetchPlacements(body.job)]
-        if not isinstance(body, epochs.Sent):
-            return []
-        mail: list[epochs.Migrants | epochs.IslandFinished] = [body.migrants] if body.migrants else []
-        mail += body.finished
-        return [action for message in mail for action in self._mailed(io.Mailed(event.peer, message))]
+                return shard.pull_asked(event.handle, pull)
 
     def _task_done(self, event: io.Snapshot | io.Outcome) -> list[io.Action]:
         key = event.key
@@ -272,17 +225,6 @@ class Session:
         return [*actions, *shard.due_reports()]
 
     # ---------------------------------------------------------------------------------------- private
-
-    def _fetches(self, shard: Shard) -> list[io.Action]:
-        """Ask for the states with which the term begins, one message at a time."""
-        pull = shard.due_fetch()
-        return [io.FetchStates(pull)] if pull is not None else []
-
-    def _stop_from(self, shard: Shard, before: Position | None) -> list[io.Action]:
-        """Tell the compute thread where to stop, if that has changed since `before`."""
-        if shard.stop is None or shard.stop == before:
-            return []
-        return [io.StopAt(shard.key, shard.stop, shard.placement.commit_order)]
 
     def _add_failure(self, shard: Shard, key: io.TaskKey, sentence: str) -> None:
         local = shard.islands[key.island]

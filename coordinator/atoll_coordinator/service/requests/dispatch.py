@@ -85,8 +85,6 @@ class RequestDispatcher:
                 case topics.JobKey(part="job"):
                     announcement = self._controller.announcement(key.job)
                     return encode(Control(body=announcement)) if announcement is not None else None
-                case topics.JobKey(part="placement"):
-                    return encode(Control(body=self._controller.placements(key.job)))
                 case topics.JobKey():
                     return self._states(key, payload)
                 case topics.BlobKey():

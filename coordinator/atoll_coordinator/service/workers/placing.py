@@ -298,13 +298,8 @@ def _correct_assignment(jobs: Mapping[str, Job], worker: str, assignment_status:
         return []
     if assignment_status.term < placement.term:
         return [Placements(placements=(placement,))]
-    messages: list[Correction] = []  # for lost reports and a lost commit
-    pull, commit = archipelago.missing_reports(worker, assignment_status), archipelago.commit()
-    if pull is not None:
-        messages.append(pull)
-    if commit is not None and assignment_status.commit < commit.epoch:
-        messages.append(commit)
-    return messages
+    pull, commit = archipelago.missing_reports(worker, assignment_status), archipelago.missed_commit(assignment_status)
+    return [message for message in (pull, commit) if message is not None]
 
 
 def _is_open(jobs: Mapping[str, Job], job_id: str) -> bool:

@@ -174,9 +174,8 @@ class WorkerController:
         """Record a worker's progress with its islands; publish a commit that becomes due."""
         archipelago = self._placed(assignment_status.job, assignment_status.variable, assignment_status.term)
         if archipelago is not None:
-            archipelago.update_assignment_status(worker, assignment_status)
+            commit = archipelago.update_assignment_status(worker, assignment_status)
             self.counters.set_waited(worker, assignment_status)
-            commit = archipelago.due_commit()
             if commit is not None:
                 self._channel.publish(commit)
 
