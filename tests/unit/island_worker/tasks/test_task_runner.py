@@ -35,7 +35,6 @@ from atoll_core.wire.messages.tasks import (
     TaskFailed,
     TaskInput,
 )
-from atoll_island_worker.connection import PendingRequest
 from atoll_island_worker.tasks.task_runner import TaskRunner
 
 A, B = "a" * 64, "b" * 64
@@ -59,16 +58,8 @@ class Requests:
     """Records what is asked and reported."""
 
     def __init__(self) -> None:
-        self.inputs: list[tuple[str, str, int]] = []
-        self.later: list[str] = []
         self.pulls: list[tuple[str, PullBatch]] = []
         self.reports: list[TaskChunk | TaskFailed] = []
-
-    def ask_input(self, task: str, digest: str, index: int) -> None:
-        self.inputs.append((task, digest, index))
-
-    def ask_inputs_later(self, task: str) -> None:
-        self.later.append(task)
 
     def ask_batch(self, peer: str, pull: PullBatch) -> None:
         self.pulls.append((peer, pull))
@@ -117,9 +108,6 @@ class Scene:
         """Let the process say something."""
         return self.runner.process_said(ProcessMessage(self.process.life if life is None else life, message))
 
-    def answer(self, task: str, data: bytes, index: int, payload: bytes | None) -> None:
-        self.runner.answered(PendingRequest("input", task, index, digest(data)), payload)
-
     def states(self) -> dict[str, str]:
         return {held.task: held.state for held in self.runner.statuses()}
 
@@ -132,7 +120,7 @@ class Scene:
         given = GivenBatch(
             number=number, function="f", digest=digest(context), context=b"" if known else context, item=b"i"
         )
-        self.runner.answered(PendingRequest("batch", B), encode(PullAnswer(body=given)))
+        self.runner.batch_came(B, encode(PullAnswer(body=given)))
 
 
 @pytest.fixture
@@ -177,35 +165,17 @@ def test_a_result_goes_in_chunks_also_an_empty_one(scene: Scene) -> None:
     assert [(one.size, one.data) for one in scene.requests.reports] == [(0, b"")]  # type: ignore[union-attr]
 
 
-def test_inputs_are_fetched_in_chunks_and_kept_for_later_tasks(scene: Scene) -> None:
+def test_missing_inputs_are_wanted_and_kept_for_later_tasks(scene: Scene) -> None:
     scene.runner.handle(lease(A, SMALL, LARGE))
-    assert scene.requests.inputs == [(A, digest(LARGE), 0), (A, digest(LARGE), 1)]
+    assert scene.runner.wanted() == {digest(LARGE): len(LARGE)}
     assert (scene.process.said, scene.states()) == ([], {A: "fetching"})
-    scene.answer(A, LARGE, 1, b"y")
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
+    scene.runner.arrived(digest(b"of another job"), b"of another job")
+    scene.runner.arrived(digest(LARGE), LARGE)
     assert [run.inputs for run in scene.process.told(Run)] == [(SMALL, LARGE)]
     scene.say(Failed(A, "error", "it broke"))
     scene.runner.handle(lease(B, LARGE))
-    assert len(scene.requests.inputs) == 2
+    assert scene.runner.wanted() == {}
     assert [run.inputs for run in scene.process.told(Run)] == [(LARGE,)]
-
-
-def test_what_does_not_come_or_is_something_else_is_fetched_again(scene: Scene) -> None:
-    scene.runner.handle(lease(A, LARGE))
-    scene.requests.inputs.clear()
-    scene.answer(A, LARGE, 1, None)
-    scene.answer(A, LARGE, 0, b"short")
-    assert scene.requests.later == [A, A]
-    scene.runner.fetch(A)
-    assert {index for _, _, index in scene.requests.inputs} == {0, 1}
-    scene.requests.inputs.clear()
-    scene.answer(A, LARGE, 1, b"z")
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])  # whole now, but with another digest
-    assert {index for _, _, index in scene.requests.inputs} == {0, 1}
-    assert scene.process.said == []
-    scene.answer(A, LARGE, 0, LARGE[:CHUNK_SIZE])
-    scene.answer(A, LARGE, 1, b"y")
-    assert len(scene.process.told(Run)) == 1
 
 
 def test_a_lease_that_is_said_twice_is_one_task_and_pushes_what_is_there(scene: Scene) -> None:
