@@ -24,10 +24,10 @@ from atoll_core.machine import total_memory_bytes, usable_cores
 from atoll_core.wire import topics
 from atoll_core.wire.bus.interface import Bus
 from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.epochs import Pull, PullAnswer
+from atoll_core.wire.messages.epochs import EpochReport, Pull, PullAnswer
 from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Hello, Refusal, Welcome
 from atoll_core.wire.messages.limits import MAX_MESSAGE
-from atoll_core.wire.messages.tasks import PullBatch, TaskChunk, TaskFailed, TaskReport
+from atoll_core.wire.messages.tasks import PullBatch, TaskReport
 from atoll_core.wire.messages.workers import Shutdown, WorkerLog, WorkerStatus
 from atoll_island_worker.session import interface as io
 
@@ -77,23 +77,15 @@ class Requests:
         key = topics.worker(self.cluster, peer, "pull")
         self.ask(key, encode(Pull(body=pull)), PULL_TIMEOUT_S, PendingRequest("batch", pull.task))
 
-    def send_task_report(self, body: TaskChunk | TaskFailed) -> None:
-        """Send the coordinator a part of a task's result, or its failure."""
-        self._bus.put(topics.worker(self.cluster, self._name, "result"), encode(TaskReport(body=body)))
-
-    def send_status(self, status: WorkerStatus) -> None:
-        """Send a heartbeat."""
-        self._bus.put(topics.worker(self.cluster, self._name, "status"), encode(status))
-
-    def send_log(self, log: WorkerLog) -> None:
-        """Send log lines."""
-        self._bus.put(topics.worker(self.cluster, self._name, "log"), encode(log))
+    def publish(self, part: topics.WorkerPart, message: EpochReport | TaskReport | WorkerStatus | WorkerLog) -> None:
+        """Send the coordinator a report, a part of a task's result, a heartbeat or log lines."""
+        self._bus.put(topics.worker(self.cluster, self._name, part), encode(message))
 
     def send(self, action: io.Outgoing) -> None:
         """Carry out an action of the session: a message, an answer or a request."""
         match action:
             case io.SendReport():
-                self._bus.put(topics.worker(self.cluster, self._name, "report"), encode(action.report))
+                self.publish("report", action.report)
             case io.Ask():
                 key, timeout_s = topics.states(self.cluster, action.body.job), FETCH_TIMEOUT_S
                 if action.peer is not None:

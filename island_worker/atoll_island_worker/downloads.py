@@ -175,4 +175,4 @@ class Datasets:
 
     def jobs(self) -> tuple[str, ...]:
         """Return the jobs whose datasets are loaded or on their way."""
-        return (*self._announcements, *self._here)
+        return (*self._announcements, *sorted(self._here))

@@ -334,10 +334,10 @@ class Worker:
             available_bytes=available_bytes(),
             counters=counters,
         )
-        self._requests.send_status(status)
+        self._requests.publish("status", status)
         log = self._logs.take() if self._logs is not None else None
         if log is not None:
-            self._requests.send_log(log)
+            self._requests.publish("log", log)
 
     def _handle(self, event: io.SessionEvent) -> None:
         """Give the session an event, and carry out its actions."""

@@ -119,8 +119,11 @@ class Session:
                 return self._job_closed(event.job)
             case io.Reset():
                 return self._reset(event.incarnation)
-            case io.PullAsked():
-                return self._pull_asked(event)
+            case io.PullAsked(handle=handle, body=pull):
+                shard = self._shards.get((pull.job, pull.variable))
+                if shard is None or pull.term != shard.placement.term:
+                    return [io.Respond(handle, epochs.NotYet())]
+                return [*shard.pull_asked(handle, pull)]
             case io.PullEnded(asked=io.Ask(body=pull)):
                 shard = self._shards.get((pull.job, pull.variable))
                 if shard is not None and shard.placement.term == pull.term:
@@ -166,19 +169,6 @@ class Session:
         return actions
 
     # ------------------------------------------------------------------------------------------ peers
-
-    def _pull_asked(self, event: io.PullAsked) -> list[io.Action]:
-        pull = event.body
-        shard = self._shards.get((pull.job, pull.variable))
-        if shard is None or pull.term != shard.placement.term:
-            return [io.Respond(event.handle, epochs.NotYet())]
-        match pull:
-            case epochs.PullReports():
-                return [io.Respond(event.handle, shard.answer_reports(pull))]
-            case epochs.PullStates():
-                return [io.Respond(event.handle, shard.answer_states(pull))]
-            case epochs.PullMigrants():
-                return shard.pull_asked(event.handle, pull)
 
     def _task_done(self, event: io.Snapshot | io.Outcome) -> list[io.Action]:
         key = event.key

@@ -261,7 +261,7 @@ class TaskRunner:
     def _push(self, leased: _Leased) -> None:
         """Send the result of a task, if it has ended; the coordinator releases the task when it has all of it."""
         if leased.failed is not None:
-            self._requests.send_task_report(leased.failed)
+            self._requests.publish("result", messages.TaskReport(body=leased.failed))
         elif leased.state == "done":
             digest, size = hashlib.sha256(leased.result).hexdigest(), len(leased.result)
             for offset in range(0, max(size, 1), CHUNK_SIZE):
@@ -269,7 +269,7 @@ class TaskRunner:
                 chunk = messages.TaskChunk(
                     task=leased.lease.task, digest=digest, size=size, offset=offset, data=data, seconds=leased.seconds
                 )
-                self._requests.send_task_report(chunk)
+                self._requests.publish("result", messages.TaskReport(body=chunk))
 
     # ------------------------------------------------------------------------------ batches, as the helper
 

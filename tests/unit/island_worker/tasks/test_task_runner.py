@@ -34,6 +34,7 @@ from atoll_core.wire.messages.tasks import (
     TaskChunk,
     TaskFailed,
     TaskInput,
+    TaskReport,
 )
 from atoll_island_worker.tasks.task_runner import TaskRunner
 
@@ -64,8 +65,9 @@ class Requests:
     def ask_batch(self, peer: str, pull: PullBatch) -> None:
         self.pulls.append((peer, pull))
 
-    def send_task_report(self, body: TaskChunk | TaskFailed) -> None:
-        self.reports.append(body)
+    def publish(self, part: str, message: TaskReport) -> None:
+        assert part == "result"
+        self.reports.append(message.body)
 
 
 class Process:
