@@ -300,6 +300,20 @@ def test_snapshots_are_told_when_all_are_there_and_answered_until_they_are_durab
     assert session.handle(PullAsked("h", pull_states(2, 0, 1))) == [Respond("h", NotYet())]
 
 
+def test_a_term_that_begins_at_a_checkpoint_waits_for_the_states(session: Session) -> None:
+    session.handle(placed("me", "peer", "me", term=5, epoch=6))
+    assert session.handle(JobReady("job")) == []
+    assert session.assignment_statuses()[0].reported == 6
+    question = Ask(None, pull_states(6, 0, 2, term=5))
+    actions = session.handle(PullEnded(question, states(i0=b"zero")))
+    assert tasks(actions) == [key(0, 6, term=5)]
+    assert Ask(None, pull_states(6, 2, term=5)) in actions
+    (action,) = [
+        action for action in session.handle(PullEnded(question, states(i2=b"two"))) if isinstance(action, RunTask)
+    ]
+    assert (action.task.key, action.task.state, action.task.blocks) == (key(2, 6, term=5), b"two", None)
+
+
 def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Session) -> None:
     session.handle(placed("me", term=2, epoch=6))
     question = Ask(None, pull_states(6, 0, term=2))
