@@ -1,11 +1,9 @@
 """What cannot go well: it ends with a sentence, never in silence."""
 
 from functools import partial
-from pathlib import Path
 
 import pytest
 
-from atoll_coordinator.service.store.store import Store
 from atoll_core import ENGINE_REVISION, PROTOCOL_VERSION, VERSION
 from atoll_core.errors import DataError
 from atoll_core.wire import topics
@@ -149,27 +147,6 @@ def test_a_worker_without_work_stays_as_long_as_the_coordinator_behind_a_router(
 
 
 # ----------------------------------------------------------------------------------------- coordinator
-
-
-def test_ended_jobs_are_still_known_after_a_restart(tmp_path: Path) -> None:
-    world = World(workers=2)
-    world.network.crash("coordinator")
-    world.store = Store.open(tmp_path)
-    world.service = world.start_service()
-    world.submit(config())
-    before = world.finish()
-    result = world.result()
-    world.network.crash("coordinator")
-    world.store.close()
-    world.store = Store.open(tmp_path)
-    world.service = world.start_service()
-    after = world.client.status("job")
-    assert world.result() == result
-    assert [variable.expression for variable in after.variables] == [
-        variable.expression for variable in before.variables
-    ]
-    assert (after.state, after.point_evaluations) == (before.state, before.point_evaluations)
-    world.close()
 
 
 # --------------------------------------------------------------------------------------------- clients
