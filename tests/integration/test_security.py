@@ -228,7 +228,12 @@ def speak_for_others(hostile: ZenohBus, cluster: str) -> None:
     hostile.has_asked = True  # type: ignore[attr-defined]
     for expression in ("atoll/**", topics.all_workers(cluster, "report"), topics.control(cluster, "lab1-0")):
         hostile.subscribe(expression)
-    for expression in (topics.all_jobs(cluster), topics.all_clients(cluster), topics.all_blobs(cluster), topics.HELLO):
+    for expression in (
+        topics.all_states(cluster),
+        topics.all_clients(cluster),
+        topics.all_blobs(cluster),
+        topics.HELLO,
+    ):
         hostile.serve(expression)
     hostile.announce(topics.worker(cluster, "lab1-7", "alive"))
     hostile.watch(topics.all_workers(cluster, "alive"))

@@ -143,8 +143,6 @@ def answered_kind(key: str) -> Any:
             return Answer
         case topics.WorkerKey(part="pull"):
             return PullAnswer
-        case topics.JobKey(part="job"):
-            return Control
     return None
 
 

@@ -133,8 +133,7 @@ def ask_everything(world: World) -> None:
     stranger = world.network.bus(f"stranger-{world.network.now}")
     pull = Pull(body=PullStates(job="first", variable="x", term=1, epoch=2, islands=(0,), offset=0))
     for key, payload in (
-        (topics.job(cluster, "first"), b""),
-        (topics.job(cluster, "first", "state"), encode(pull)), (topics.blob(cluster, "0" * 64, 0), b""),
+        (topics.states(cluster, "first"), encode(pull)), (topics.blob(cluster, "0" * 64, 0), b""),
     ):  # fmt: skip
         stranger.get(key, payload)
     for ask in (

@@ -7,7 +7,6 @@ name, so that one access rule per name fences them all. Column names never enter
     atoll/hello/{name}                         served by the coordinator: greeting of the worker or client of this name
     atoll/{cluster}/control                    put by the coordinator, to all workers
     atoll/{cluster}/control/{worker}           put by the coordinator, to one worker
-    atoll/{cluster}/job/{job}                  served by the coordinator: announcement
     atoll/{cluster}/job/{job}/state            served by the coordinator: states of islands at a checkpoint
     atoll/{cluster}/blob/{digest}/{index}      served by the coordinator: one chunk of a dataset
     atoll/{cluster}/worker/{worker}/alive      presence of a worker
@@ -36,7 +35,6 @@ ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 DIGEST: Final = re.compile(r"[0-9a-f]{64}")
 MAX_CHUNKS: Final = 1 << 16
 
-JobPart = Literal["job", "state"]
 WorkerPart = Literal["alive", "status", "report", "result", "pull", "log"]
 ClientPart = Literal["ask", "changes"]
 
@@ -57,12 +55,11 @@ class ControlKey:
 
 
 @dataclass(frozen=True, slots=True)
-class JobKey:
-    """A job's announcement (`part` "job"), or the states of its islands at checkpoints."""
+class StatesKey:
+    """The states of a job's islands at checkpoints."""
 
     cluster: str
     job: str
-    part: JobPart = "job"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +89,7 @@ class ClientKey:
     part: ClientPart = "ask"
 
 
-Key = HelloKey | ControlKey | JobKey | BlobKey | WorkerKey | ClientKey
+Key = HelloKey | ControlKey | StatesKey | BlobKey | WorkerKey | ClientKey
 
 
 def is_id(text: str) -> bool:
@@ -109,9 +106,8 @@ def control(cluster: str, worker: str | None = None) -> str:
     return base if worker is None else f"{base}/{_id(worker)}"
 
 
-def job(cluster: str, job_id: str, part: JobPart = "job") -> str:
-    base = f"{ROOT}/{_id(cluster)}/job/{_id(job_id)}"
-    return base if part == "job" else f"{base}/{part}"
+def states(cluster: str, job_id: str) -> str:
+    return f"{ROOT}/{_id(cluster)}/job/{_id(job_id)}/state"
 
 
 def blob(cluster: str, digest: str, index: int) -> str:
@@ -128,9 +124,8 @@ def client(cluster: str, name: str, part: ClientPart = "ask") -> str:
     return f"{ROOT}/{_id(cluster)}/client/{_id(name)}/{part}"
 
 
-def all_jobs(cluster: str) -> str:
-    """Return the expression of all announcements and states."""
-    return f"{ROOT}/{_id(cluster)}/job/**"
+def all_states(cluster: str) -> str:
+    return f"{ROOT}/{_id(cluster)}/job/*/state"
 
 
 def all_blobs(cluster: str) -> str:
@@ -159,10 +154,8 @@ def parse(key: str) -> Key:
             parsed = HelloKey(*name)
         case [cluster, "control", *worker] if len(worker) <= 1:
             parsed = ControlKey(cluster, *worker)
-        case [cluster, "job", name]:
-            parsed = JobKey(cluster, name)
-        case [cluster, "job", name, "state" as part]:
-            parsed = JobKey(cluster, name, part)
+        case [cluster, "job", name, "state"]:
+            parsed = StatesKey(cluster, name)
         case [cluster, "blob", digest, index] if DIGEST.fullmatch(digest) and re.fullmatch("0|[1-9][0-9]{0,4}", index):
             parsed = BlobKey(cluster, digest, int(index)) if int(index) < MAX_CHUNKS else None
         case [cluster, "worker", name, part] if part in get_args(WorkerPart):

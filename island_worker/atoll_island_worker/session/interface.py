@@ -138,9 +138,7 @@ Outcome = EpochComputed | Rejected | Broken | Abandoned
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Time has passed; `now` is the bus's monotonic seconds."""
-
-    now: float
+    """Time has passed: what is missing and not under way is asked for again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,13 +158,6 @@ SessionEvent = (
 
 
 # --------------------------------------------------------------------------------------------- actions
-
-
-@dataclass(frozen=True, slots=True)
-class FetchJob:
-    """Load the job's configuration and dataset; JobReady follows."""
-
-    job: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,13 +189,6 @@ class Discard:
 
 
 @dataclass(frozen=True, slots=True)
-class DiscardJob:
-    """Forget the job's dataset."""
-
-    job: str
-
-
-@dataclass(frozen=True, slots=True)
 class SendReport:
     """Report to the coordinator."""
 
@@ -230,4 +214,4 @@ class Respond:
 Outgoing = SendReport | Ask | Respond
 """The messages that are sent on the bus."""
 
-Action = RunTask | StopAt | Discard | DiscardJob | FetchJob | SendHeartbeat | Outgoing
+Action = RunTask | StopAt | Discard | SendHeartbeat | Outgoing

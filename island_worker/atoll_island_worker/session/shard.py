@@ -222,22 +222,21 @@ class Shard:
         self._buffer.forget(commit.reported, self.commit)
         return self.stop_at(commit.hit)
 
-    def answer_reports(self, pull: epochs.PullReports) -> epochs.Reports | epochs.NotYet:
-        """Return the complete reports of the epochs asked for that are still kept, as many as fit one message."""
-        return self._buffer.answer_reports(pull, self.reported)
-
-    def answer_states(self, pull: epochs.PullStates) -> epochs.States | epochs.NotYet:
-        """Return states of islands of ours at a checkpoint, as many as fit one message."""
-        return self._buffer.answer_states(pull)
-
     # ------------------------------------------------------------------------------------------ pulls
 
-    def pull_asked(self, handle: Query, pull: epochs.PullMigrants) -> list[io.Action]:
-        """Answer another worker's pull; hold it while a source has not finished the epoch."""
+    def pull_asked(
+        self, handle: Query, pull: epochs.PullMigrants | epochs.PullReports | epochs.PullStates
+    ) -> list[io.Respond]:
+        """Answer a pull; hold a pull of migrants while a source has not finished the epoch."""
+        match pull:
+            case epochs.PullReports():
+                return [io.Respond(handle, self._buffer.answer_reports(pull, self.reported))]
+            case epochs.PullStates():
+                return [io.Respond(handle, self._buffer.answer_states(pull))]
         if not self.islands.keys() >= set(pull.sources) or len(self._held) >= MAX_HELD:
             return [io.Respond(handle, epochs.NotYet())]
         self._held[pull] = handle  # in place of the same pull, which has timed out
-        return [*self._answers()]
+        return self._answers()
 
     def early_pulls(self, epoch: int) -> list[io.Ask]:
         """Return pulls of all emigrants of an epoch that begins here, once."""

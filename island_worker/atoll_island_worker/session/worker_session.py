@@ -8,24 +8,13 @@ get nothing and are repeated, and heartbeats bring missing placements. So nothin
 arrive, and a message that is lost costs time only: migrants, reports and states can all be asked for again.
 """
 
-from collections.abc import Mapping
-from typing import Final, Literal
+from typing import Final
 
 from atoll_core.errors import LocalProtocolError
 from atoll_core.wire.messages import epochs, workers
 from atoll_core.wire.messages.views import WorkerState
 from atoll_island_worker.session import interface as io
 from atoll_island_worker.session.shard import Shard
-
-JobState = Literal["unknown", "loading", "loaded"]
-JobStep = Literal["placed", "ready", "close"]
-
-JOB_TRANSITIONS: Final[Mapping[JobState, Mapping[JobStep, JobState]]] = {
-    "unknown": {"placed": "loading", "ready": "loaded", "close": "unknown"},
-    "loading": {"placed": "loading", "ready": "loaded", "close": "unknown"},
-    "loaded": {"placed": "loaded", "ready": "loaded", "close": "unknown"},
-}
-"""State of a job's configuration and dataset on this worker -> event -> next state."""
 
 MAX_TERMS: Final = 1024
 """The newest terms of this many archipelagos that are not computed here are remembered."""
@@ -40,7 +29,7 @@ class Session:
     def __init__(self, worker: str) -> None:
         self.worker = worker
         self._shards: dict[ArchipelagoKey, Shard] = {}
-        self._jobs: dict[str, JobState] = {}
+        self._loaded: dict[str, None] = {}
         self._terms: dict[ArchipelagoKey, int] = {}
         self._failures: list[workers.IslandFailure] = []
         self._waited_before_s = 0.0
@@ -76,8 +65,8 @@ class Session:
         return tuple(self._failures)
 
     def jobs(self) -> tuple[str, ...]:
-        """Return the jobs whose configuration and dataset are loaded or loading."""
-        return tuple(job for job, state in self._jobs.items() if state != "unknown")
+        """Return the jobs whose configuration and dataset are loaded."""
+        return tuple(self._loaded)
 
     def wants(self, job: str) -> bool:
         """Tell whether the job's dataset is still wanted."""
@@ -102,7 +91,7 @@ class Session:
         runnable = [
             (shard, local.index)
             for (job, _), shard in self._shards.items()
-            if self._jobs.get(job) == "loaded"
+            if job in self._loaded
             for local in shard.runnable()
         ]
         begun = [io.RunTask(shard.begin(island)) for shard, island in runnable]
@@ -114,7 +103,7 @@ class Session:
             case workers.Placement():
                 return self._placed(event)
             case io.JobReady():
-                self._step_job(event.job, "ready")
+                self._loaded[event.job] = None
             case io.LoadFailed():
                 self._load_failed(event)
             case workers.Commit():
@@ -130,8 +119,11 @@ class Session:
                 return self._job_closed(event.job)
             case io.Reset():
                 return self._reset(event.incarnation)
-            case io.PullAsked():
-                return self._pull_asked(event)
+            case io.PullAsked(handle=handle, body=pull):
+                shard = self._shards.get((pull.job, pull.variable))
+                if shard is None or pull.term != shard.placement.term:
+                    return [io.Respond(handle, epochs.NotYet())]
+                return [*shard.pull_asked(handle, pull)]
             case io.PullEnded(asked=io.Ask(body=pull)):
                 shard = self._shards.get((pull.job, pull.variable))
                 if shard is not None and shard.placement.term == pull.term:
@@ -150,16 +142,11 @@ class Session:
         key = (placement.job, placement.variable)
         if placement.term <= self._terms.get(key, 0):
             return []
-        was_wanted = self.wants(placement.job)
         actions = self._drop(key)
         self._record_term(key, placement.term)
         if self.worker not in placement.workers:
             return actions
         shard = self._shards[key] = Shard(placement, self.worker)
-        # Also while the job is loading: a fetch for islands that were placed elsewhere may have been given up.
-        if not was_wanted and self._jobs.get(placement.job) != "loaded":
-            actions.append(io.FetchJob(placement.job))
-        self._step_job(placement.job, "placed")
         return [*actions, *shard.due_pulls()]
 
     def _load_failed(self, event: io.LoadFailed) -> None:
@@ -171,34 +158,17 @@ class Session:
     def _job_closed(self, job: str) -> list[io.Action]:
         keys = [key for key in self._shards if key[0] == job]
         actions: list[io.Action] = [action for key in keys for action in self._drop(key)]
-        if self._jobs.get(job, "unknown") != "unknown":
-            self._step_job(job, "close")
-            del self._jobs[job]
-            actions.append(io.DiscardJob(job))
+        self._loaded.pop(job, None)
         return actions
 
     def _reset(self, incarnation: int) -> list[io.Action]:
         void = [key for key, shard in self._shards.items() if shard.placement.incarnation != incarnation]
         actions: list[io.Action] = [action for key in void for action in self._drop(key)]
-        actions += [io.DiscardJob(job) for job in self.jobs() if not self.wants(job)]
-        self._jobs = {job: state for job, state in self._jobs.items() if self.wants(job)}
+        self._loaded = {job: None for job in self._loaded if self.wants(job)}
         self._terms = {key: shard.placement.term for key, shard in self._shards.items()}
         return actions
 
     # ------------------------------------------------------------------------------------------ peers
-
-    def _pull_asked(self, event: io.PullAsked) -> list[io.Action]:
-        pull = event.body
-        shard = self._shards.get((pull.job, pull.variable))
-        if shard is None or pull.term != shard.placement.term:
-            return [io.Respond(event.handle, epochs.NotYet())]
-        match pull:
-            case epochs.PullReports():
-                return [io.Respond(event.handle, shard.answer_reports(pull))]
-            case epochs.PullStates():
-                return [io.Respond(event.handle, shard.answer_states(pull))]
-            case epochs.PullMigrants():
-                return shard.pull_asked(event.handle, pull)
 
     def _task_done(self, event: io.Snapshot | io.Outcome) -> list[io.Action]:
         key = event.key
@@ -254,6 +224,3 @@ class Session:
         elsewhere = [other for other in self._terms if other not in self._shards and other != key]
         for archipelago in elsewhere[:-MAX_TERMS]:
             del self._terms[archipelago]
-
-    def _step_job(self, job: str, step: JobStep) -> None:
-        self._jobs[job] = JOB_TRANSITIONS[self._jobs.get(job, "unknown")][step]

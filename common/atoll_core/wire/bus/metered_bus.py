@@ -76,6 +76,8 @@ def kind_of(key: str) -> str:
             return "hello"
         case topics.ControlKey():
             return "control"
+        case topics.StatesKey():
+            return "state"
         case topics.BlobKey():
             return "blob"
     return parsed.part

@@ -126,7 +126,7 @@ def permissions(name: str, role: Role) -> tuple[Permission, ...]:
             return ()
         case "worker":
             heard = _keys("control") + _own(name, "control/{}")
-            asked = _keys("job/**", "blob/**", "worker/*/pull") + _hello(name)
+            asked = _keys("job/*/state", "blob/**", "worker/*/pull") + _hello(name)
     pulls = _own(name, "worker/{}/pull")
     of_worker = (
         Permission("ingress", _SPEAKING, _own(name, *(f"worker/{{}}/{part}" for part in _PUT))),

@@ -244,7 +244,11 @@ class WorkerController:
                 self._channel.send(
                     worker, messages.Close(job=placement.job, variable=placement.variable, term=placement.term)
                 )
-        for assignment, placement in self._begin_terms(plan.assignments, guarded):
+        begun = self._begin_terms(plan.assignments, guarded)
+        for job in {assignment.job.id: assignment.job for assignment, _ in begun}.values():
+            with guarded(job.id):
+                self._channel.publish(job.announcement())
+        for assignment, placement in begun:
             with guarded(placement.job):
                 self._place(assignment, placement, now)
 

@@ -22,8 +22,7 @@ def test_every_key_that_is_built_is_parsed_back(
         (topics.hello(name), topics.HelloKey(name)),
         (topics.control(cluster), topics.ControlKey(cluster)),
         (topics.control(cluster, name), topics.ControlKey(cluster, name)),
-        (topics.job(cluster, name), topics.JobKey(cluster, name)),
-        (topics.job(cluster, name, "state"), topics.JobKey(cluster, name, "state")),
+        (topics.states(cluster, name), topics.StatesKey(cluster, name)),
         (topics.blob(cluster, digest, index), topics.BlobKey(cluster, digest, index)),
         (topics.worker(cluster, name, part), topics.WorkerKey(cluster, name, part)),
         (topics.client(cluster, name), topics.ClientKey(cluster, name)),
@@ -68,7 +67,7 @@ def test_no_text_breaks_the_parser(key: str) -> None:
 @pytest.mark.parametrize("name", ["", "a/b", "*", "θ", "x" * 65, "v [m/s]"])
 def test_only_ids_stand_in_keys(name: str) -> None:
     with pytest.raises(LocalProtocolError, match="cannot stand in a key"):
-        topics.job("cluster", name)
+        topics.states("cluster", name)
 
 
 def test_blob_keys_need_a_digest_and_a_chunk_that_can_be() -> None:

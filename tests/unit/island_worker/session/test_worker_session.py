@@ -25,7 +25,6 @@ from atoll_island_worker.session.interface import (
     Abandoned,
     Ask,
     Discard,
-    DiscardJob,
     EpochComputed,
     JobReady,
     LoadFailed,
@@ -164,10 +163,10 @@ def test_the_coordinator_learns_of_a_hit_at_once_and_a_hit_elsewhere_stops_what_
 def test_a_pull_that_ends_without_migrants_is_repeated_at_a_tick(session: Session) -> None:
     (first,) = asked(begun(session, "me", "peer"))
     session.handle(computed(key(0, 0), {}, 1))
-    assert session.handle(Tick(1.0)) == []
+    assert session.handle(Tick()) == []
     assert session.handle(PullEnded(first, None)) == []
-    assert session.handle(Tick(2.0)) == [Ask("peer", pull(0, 1))]
-    assert session.handle(Tick(3.0)) == []
+    assert session.handle(Tick()) == [Ask("peer", pull(0, 1))]
+    assert session.handle(Tick()) == []
 
 
 def test_the_rest_of_an_answer_is_asked_for_at_once(session: Session) -> None:
@@ -232,7 +231,7 @@ def test_refused_immigrants_are_pulled_again(session: Session) -> None:
     session.handle(came(0, (1, 0, b"damaged")))
     session.handle(computed(key(0, 0), {0: b"own"}, 1))
     assert session.handle(Rejected(key(0, 1), "malformed")) == []
-    assert session.handle(Tick(0.0)) == [Ask("peer", pull(0, 1))]
+    assert session.handle(Tick()) == [Ask("peer", pull(0, 1))]
     (action, *_) = session.handle(came(0, (1, 0, b"good")))
     assert isinstance(action, RunTask)
     assert action.task.blocks == {0: b"own", 1: b"good"}
@@ -259,7 +258,7 @@ def test_computing_what_was_not_asked_for_is_our_bug(session: Session) -> None:
 
 def test_a_reset_forgets_everything_also_the_terms(session: Session) -> None:
     begun(session, "me", "peer", term=5)
-    assert session.handle(Reset()) == [Discard(ShardKey("job", "x", 5)), DiscardJob("job")]
+    assert session.handle(Reset()) == [Discard(ShardKey("job", "x", 5))]
     session.handle(Abandoned(key(0, 0, term=5)))
     assert tasks(begun(session, "me", "peer", term=2)) == [key(0, 0, term=2)]
 
@@ -321,7 +320,7 @@ def test_a_state_that_was_damaged_is_refused_and_asked_for_again(session: Sessio
     (piece,) = states(i0=b"good").pieces
     with pytest.raises(RemoteProtocolError, match="damaged"):
         session.handle(PullEnded(question, States(pieces=(piece.model_copy(update={"data": b"evil"}),))))
-    assert session.handle(Tick(1.0)) == [question]
+    assert session.handle(Tick()) == [question]
 
 
 def test_a_state_that_does_not_fit_fails_the_job(session: Session) -> None:
@@ -337,5 +336,5 @@ def test_a_reset_keeps_what_the_new_incarnation_has_placed_already(session: Sess
     assert session.handle(Reset(incarnation=1)) == []
     assert session.jobs() == ("job",)
     assert tasks(list(session.handle(placed("me", "peer", term=5)))) == []
-    assert session.handle(Reset(incarnation=2)) == [Discard(ShardKey("job", "x", 5)), DiscardJob("job")]
+    assert session.handle(Reset(incarnation=2)) == [Discard(ShardKey("job", "x", 5))]
     assert session.jobs() == ()

@@ -23,8 +23,7 @@ def counted(bus: MeteredBus) -> dict[str, tuple[int, int, int, int]]:
     [
         (topics.HELLO, "hello"),
         (topics.control(CLUSTER), "control"),
-        (topics.job(CLUSTER, "j"), "job"),
-        (topics.job(CLUSTER, "j", "state"), "state"),
+        (topics.states(CLUSTER, "j"), "state"),
         (topics.blob(CLUSTER, "0" * 64, 3), "blob"),
         (topics.worker(CLUSTER, "w", "report"), "report"),
         (topics.client(CLUSTER, "c"), "ask"),

@@ -69,7 +69,7 @@ def test_a_worker_neither_submits_nor_commands() -> None:
         assert not may("lab1", "ingress", "query", topics.client(CLUSTER, client))
     for key in (topics.control(CLUSTER), topics.control(CLUSTER, "lab1"), topics.control(CLUSTER, "lab2")):
         assert not may("lab1", "ingress", "put", key)
-    for key in (topics.job(CLUSTER, "j"), topics.blob(CLUSTER, DIGEST, 0), topics.HELLO):
+    for key in (topics.states(CLUSTER, "j"), topics.blob(CLUSTER, DIGEST, 0), topics.HELLO):
         assert not may("lab1", "ingress", "declare_queryable", key)
         assert not may("lab1", "ingress", "reply", key)
 
@@ -82,8 +82,7 @@ def test_a_client_asks_under_its_own_name_and_does_nothing_else(name: str) -> No
     keys = [
         topics.control(CLUSTER),
         topics.control(CLUSTER, "lab1"),
-        topics.job(CLUSTER, "j"),
-        topics.job(CLUSTER, "j", "state"),
+        topics.states(CLUSTER, "j"),
         topics.blob(CLUSTER, DIGEST, 0),
         *(
             topics.worker(CLUSTER, who, part)
