@@ -134,10 +134,9 @@ def propose_further_sums(task: ModellingTask, name: str, most: float) -> Iterabl
 
 
 def may_be_widened(task: ModellingTask, name: str) -> bool:
-    """Tell whether further operators may be tried for an equation: an equation with a law of rates has no other
-    candidates."""
-    has_law = any(law.is_of_rates for law in task.laws.get(name, ()))
-    return bool(task.further_operators(name)) and not has_law and name not in task.known
+    """Tell whether further operators may be tried for an equation: one with a law by derivatives among many variables
+    has no other candidates."""
+    return bool(task.further_operators(name)) and name not in task.lawful and name not in task.known
 
 
 def _pursued(task: ModellingTask, name: str, most: float, needed: Collection[int] = ()) -> list[Program]:

@@ -106,11 +106,6 @@ class Choice:
         """Whether no time is left."""
         return self.task.is_over
 
-    @property
-    def has_laws_of_rates(self) -> bool:
-        """Whether equations among many variables have laws by their derivatives, chosen from all terms."""
-        return any(laws and laws[0].is_of_rates for laws in self.task.laws.values())
-
 
 @dataclass(frozen=True)
 class Stage:
@@ -170,9 +165,9 @@ def _settled(task: ModellingTask) -> dict[str, list[Program]]:
     None where all have: together they have not held, and one of them is wrong.
     """
     law_programs = {
-        name: [law.program for law in laws if task.may_be_shown(law.program)]
-        for name, laws in task.laws.items()
-        if laws and laws[0].is_of_rates and laws[0].excess <= SETTINGS.inference.excess
+        name: [law.program for law in task.laws[name] if task.may_be_shown(law.program)]
+        for name in task.variables
+        if name in task.lawful and task.laws[name][0].excess <= SETTINGS.inference.excess
     }
     return law_programs if len(law_programs) < len(task.variables) - len(task.known) else {}
 
@@ -339,7 +334,7 @@ def _is_clean_and_lacking(choice: Choice) -> bool:
 
 
 def _may_be_reduced(choice: Choice) -> bool:
-    return choice.may_improve and not (choice.task.recording.groups or choice.has_laws_of_rates)
+    return choice.may_improve and not (choice.task.recording.groups or choice.task.lawful)
 
 
 def _may_have_sums_like(choice: Choice) -> bool:
@@ -355,7 +350,7 @@ def _may_hide_terms(choice: Choice) -> bool:
     """
     if choice.selection is None or choice.is_over or choice.selection.task.is_nearly_clean:
         return False
-    return not (choice.has_laws_of_rates or choice.is_exact)
+    return not (choice.task.lawful or choice.is_exact)
 
 
 STAGES: Final = (
