@@ -84,7 +84,7 @@ from atoll_core.wire.messages.clients import AskAnalysis, QueueDepth, Submit
 from atoll_core.wire.messages.epochs import EpochReport, PullStates, States
 from atoll_core.wire.messages.tasks import TaskReport
 from atoll_core.wire.messages.views import TaskView, WorkerService
-from atoll_core.wire.messages.workers import Close, CloseJob, JobAnnouncement, Placements, WorkerStatus
+from atoll_core.wire.messages.workers import Close, CloseJob, WorkerStatus
 
 _SAVE_S: Final = 10.0
 """Interval of storing task time: a commit takes milliseconds, and a killed coordinator loses no more."""
@@ -189,7 +189,6 @@ class JobController:
         if not job.has_ended:
             job.hold(job.state == "running")
             self.events.record("resumed", "the coordinator was started again; the job continues from the store", job.id)
-            self._channel.publish(job.announcement())
         return actions
 
     def submit(self, body: Submit, now: float, submitter: str | None = None) -> None:
@@ -369,7 +368,6 @@ class JobController:
         self._store.update_job(job.id, state="running")
         sought = ", ".join(job.archipelagos)
         self.events.record("prepared", f"data are prepared; sought: {sought or 'nothing'}", job.id)
-        self._channel.publish(job.announcement())
         return actions
 
     def _set_up(self, job: Job, dataset: str | None, prepared: Prepared, now: float) -> Sequence[JobAction]:
@@ -417,19 +415,6 @@ class JobController:
     def fail_job(self, job_id: str, fault: Fault, sentence: str, now: float) -> None:
         """Let a job fail; without effect when it has ended."""
         self._change(job_id, "ending", now, lambda job: job.fail(fault, sentence))
-
-    def announcement(self, job_id: str) -> JobAnnouncement | None:
-        """Return the announcement of a job that is being searched; None: it is not."""
-        job = self.jobs.get(job_id)
-        return job.announcement() if job is not None and job.state == "running" else None
-
-    def placements(self, job_id: str) -> Placements:
-        """Return the current placements of a job."""
-        job = self.jobs.get(job_id)
-        open_ones = job.open_archipelagos if job is not None else ()
-        return Placements(
-            placements=tuple(archipelago.placement for archipelago in open_ones if archipelago.placement is not None)
-        )
 
     def job_of_dataset(self, digest: str) -> str | None:
         """Return the id of a live job whose prepared dataset this is; None: there is none."""

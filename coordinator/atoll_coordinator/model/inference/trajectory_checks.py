@@ -24,7 +24,6 @@ from atoll_coordinator.model.inference.checks import (
 from atoll_coordinator.model.inference.final_model import FinalModel
 from atoll_coordinator.model.inference.long_run import LongRun
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
-from atoll_coordinator.model.inference.residual_covariance import residual_covariance
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
 from atoll_coordinator.model.refinement import Alternative, JobKind, Refined
 from atoll_coordinator.model.shooting.error_model import ErrorModel
@@ -99,10 +98,7 @@ class TrajectoryChecks(EquationChecks):
         if sensor is None and smoothing.degree is not None and smoothing.narrower_span:
             narrower = smoothing.narrower_noise * (noise / smoothing.noise if smoothing.noise > 0.0 else 1.0)
             self.reference = ReferenceSmoother(smoothing.narrower_span, smoothing.degree, narrower)
-        # Where constants were fitted to other rows than are simulated, the covariance is not known.
-        fitted, covariance = final.comparison.estimator.measurements, None
-        if fitted.rows == measurements.rows and final.piece == final.task.piece:
-            covariance = residual_covariance(fitted, final.free.fit, index)
+        covariance = None if final.residual_covariances is None else final.residual_covariances[index]
         self.covariance = covariance if sensor is None else None
         # In few rows the share of the fitted numbers follows from the covariance of residuals, by the projection on all
         # of them: a state gets the share of a number that other states do not need. In many rows, and without noise,

@@ -326,7 +326,7 @@ def equation_of(
     if refined is not None:
         return refined
     target = dataset.problem(outcome.variable).target
-    printable = [index for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
+    printable = [index for index, entry in enumerate(outcome.front) if is_printable(entry.program, len(dataset.names))]
     if not printable:
         return None
     front = [outcome.front[index] for index in printable]
@@ -390,7 +390,7 @@ def _front(
     dataset = preparation.dataset
     best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
     for index, entry in enumerate(outcome.front):
-        if _is_printable(entry, dataset):
+        if is_printable(entry.program, len(dataset.names)):
             program = _written(entry, outcome, dataset)
             member = best.get(structure(program), (entry, program, False))
             nearer = (entry, program) if entry.error < member[0].error else member[:2]
@@ -428,10 +428,6 @@ def _points(dataset: Dataset) -> FloatArray:
     if points is None:
         points = _POINTS[dataset] = points_of(dataset.inputs)
     return points
-
-
-def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
-    return is_printable(entry.program, len(dataset.names))
 
 
 @lru_cache(maxsize=4096)

@@ -174,9 +174,8 @@ class WorkerController:
         """Record a worker's progress with its islands; publish a commit that becomes due."""
         archipelago = self._placed(assignment_status.job, assignment_status.variable, assignment_status.term)
         if archipelago is not None:
-            archipelago.update_assignment_status(worker, assignment_status)
+            commit = archipelago.update_assignment_status(worker, assignment_status)
             self.counters.set_waited(worker, assignment_status)
-            commit = archipelago.due_commit()
             if commit is not None:
                 self._channel.publish(commit)
 
@@ -245,7 +244,11 @@ class WorkerController:
                 self._channel.send(
                     worker, messages.Close(job=placement.job, variable=placement.variable, term=placement.term)
                 )
-        for assignment, placement in self._begin_terms(plan.assignments, guarded):
+        begun = self._begin_terms(plan.assignments, guarded)
+        for job in {assignment.job.id: assignment.job for assignment, _ in begun}.values():
+            with guarded(job.id):
+                self._channel.publish(job.announcement())
+        for assignment, placement in begun:
             with guarded(placement.job):
                 self._place(assignment, placement, now)
 

@@ -23,11 +23,9 @@ def counted(bus: MeteredBus) -> dict[str, tuple[int, int, int, int]]:
     [
         (topics.HELLO, "hello"),
         (topics.control(CLUSTER), "control"),
-        (topics.job(CLUSTER, "j"), "job"),
-        (topics.job(CLUSTER, "j", "placement"), "placement"),
+        (topics.states(CLUSTER, "j"), "state"),
         (topics.blob(CLUSTER, "0" * 64, 3), "blob"),
         (topics.worker(CLUSTER, "w", "report"), "report"),
-        (topics.mail(CLUSTER, "w", "v"), "mail"),
         (topics.client(CLUSTER, "c"), "ask"),
         (topics.client(CLUSTER, "c", "changes"), "changes"),
         ("atoll/r/nonsense", OTHER),
