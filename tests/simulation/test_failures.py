@@ -17,6 +17,7 @@ from atoll_core.wire.messages.workers import (
     IslandFailure,
     WorkerStatus,
 )
+from atoll_island_worker.compute.compute_thread import ComputeFailed
 from tests.simulation.harness.short_jobs import short_job
 from tests.simulation.harness.simulated_cluster import World, bus_of, comparable
 from tests.simulation.harness.stub_islands import OURS
@@ -62,6 +63,14 @@ def test_two_workers_that_disagree_fail_the_job_as_diverged_and_are_both_named()
     assert (view.state, view.fault) == ("failed", "diverged")
     assert "w0" in (view.reason or "")
     assert "liar" in (view.reason or "")
+
+
+def test_a_worker_whose_compute_thread_fails_ends_with_its_error_and_another_goes_on() -> None:
+    world = World(workers=2)
+    broken = world.workers["w0"]
+    world.at(1.2, lambda: world.network._buses["w0"].post(ComputeFailed("the compute thread failed: KeyError: 'job'")))
+    assert comparable(world.run(config())) == undisturbed()
+    assert (broken.exit_code, str(broken.error)) == (1, "the compute thread failed: KeyError: 'job'")
 
 
 def test_a_second_worker_of_the_same_name_is_refused_and_told_which_option_to_use() -> None:
