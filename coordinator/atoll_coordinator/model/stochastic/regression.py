@@ -97,7 +97,7 @@ class CandidateFinder:
         distinct = {structure(program): program for program in programs}
         is_variance = number >= len(model.drift) and len({*model.pairs[number - len(model.drift)]}) == 1
         possible = (program for program in distinct.values() if self._is_possible(program, is_variance=is_variance))
-        return [*islice(possible, SETTINGS.effort.beam)]
+        return [*islice(possible, 2 * SETTINGS.effort.beam // 3)]
 
     def _is_possible(self, program: Program, *, is_variance: bool) -> bool:
         """Tell whether a program is finite wherever steps begin, and not negative there if it is a variance."""
