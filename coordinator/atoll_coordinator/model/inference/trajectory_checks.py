@@ -25,6 +25,7 @@ from atoll_coordinator.model.inference.final_model import FinalModel
 from atoll_coordinator.model.inference.long_run import LongRun
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
+from atoll_coordinator.model.inference.trajectory_simulation import squares_about_mean
 from atoll_coordinator.model.refinement import Alternative, JobKind, Refined
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -528,15 +529,8 @@ def no_elaborations(most: int, alternatives: Sequence[Alternative]) -> list[Alte
 
 def standard_deviation(measurements: Measurements, index: int) -> float:
     """Return the standard deviation of the measured values of a state, where they count, as in a row of weight 1."""
-    counts = measurements.weights[index] > 0.0
-    values = measurements.measured[index][counts]
-    if not len(values):
-        return 1e-300
-    weights = np.ones(len(values))
-    if measurements.inverse_variances is not None:
-        weights = measurements.inverse_variances[index][counts]
-    mean = float((weights * values).sum() / weights.sum())
-    return max(math.sqrt(float(np.mean(weights * (values - mean) ** 2))), 1e-300)
+    squares, count = squares_about_mean(measurements, index, slice(None))
+    return max(math.sqrt(squares / max(count, 1)), 1e-300)
 
 
 def _pieces_of(residuals: FloatArray, measurements: Measurements, index: int) -> list[FloatArray]:
