@@ -20,7 +20,7 @@ from atoll_core.wire import topics
 from atoll_core.wire.addresses import Destination
 from atoll_core.wire.bus.interface import Bus, Event, Link, Message, Posted, Query, Reply, Timer
 from atoll_core.wire.bus.metered_bus import MeteredBus
-from atoll_core.wire.codec import decode, encode
+from atoll_core.wire.codec import decode
 from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages import tasks as task_messages
 from atoll_core.wire.messages import workers as messages
@@ -74,9 +74,7 @@ class Worker:
         self._datasets = Datasets(compute)
         self._downloads = Downloads(self._requests.ask_chunk, self._bytes_came)
         self._task_process = task_process or TaskProcess()
-        self._tasks = TaskRunner(
-            self._requests, self._task_process, lambda query, answer: self._bus.reply(query, encode(answer)), bus.now
-        )
+        self._tasks = TaskRunner(self._requests, self._task_process, self._bus.reply, bus.now)
         self._connection = CoordinatorConnection(self._bus, self._requests, name, wait_s, lifetime_s, grace_s)
         self._is_drain_requested = False
         self._detail = "loading kernels"

@@ -1,11 +1,10 @@
-"""Messages that a worker keeps: immigrants, and messages that others may request. Pure.
+"""Messages that a worker keeps because other programs may request them. Pure.
 
-Immigrants are filed by (epoch, destination, source), each once, so the order in which answers arrive cannot matter.
 Emigrants and reports are kept until every island has reported their epoch; snapshots are kept until they, or a later
 checkpoint, are durable at the coordinator.
 """
 
-from collections.abc import Collection, Container, Iterable, KeysView, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Final
 
 from atoll_core.wire.messages import epochs
@@ -15,42 +14,6 @@ from atoll_core.wire.state_pieces import IslandState, split_states
 
 ADDITIONS_PER_ANSWER: Final = 20_000
 """An answer with reports ends after this many additions to the front; the rest is asked for again."""
-
-
-class Mailbox:
-    """The immigrants that have arrived for the islands of a shard and have not been handed over."""
-
-    def __init__(self) -> None:
-        self._blocks: dict[tuple[int, int], dict[int, bytes]] = {}
-
-    def file(self, epoch: int, block: epochs.Block) -> bool:
-        """File a block of an epoch; return whether it is the first of its source and destination."""
-        filed = self._blocks.setdefault((epoch, block.destination), {})
-        is_first = block.source not in filed
-        filed.setdefault(block.source, block.data)
-        return is_first
-
-    def sources(self, epoch: int, destination: int) -> KeysView[int]:
-        """Return the islands whose blocks of an epoch for `destination` have arrived."""
-        return self._blocks.get((epoch, destination), {}).keys()
-
-    def blocks(self, epoch: int, destination: int, sources: Iterable[int]) -> dict[int, bytes]:
-        """Return the blocks of these sources, by source in ascending order; all of them have arrived."""
-        filed = self._blocks[epoch, destination]
-        return {source: filed[source] for source in sorted(sources)}
-
-    def keep_only(self, epoch: int, destination: int, sources: Container[int]) -> None:
-        """Forget the blocks of other sources than these."""
-        filed = self._blocks[epoch, destination]
-        self._blocks[epoch, destination] = {source: data for source, data in filed.items() if source in sources}
-
-    def forget(self, epoch: int, destination: int) -> None:
-        """Forget the blocks of an epoch for `destination`, if any."""
-        self._blocks.pop((epoch, destination), None)
-
-    def filed(self) -> KeysView[tuple[int, int]]:
-        """Return (epoch, destination) of all blocks."""
-        return self._blocks.keys()
 
 
 class RetransmitBuffer:

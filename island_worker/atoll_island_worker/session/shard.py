@@ -13,7 +13,7 @@ on when a worker learns of it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
@@ -23,7 +23,7 @@ from atoll_core.wire.messages import epochs
 from atoll_core.wire.messages.workers import AssignmentStatus, Commit, Placement
 from atoll_core.wire.state_pieces import Assembly
 from atoll_island_worker.session import interface as io
-from atoll_island_worker.session.kept_messages import Mailbox, RetransmitBuffer
+from atoll_island_worker.session.kept_messages import RetransmitBuffer
 
 IslandState = Literal["restoring", "ready", "computing", "waiting", "at barrier", "stopped"]
 IslandStep = Literal["restore", "begin", "emigrate", "complete", "end", "reject", "reach barrier"]
@@ -45,12 +45,22 @@ MAX_HELD: Final = 4096
 
 @dataclass(slots=True)
 class LocalIsland:
-    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources while it waits."""
+    """One island computed here. `epoch` is the one it computes, or will begin; `needs` its sources while it waits.
+
+    `immigrants` have arrived, by epoch and source, and have not been handed over. Each is filed once, so that the order
+    in which answers arrive cannot matter.
+    """
 
     index: int
     state: IslandState = "ready"
     epoch: int = 0
     needs: frozenset[int] = frozenset()
+    immigrants: dict[int, dict[int, bytes]] = field(default_factory=dict)
+
+    @property
+    def arrived(self) -> dict[int, bytes]:
+        """The immigrants of the epoch before `epoch` that have arrived, by source."""
+        return self.immigrants.get(self.epoch - 1, {})
 
     def step(self, step: IslandStep) -> None:
         """Go to the next state by the table; raises LocalProtocolError for a pair that is not in it."""
@@ -80,7 +90,6 @@ class Shard:
         self._under_way: set[tuple[str | None, int]] = set()
         self._pulled = first - 1
         self._held: dict[epochs.PullMigrants, Query] = {}
-        self._mailbox = Mailbox()
         self._buffer = RetransmitBuffer(placement, self.islands)
 
     @property
@@ -121,7 +130,7 @@ class Shard:
         local.step("begin")
         blocks = state = None
         if local.epoch > self.placement.epoch:
-            blocks = self._mailbox.blocks(local.epoch - 1, island, local.needs)
+            blocks = {source: local.arrived[source] for source in sorted(local.needs)}
         elif local.epoch > 0:
             state = self._states.states.pop(island).data
         return io.EpochTask(
@@ -139,7 +148,7 @@ class Shard:
         local = self.islands[taken.key.island]
         if taken.is_at_barrier:
             local.step("reach barrier")
-            self._mailbox.forget(local.epoch - 1, local.index)
+            local.immigrants.pop(local.epoch - 1, None)
             self._end_late_islands()
         if taken.key.epoch <= self.commit:
             return False
@@ -149,7 +158,7 @@ class Shard:
     def computed(self, done: io.EpochComputed) -> list[io.Action]:
         """Store the outcome of an island for the report; return answers with its emigrants, and pulls for it."""
         local, key = self.islands[done.key.island], done.key
-        self._mailbox.forget(key.epoch - 1, local.index)
+        local.immigrants.pop(key.epoch - 1, None)
         actions: list[io.Action] = []
         if done.report.hit is not None:
             local.step("end")
@@ -189,7 +198,9 @@ class Shard:
         local = self.islands[island]
         if local.epoch == self.placement.epoch or local.needs <= self.islands.keys():
             return False
-        self._mailbox.keep_only(local.epoch - 1, island, self.islands)
+        local.immigrants[local.epoch - 1] = {
+            source: data for source, data in local.arrived.items() if source in self.islands
+        }
         local.step("reject")
         self._end_late_islands()
         return True
@@ -259,8 +270,7 @@ class Shard:
         """Return pulls of the migrants that an island waits for, except those that are under way."""
         if local.state != "waiting":
             return []
-        missing = local.needs - self._mailbox.sources(local.epoch - 1, local.index)
-        return self._pulls(local.epoch - 1, sorted(missing), (local.index,))
+        return self._pulls(local.epoch - 1, sorted(local.needs - local.arrived.keys()), (local.index,))
 
     def _pulls(self, epoch: int, sources: Iterable[int], destinations: Iterable[int]) -> list[io.Ask]:
         """Return one pull for each other worker of these sources, except those that are under way."""
@@ -314,11 +324,13 @@ class Shard:
         if is_late or local.state == "stopped":
             self.duplicates += 1
             return
-        self.duplicates += not self._mailbox.file(epoch, block)
+        filed = local.immigrants.setdefault(epoch, {})
+        self.duplicates += block.source in filed
+        filed.setdefault(block.source, block.data)
         self._complete(local)
 
     def _complete(self, local: LocalIsland) -> None:
-        if local.state == "waiting" and local.needs <= self._mailbox.sources(local.epoch - 1, local.index):
+        if local.state == "waiting" and local.needs <= local.arrived.keys():
             local.step("complete")
 
     def stop_at(self, hit: Position | None) -> Position | None:
@@ -347,15 +359,13 @@ class Shard:
     def validate(self) -> None:
         """Check the invariants; raises LocalProtocolError."""
         for local in self.islands.values():
-            have = self._mailbox.sources(local.epoch - 1, local.index)
-            complete = local.epoch == self.placement.epoch or local.needs <= have
+            complete = local.epoch == self.placement.epoch or local.needs <= local.arrived.keys()
             _require(local.state != "ready" or complete, f"island {local.index} is ready without its immigrants")
             _require(local.state != "waiting" or not complete, f"island {local.index} waits for nothing")
             _require(local.epoch < self.placement.epochs, f"island {local.index} is beyond the last epoch")
+            _require(all(epoch >= local.epoch - 1 for epoch in local.immigrants), "old immigrants are kept")
         _require(all(epoch >= self.placement.epoch for epoch in self._buffer.epochs_sent()), "emigrants are too old")
         _require(all(epoch > self.commit for epoch in self._buffer.snapshots()), "snapshots of a commit are kept")
-        is_young = (epoch >= self.islands[island].epoch - 1 for epoch, island in self._mailbox.filed())
-        _require(all(is_young), "old immigrants are kept")
 
 
 def _require(condition: bool, sentence: str) -> None:

@@ -15,7 +15,7 @@ from typing import Final, Literal
 from atoll_core import task_frames as frames
 from atoll_core.errors import LocalProtocolError, RemoteProtocolError
 from atoll_core.wire.bus.interface import Query
-from atoll_core.wire.codec import decode
+from atoll_core.wire.codec import decode, encode
 from atoll_core.wire.messages import tasks as messages
 from atoll_core.wire.messages.epochs import NotYet, PullAnswer
 from atoll_core.wire.messages.limits import CHUNK_SIZE, MAX_MESSAGE
@@ -79,10 +79,10 @@ class TaskRunner:
     """The tasks of one worker."""
 
     def __init__(
-        self, requests: Requests, process: TaskProcess, reply: Callable[[Query, PullAnswer], None],
+        self, requests: Requests, process: TaskProcess, reply: Callable[[Query, bytes | None], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
-        """`reply` answers a question of another worker; `clock` gives seconds."""
+        """`reply` answers a question of another worker, or (None) refuses it; `clock` gives seconds."""
         self._requests = requests
         self._process = process
         self._reply = reply
@@ -285,7 +285,7 @@ class TaskRunner:
         if helped is None or helped.help.task != task:
             return
         self._helped = None  # also if the answer cannot be read: the coordinator will send another Help
-        body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else messages.NoTask()
+        body = decode(payload, PullAnswer, MAX_MESSAGE).body if payload is not None else None
         match body:
             case messages.GivenBatch():
                 if body.context:
@@ -306,7 +306,7 @@ class TaskRunner:
         """Handle a helper's question: pass its result on to the process, which answers when it has a batch."""
         leased = self._leased.get(pull.task)
         if leased is None or leased.state != "running":
-            self._reply(query, PullAnswer(body=messages.NoTask()))
+            self._reply(query, None)
             return
         if pull.result is not None:
             self._process.send(frames.Take(pull.result.number, pull.result.result))
@@ -320,18 +320,18 @@ class TaskRunner:
         _, query = self._questions.pop(message.token)
         batch = message.batch
         if batch is None:
-            self._reply(query, PullAnswer(body=NotYet()))
+            self._reply(query, encode(PullAnswer(body=NotYet())))
             return
         given = messages.GivenBatch(
             number=batch.number, function=batch.function, digest=batch.digest, context=batch.context, item=batch.item
         )
-        self._reply(query, PullAnswer(body=given))
+        self._reply(query, encode(PullAnswer(body=given)))
 
     def _answer_helpers(self, task: str) -> None:
         """Notify helpers that wait for batches of a task that the task has ended."""
         for token in [token for token, (asked, _) in self._questions.items() if asked == task]:
             _, query = self._questions.pop(token)
-            self._reply(query, PullAnswer(body=messages.NoTask()))
+            self._reply(query, None)
 
     def close(self) -> None:
         """End the process."""

@@ -21,7 +21,7 @@ from atoll_core.wire.messages.limits import (
     Term,
     Variable,
 )
-from atoll_core.wire.messages.tasks import GivenBatch, NoTask, PullBatch
+from atoll_core.wire.messages.tasks import GivenBatch, PullBatch
 
 
 class OfTerm(Frozen):
@@ -174,4 +174,4 @@ class NotYet(Frozen):
 class PullAnswer(Frozen):
     """Answer of a worker."""
 
-    body: Annotated[Migrants | Reports | States | NotYet | GivenBatch | NoTask, Field(discriminator="kind")]
+    body: Annotated[Migrants | Reports | States | NotYet | GivenBatch, Field(discriminator="kind")]

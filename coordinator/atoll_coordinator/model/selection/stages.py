@@ -18,13 +18,12 @@ all candidates by one criterion would make them unnecessary, at several times th
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
 from atoll_coordinator.model.selection.alternatives import fit_guesses
 from atoll_coordinator.model.selection.joint_search import (
-    combine,
     compare_rivals,
     exchange,
     recalibrated,
@@ -66,7 +65,6 @@ class Choice:
     Attributes:
         task: the measurements and candidates.
         pool: the candidates, from the first stage that proposes any on.
-        lists: the final candidates by equation; None as long as stages may add more.
         selection: the best system so far; None before any could be simulated.
         begun: the best system of laws alone, with which a choice with a time limit begins.
         is_searched: whether the selection comes from the search among candidates, and not from laws alone.
@@ -74,20 +72,14 @@ class Choice:
 
     task: ModellingTask
     pool: CandidatePool | None = None
-    lists: Sequence[Sequence[Program]] | None = None
     selection: SelectedModel | None = None
     begun: SelectedModel | None = None
     is_searched: bool = False
 
     @property
-    def is_open(self) -> bool:
-        """Whether neither a system nor the final candidates are known."""
-        return self.selection is None and self.lists is None
-
-    @property
     def lacks_candidates(self) -> bool:
         """Whether the pool has candidates, but does not suffice."""
-        return self.is_open and self.pool is not None and not self.pool.suffices
+        return self.selection is None and self.pool is not None and not self.pool.suffices
 
     @property
     def may_improve(self) -> bool:
@@ -170,23 +162,12 @@ def _settled(task: ModellingTask) -> dict[str, list[Program]]:
     return law_programs if len(law_programs) < len(task.variables) - len(task.known) else {}
 
 
-def stop_without_simulation(choice: Choice) -> Choice:
-    """Propose no more where no system can be simulated, however short the pieces."""
-    task, pool = choice.task, choice.pool
-    assert pool is not None, "candidates were proposed"
-    shortest_pieces = replace(task, piece=min(task.piece, *SETTINGS.shooting.lengths))
-    can_be_simulated = all(pool.lists) and combine(shortest_pieces.comparison, pool.lists) is not None
-    return choice if can_be_simulated else replace(choice, lists=pool.lists)
-
-
 def search(choice: Choice) -> Choice:
     """Search the best system of all candidates and of their neighbourhood."""
-    if choice.lists is None:
-        assert choice.pool is not None, "candidates were proposed"
-        task = choice.task.with_comparison(choice.pool.comparison)
-        choice = replace(choice, task=task, lists=choice.pool.lists)
-    assert choice.lists is not None
-    return replace(choice, selection=search_in_pieces(choice.task, choice.lists), is_searched=True)
+    pool = choice.pool
+    assert pool is not None, "candidates were proposed"
+    selection = search_in_pieces(choice.task.with_comparison(pool.comparison), pool.lists)
+    return replace(choice, selection=selection, is_searched=True)
 
 
 def compare_with_laws(choice: Choice) -> Choice:
@@ -306,12 +287,9 @@ def with_further_operators(selection: SelectedModel) -> SelectedModel:
     return replace(selection, model=comparison.fit_beside(best, best.programs) or best)
 
 
-def _best(choice: Choice) -> FittedModel | None:
-    return None if choice.pool is None else choice.pool.best
-
-
 def _is_clean_and_lacking(choice: Choice) -> bool:
-    return choice.lacks_candidates and _best(choice) is not None and choice.task.is_nearly_clean
+    can_be_simulated = choice.pool is not None and choice.pool.best is not None
+    return choice.lacks_candidates and can_be_simulated and choice.task.is_nearly_clean
 
 
 def _may_be_reduced(choice: Choice) -> bool:
@@ -330,9 +308,8 @@ def _may_hide_terms(choice: Choice) -> bool:
 
 STAGES: Final = (
     Stage("laws by sparse regression, together", lambda choice: not choice.task.recording.groups, fit_laws),
-    Stage("laws in short pieces", lambda choice: choice.is_open and choice.task.is_limited, begin_with_laws),
-    Stage("the nearest candidates", lambda choice: choice.is_open, propose(propose_nearest)),
-    Stage("candidates that cannot be simulated", lambda c: c.is_open and _best(c) is None, stop_without_simulation),
+    Stage("laws in short pieces", lambda c: c.selection is None and c.task.is_limited, begin_with_laws),
+    Stage("the nearest candidates", lambda choice: choice.selection is None, propose(propose_nearest)),
     Stage("sums by pursuit", lambda choice: choice.lacks_candidates, propose(propose_sums)),
     Stage("sums with further operators", _is_clean_and_lacking, propose(propose_further_sums)),
     Stage("all candidates", lambda choice: choice.lacks_candidates, propose(propose_all)),
