@@ -1,7 +1,11 @@
-"""All hand-set numbers that decide which equation is shown and its verdict, by stage, with their reasons.
+"""All hand-set numbers that decide which equation is displayed and its verdict, by stage, with their reasons.
 
-Other numbers stand where they are used: numbers of presentation, mathematical constants, guards against division by
-zero, the sizes of compiled kernels and the numerics of minimisers and integrators.
+Other numbers are defined in the modules that use them: numbers of presentation, mathematical constants, guards against
+division by zero, the sizes of compiled kernels and the numerics of minimisers and integrators.
+
+How firmly a number is known varies. A docstring that quotes a measurement names the data and the result. A docstring
+with only a reason states a judgement; the environment variable `VARIABLE` lets benchmarks change any of these numbers
+and measure the effect.
 """
 
 import ast
@@ -23,13 +27,13 @@ class CommonSettings:
     clean: float = 1e-5
     """Noise or uncertainty below this share counts as zero: bias and rounding of noise-free data are about as large."""
     fewest_rows: int = 5
-    """Fewest rows of a trajectory that has a derivative, of a span, and of any search: a cubic and one to judge it."""
+    """Fewest rows of a differentiated trajectory, of a span, and of any search: four for a cubic, one to judge it."""
     few_values: int = 8
-    """With fewer distinct values a pattern in them, such as a common step, is often chance."""
+    """Fewest distinct values: with fewer, a pattern in them, such as a common step, is often chance."""
     most_rows: int = 20_000
-    """Most rows in sums over a table; of more rows a part is used."""
+    """Most rows in sums over a table; larger tables are subsampled."""
     significant: float = 3.0
-    """Standard errors beyond which a finding, or a correlation, is significant (p = 0.003)."""
+    """Number of standard errors beyond which a finding, or a correlation, is significant (p = 0.003)."""
     improbable: float = 1e-6
     """Probability below which a pattern in many values, or between many rows, is not chance."""
 
@@ -42,7 +46,7 @@ class SmoothingSettings:
     """Degrees of loess that are tried. A parabola may fit the values as well as a cubic, but its slope has far more
     bias: the measured derivative error was up to 2.8 times the standard error with parabolas and up to 1.9 without."""
     bins: int = 40
-    """Bins in the narrowest span for which rows may be thinned: means over a fortieth of a span lose nothing."""
+    """Fewest bins of a span if rows are thinned: means over a fortieth of a span lose no information."""
     reach: float = 6.0
     """Residuals larger than this many times the median residual have no weight (Cleveland 1979, section 2)."""
     rows_per_outlier: int = 150
@@ -53,9 +57,9 @@ class SmoothingSettings:
     smallest_noise: float = 1e-9
     """Noise, as a share of the state's standard deviation, below which data count as noise-free."""
     judged_shares: tuple[float, ...] = (0.95, 0.75)
-    """Shares of the rows, best rows first, on which interpolation and smoothing are compared: neither jumps nor rows at
-    rest may decide. Without noise interpolation wins on one share at least; with noise it loses on both, by a factor
-    near 1.5."""
+    """Shares of the rows, best rows first, on which interpolation and smoothing are compared, so that neither jumps nor
+    rows at rest decide. Without noise interpolation wins on at least one share; with noise it loses on both, by a
+    factor near 1.5."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +71,12 @@ class ColumnSettings:
     least_rows: int = 30
     """Fewest rows for which correlations and neighbours are examined."""
     alike: float = 0.05
-    """Residual of a relation that holds up to noise, at most, as a share of the column's standard deviation. With twice
-    as much, chance relations of slow motions were reported in 2 of 563 drawn tables (residuals of 6 and 8 %)."""
+    """Largest residual of a relation up to noise, as a share of the column's standard deviation. With twice this limit,
+    chance relations of slow motions were reported in 2 of 563 random tables (residuals of 6 and 8 %)."""
     clear: float = 0.3
-    """Noise of curvatures, as a share of their median size, below which they are compared. Of 128 tables of
-    full states none was mistaken for positions (with half this value, one); of 128 tables of positions 71 were
-    recognised."""
+    """Noise of curvatures, as a share of their median size, below which they are compared. Of 128 tables of full states
+    none was mistaken for a table of positions only (with half this value, one was); of 128 tables of positions only, 71
+    were recognised."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +84,14 @@ class RowSettings:
     """Rows of the search."""
 
     most: int = 2_000
-    """About the most rows; more are thinned. A derivative uses the measurements of many neighbours, and two thousand
-    rows show every turn of a curve that a search can find."""
+    """Approximate maximum of rows; larger tables are thinned. A derivative uses the measurements of many neighbours,
+    and two thousand rows resolve every curve that a search can find."""
     over_median_uncertainty: float = 5.0
     """Rows whose uncertainty is less than this many times the median uncertainty are kept."""
     least_kept: float = 0.7
     """Share of the rows that is kept regardless of uncertainty, and that pieces between gaps must contain."""
     most_uneven: float = 2.0
-    """Root mean square of the uncertainty over its mean, at most, on the rows selected."""
+    """Largest ratio of the root mean square of the uncertainty to its mean, over the selected rows."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +99,10 @@ class EffortSettings:
     """Amounts of work, in the unit of `MultipleShooting.work`."""
 
     work: int = 60_000_000
-    """Work of each part of a selection (libraries, exchange, local search) after which it tries nothing new: some
-    seconds of one core. Fits that have begun may take as much again."""
+    """Work of each part of a selection (libraries, exchange, local search) after which it starts nothing new: some
+    seconds of one core. Fits that have begun may need the same amount again."""
     steps: int = 40
-    """Most steps of a fit; nearly all converge within ten."""
+    """Most steps of a fit; nearly all fits converge within ten."""
     brief_steps: int = 6
     """Steps of a short fit, which decides whether a candidate gets a full fit."""
     settled: float = 1e-7
@@ -107,7 +111,7 @@ class EffortSettings:
     """Number of alternatives, decisions, neighbours or members that are kept, and of constants that may become
     simple."""
     kept: int = 48
-    """Programs kept for the next stage if there are hundreds."""
+    """Number of programs kept for the next stage if there are hundreds."""
 
     @property
     def evaluations(self) -> int:
@@ -122,8 +126,7 @@ class EffortSettings:
 
     @property
     def longest_sum(self) -> int:
-        """Terms of the longest sum that is fitted again without each term: the work grows with the square of their
-        number."""
+        """Longest sum, in terms, that is fitted again without each term: the work grows with the square of its length."""
         return 2 * self.beam
 
     @property
@@ -138,7 +141,7 @@ class CriterionSettings:
     the counts of Guimera et al. 2020 in a corpus of named equations)."""
 
     node: float = 2.0794415416798357
-    """Without trajectories, any node costs ln 8: one of eight choices."""
+    """Price of any node if there are no trajectories: ln 8, one of eight choices."""
     common: float = 1.4
     """A leaf, a sum, a product or a square, and each further use of a part: one of four choices."""
     quotient: float = 2.1
@@ -154,7 +157,7 @@ class SparseSettings:
     """Sparse sums of products by regression."""
 
     degree: int = 4
-    """Highest degree of products: few laws have more, and libraries grow with its power."""
+    """Highest degree of products: few laws have a higher one, and libraries grow as a power of it."""
     largest_library: int = 130
     """Larger libraries are not tried: eliminating their terms costs the fourth power of their number."""
     rows_per_term: float = 2.0
@@ -163,18 +166,18 @@ class SparseSettings:
     """Larger tables are subsampled in blocks of this many rows: a law of a hundred products needs a few hundred
     windows."""
     smoothness: int = 4
-    """Power of the test functions (1 - s^2)^p: the trapezoidal rule errs by its order in the step."""
+    """Power p of the test functions (1 - s^2)^p: it determines the order of the trapezoidal rule's error."""
     step: float = 0.25
-    """Distance of successive windows over their width."""
+    """Distance between successive windows over their width."""
     least_half: int = 5
-    """Rows of half of the shortest window: nine rows count."""
+    """Half width of the shortest window in rows: nine rows have weight."""
     least_half_noise: float = 0.01
-    """Noise, as a share of the standard deviation, from which on the shortest window is used: the errors of a left side
-    by the trapezoidal rule are a tenth of this (the transform of (1 - s^2)^4 at one wave per row)."""
+    """Noise, as a share of the standard deviation, from which on the shortest window is used: the trapezoidal errors of
+    a left-hand side are a tenth of this (the transform of (1 - s^2)^4 at one wave per row)."""
     least_windows: int = 4
     """Fewest half widths in the longest trajectory."""
     pursued_rows: int = 256
-    """Rows of a pursuit of sums with functions, up to twice as many: enough for some twenty terms."""
+    """Number of rows of a pursuit of sums with functions; up to twice as many are used. Enough for twenty terms."""
     most_shapes: int = 600
     """Larger dictionaries of products with functions are not tried: with all operators a dictionary of two states
     has up to 214 terms, of three states 590."""
@@ -183,7 +186,7 @@ class SparseSettings:
     pursued_constants: int = 7
     """Sums with more constants are not candidates."""
     reweightings: int = 3
-    """Fits until the weights of windows settle; each uses the weights of the law before."""
+    """Number of fits until the weights of windows converge; each fit uses the weights from the previous law."""
 
 
 @dataclass(frozen=True)
@@ -191,10 +194,11 @@ class RateSettings:
     """Laws by regression on derivatives with known errors."""
 
     trusted_share: float = 0.4
-    """Share of the rows, most certain first, in which functions are sought: for seven states with fast transients and
-    51 rows a trajectory, their errors were 1e-3 of the standard deviation; with a share of 0.7 they were 0.3."""
+    """Share of the rows, most certain first, on which functions are searched. Measured for seven states with fast
+    transients and 51 rows for each trajectory: the errors of these rows were 1e-3 of the standard deviation; with a
+    share of 0.7 they were 0.3."""
     most_atoms: int = 40_000
-    """Products with functions, one for each inner constant tried, that are compared: some seconds of work."""
+    """Most products with functions, one for each inner constant tried, that are compared: some seconds of work."""
     screened: int = 8
     """Most variables of an equation, if there are too many variables for a library of all products."""
 
@@ -206,14 +210,14 @@ class WindowSettings:
     smoothness: int = 2
     """Power of the test functions (1 - s^2)^p: the smallest whose slope vanishes at both ends."""
     least_half: int = 2
-    """Half width in rows of the shortest windows: five rows, three of which count."""
+    """Half width of the shortest windows in rows: five rows, three of which have weight."""
     half_ratio: float = 1.5
     """Ratio of each half width tried to the previous one."""
     resolved_share: float = 0.75
     """Windows get wider as long as, in this share of them, lines between rows are as good as cubics within the
     noise."""
     most: int = 2_000
-    """About the most windows; of more a subset is used."""
+    """Approximate maximum of windows; larger sets are subsampled."""
 
 
 @dataclass(frozen=True)
@@ -221,16 +225,19 @@ class ShootingSettings:
     """Fits of systems to trajectories by multiple shooting."""
 
     blow_up_widths: float = 3.0
-    """A simulated state may leave the measured range by this many times its width before it counts as blown up."""
+    """A simulated state counts as blown up if it leaves the measured range by more than this many times the width of
+    the range."""
     exact: float = 1e-8
     """Errors below this share of a state's standard deviation are integration errors, not errors of the model."""
     lengths: tuple[int, ...] = (10, 30, 100)
-    """Rows of the first segments of a fit (short ones converge from any guess), and of the pieces in which trajectories
-    are simulated if errors of an initial state, or of a solver, grow too much along whole trajectories."""
+    """Rows of the first segments of a fit (short segments converge from any guess). Also the rows of the pieces in
+    which trajectories are simulated, if errors of an initial state or of the solver grow too much along whole
+    trajectories."""
     steps_per_row: int = 40
     """Most integration steps for each row, on average: systems that need more are stiff or blow up."""
     segment_growth: int = 5
-    """Segments grow at most by this factor from one stage of a fit to the next, and the longest to whole pieces."""
+    """Largest factor by which segments grow from one stage of a fit to the next, and from the longest segments to whole
+    pieces."""
 
     @property
     def piece(self) -> int:
@@ -240,23 +247,28 @@ class ShootingSettings:
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Which equations together are the model. Work is counted by the estimator, see `MultipleShooting.work`."""
+    """Selection of the equations that together are the model.
+
+    The estimator counts the work, see `MultipleShooting.work`.
+    """
 
     least_noise: float = 1e-4
-    """Independent errors below this share of a state's standard deviation cannot hide a term of a law: the
-    residuals are then systematic errors, for instance of a solver, whose rows are not independent."""
+    """Independent errors below this share of a state's standard deviation cannot hide a term of a law. Residuals below
+    it are systematic errors, for instance of a solver, and their rows are not independent."""
     usual_length: float = 30.0
-    """Nats of an equation's structure and constants: four of five of the 174 laws that `benchmarks.corpus --in-turn
-    --seeds 1600-1628` draws take less (22 in the median, 2.5 nats a constant). If an equation is longer, there may be
-    a short law that was not proposed, however small its residuals."""
+    """Description length in nats of an equation's structure and constants, above which an equation is suspect: of the
+    174 laws that `benchmarks.corpus --in-turn --seeds 1600-1628` draws, four in five are shorter (median 22, 2.5 nats
+    for each constant). If an equation is longer, there may be a short law that was not proposed, no matter how small
+    the residuals are."""
     systematic_numbers: float = 10.0
-    """Fewest independent numbers in the systematic errors of a state, and the number for errors of a solver: few, since
-    these follow from its tolerance and the state. A misfit smaller by a decade gains 1.15 nats for each number: needed
-    terms of a law gain several decades, a term that follows a solver's errors less than a third of one."""
+    """Fewest independent numbers in the systematic errors of a state; also the number for errors of a solver. It is
+    small because these errors follow from the tolerance and the state. A misfit smaller by a decade gains 1.15 nats for
+    each number. Necessary terms of a law gain several decades; a term that fits a solver's errors gains less than a
+    third of a decade."""
     least_folds: int = 3
     """Fewest trajectories for leaving one out: with fewer, too few rows remain to fit constants to."""
     compared_rows: int = 1_200
-    """Structures are compared on at most about this many rows; constants are then fitted on all."""
+    """Approximate maximum of rows on which structures are compared; constants are then fitted on all rows."""
     tolerated_noise: float = 0.01
     """Largest error of an integration step as a share of the noise, within `tolerances`."""
     least_gain: float = 0.1
@@ -279,17 +291,18 @@ class InferenceSettings:
     exact: float = 1e-6
     """Residuals below this share of the standard deviation are integration errors."""
     excess: float = 1.25
-    """Residuals larger than this many times the noise are too large, unless they may be by chance."""
+    """Residuals larger than this many times the noise are too large, unless the difference may be chance."""
     part: float = 0.1
     """Share of a variance, or of a measured range, that is relevant: a pattern in residuals, unexplained variance, or a
     simulation outside of the range. An equation that explains less is not a model."""
     improbable: float = 0.01
-    """Probability below which residuals are not noise."""
+    """Probability below which residuals do not count as noise."""
     largest_uncertainty: float = 0.01
-    """A target that is more uncertain does not distinguish a law from wrong equations of the same error."""
+    """Largest uncertainty of a target: a more uncertain target does not distinguish a law from wrong equations of the
+    same error."""
     chance_nats: float = 4.6
-    """Δ log-likelihood over no equation from which on an equation is not chance (odds of 100: one in a hundred good
-    equations may be wrong)."""
+    """Δ log-likelihood, relative to no equation, from which on an equation does not count as chance (odds of 100: one
+    in a hundred good equations may be wrong)."""
     exact_nats: float = 5.3
     """Alternatives within this Δ description length may be the law instead of an exact equation (odds of 200: one in
     two hundred exact verdicts may be wrong)."""
@@ -302,12 +315,12 @@ class InferenceSettings:
 
 @dataclass(frozen=True)
 class ProcessSettings:
-    """Stochastic processes, whose noise is part of the law."""
+    """Stochastic processes; their noise is part of the law."""
 
     fewest_steps: int = 100
-    """Fewest steps from row to row for which a process is sought: they give a variance within 14 %."""
+    """Fewest steps from row to row for the search of a process: they determine a variance within 14 %."""
     least_noise: float = 1e-4
-    """Least noise as a share of the median step: with less, the process counts as deterministic."""
+    """Least noise as a share of the median increment: with less noise, the process counts as deterministic."""
 
 
 @dataclass(frozen=True)

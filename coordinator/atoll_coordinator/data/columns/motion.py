@@ -211,9 +211,8 @@ def local_slopes(times: Parts, values: Mapping[str, Parts], states: Sequence[str
         slopes = _slopes_over(times, values, states, width)
         if slopes is None:
             return None
-        gain = math.sqrt(
-            720.0 / (width * (width**2 - 1.0) * (width**2 - 4.0))
-        )  # noise of a curvature for unit noise of the rows
+        # noise of a curvature for unit noise of the rows
+        gain = math.sqrt(720.0 / (width * (width**2 - 1.0) * (width**2 - 4.0)))
         if all(noises[name] * gain < LIMITS.clear * upper_median(slopes.bends[name]) for name in states):
             return slopes
         width = 2 * width + 1

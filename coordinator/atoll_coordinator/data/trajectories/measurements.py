@@ -210,9 +210,7 @@ def _name_groups(
     searched = {group for group, is_out in zip(groups, held_out, strict=True) if not is_out}
     unseen = next((group for group in groups if group not in searched), None)
     if unseen is not None:
-        raise DataError(
-            f"--holdout holds out all trajectories of group {unseen}, so its constants are unknown; hold out fewer"
-        )
+        raise DataError(f"--holdout takes all trajectories of group {unseen}, so its constants are unknown; take fewer")
     return groups
 
 
@@ -243,9 +241,7 @@ def select_held_out(holdout: int | str | None, trajectory: str | None, values: S
         held_out = [place >= count - (holdout or 0) for place in range(count)]
     if all(held_out):
         there = "is only one trajectory" if count == 1 else f"are {count} trajectories"
-        raise DataError(
-            f"--holdout {holdout} would leave no trajectory for the search: there {there}; leave at least one"
-        )
+        raise DataError(f"--holdout {holdout} would leave nothing for the search: there {there}; leave at least one")
     return tuple(held_out)
 
 
