@@ -396,7 +396,7 @@ class Client:
             raise RefusedError(
                 f"the coordinator at {self._address} has no job {prefix!r}: ids are 1 to 64 letters, digits, _ or -"
             )
-        return self._ask(messages.FindJob(prefix=prefix), messages.JobFound, f"the id of job {prefix}").job
+        return self._ask(messages.FindJob(prefix=prefix), messages.JobStatus, f"the id of job {prefix}").job.job
 
     def pause(self, seconds: float) -> None:
         """Wait on the bus; changes that arrive are kept."""
