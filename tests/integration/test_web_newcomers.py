@@ -115,7 +115,7 @@ def test_errors_have_buttons_that_mend_them_and_sites_their_names(stage: Stage) 
         tab.get_by_text("data", exact=False).filter(has_text="options").first.click()
         tab.get_by_text("Constants may differ between runs").wait_for()
         tab.get_by_label("Held-out trajectories, to test the model").fill("2")
-        mending.get_by_role("button", name="Take back “Held-out trajectories, to test the model”").click()
+        mending.get_by_role("button", name="Remove “Held-out trajectories, to test the model”").click()
         tab.get_by_text("Nordmoor, Nordmoor").wait_for()
         mending.wait_for(state="hidden")
         expected(stage, 422)
@@ -197,7 +197,7 @@ def test_a_view_that_could_not_be_loaded_comes_by_itself(stage: Stage) -> None:
         tab.get_by_text("The service does not answer", exact=False).first.wait_for()
         assert tab.get_by_text("Loading…").count() == 0
         tab.unroute_all()
-        tab.get_by_text("takes up jobs").wait_for()
+        tab.get_by_text("starts jobs").wait_for()
         tab.get_by_text("The page shows the last known state", exact=False).wait_for(state="detached")
 
 
@@ -293,7 +293,7 @@ def test_the_manager_of_a_lab_with_certificates_a_page_and_a_killed_coordinator(
                 )
                 tab.get_by_text("running").first.wait_for()
                 tab.get_by_role("button", name="Cancel").click()
-                tab.get_by_role("button", name="Yes, end it").click()
+                tab.get_by_role("button", name="Yes, cancel it").click()
                 tab.get_by_text("cancelled").first.wait_for(timeout=2 * LIMIT_MS)
                 tab.get_by_role("link", name="Workers").click()
                 tab.get_by_text("worker-joined").first.wait_for()
