@@ -153,5 +153,5 @@ def test_without_a_token_the_page_only_looks(stage: Stage) -> None:
         tab = stage.browser.new_context().new_page()
         stage.tabs.append(tab)
         tab.goto(f"{stage.page.base}/#/jobs/j1")
-        tab.get_by_text("looking only", exact=False).first.wait_for()
+        tab.get_by_text("read only", exact=False).first.wait_for()
         assert tab.get_by_role("button", name="Cancel").count() == 0

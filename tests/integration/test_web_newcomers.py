@@ -178,10 +178,10 @@ def test_who_has_no_token_gives_it_in_a_field(stage: Stage) -> None:
         assert tab.get_by_text("Loading…").count() == 0
         check(tab)
         tab.get_by_label("Token").fill("another-wrong-token")
-        tab.get_by_role("button", name="Go on").click()
+        tab.get_by_role("button", name="Continue").click()
         tab.get_by_text("This token is not known", exact=False).wait_for()
         tab.get_by_label("Token").fill(f"{stage.page.base}/?token={TOKEN}")
-        tab.get_by_role("button", name="Go on").click()
+        tab.get_by_role("button", name="Continue").click()
         tab.get_by_text("signed in").wait_for()
         tab.get_by_role("heading", name="No jobs yet").wait_for()
         expected(stage, 401)
@@ -278,7 +278,7 @@ def test_the_manager_of_a_lab_with_certificates_a_page_and_a_killed_coordinator(
             tab.goto(page.base)
             tab.get_by_role("heading", name="Enter the token").wait_for()  # no jobs, and no eternal "Loading…"
             tab.get_by_label("Token").fill(token)
-            tab.get_by_role("button", name="Go on").click()
+            tab.get_by_role("button", name="Continue").click()
             tab.get_by_text("ann").first.wait_for()
             page.submit("overnight", target_error="1e-300", max_epochs="100000")
             tab.get_by_text("overnight").first.wait_for()
