@@ -168,8 +168,8 @@ def _groups(findings: Findings, names: Mapping[str, Sequence[str]]) -> list[Elem
 
 def _profiles(identifiability: "Identifiability") -> list[Element]:
     text = paragraph(
-        "Each constant is fixed at several values while all other constants are fitted again. The data allow the values "
-        "whose deviance is below the line."
+        "Each constant is fixed at several values while all other constants are fitted again. The data allow the "
+        "values whose deviance is below the line."
     )
     listed = [element("li", f"{constant.name} = {constant.sentence}") for constant in identifiability.constants]
     listed += [element("li", direction.words) for direction in identifiability.sloppy]

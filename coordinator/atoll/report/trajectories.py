@@ -237,7 +237,7 @@ def process(findings: Findings) -> list[Element]:
     drawn = [] if ensemble is None else [_ensemble(ensemble, state, findings) for state in ensemble.mean]
     drawn += [_density(density, state, findings) for state, density in densities.items()]
     explained = paragraph(
-        "Mean of the simulated paths, with the 5 % and 95 % quantiles, and stationary densities, simulated and measured."
+        "Mean of the simulated paths, with the 5 % and 95 % quantiles; stationary densities, simulated and measured."
     )
     return [section("process", "Noise as part of the law", facts(entries), explained, pictures(drawn))]
 

@@ -271,7 +271,7 @@ def test_what_a_format_cannot_hold_is_refused_in_a_sentence() -> None:
         contents.to_c(u={"u": np.sin})
     with pytest.raises(UsageError, match="2 values for 9 times"):
         contents.to_c(u={"u": [1.0, 2.0]})
-    with pytest.raises(UsageError, match="characters, XPPAUT reads 900"):
+    with pytest.raises(UsageError, match="characters, but XPPAUT reads at most 900"):
         model({"x": " + ".join(f"{0.1 + number!r}*sin(cos(tanh(x)))" for number in range(60))}).to_xppaut()
     with pytest.raises(UsageError, match="not an export format; choose one of python, c"):
         contents.export("fortran")

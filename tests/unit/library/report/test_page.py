@@ -191,7 +191,10 @@ def test_constants_of_each_group_are_listed() -> None:
     assert read.texts[read.texts.index("a") : place + 2].count("2.5") == 1
     assert "3.5" in read.texts[place : place + 4]
     assert "0.25" in read.texts[place : place + 6]
-    assert any("differ between the groups a, <b>; coordinator report --group NAME" in text for text in read.texts)
+    assert any(
+        "differ between the groups a, <b>; analyse one with coordinator report --group NAME" in text
+        for text in read.texts
+    )
     assert any("means over them; the groups are a, <b>." in text for text in read.texts)
 
 
@@ -305,8 +308,8 @@ def test_a_page_begins_with_what_was_found_for_people_who_do_not_know_the_terms(
     page = read([overview(Findings(Result.of(contents), None))])
     assert page.texts[:2] == [
         "Found",
-        "Atoll searched in 3 rows of a.csv for equations that describe how fast x and y change. dx/dt is the change of x "
-        "per unit of t. Do not rely on predictions of the equation of dy/dt yet: another equation may be right. "
+        "Atoll searched in 3 rows of a.csv for equations that describe how fast x and y change. dx/dt is the change of "
+        "x per unit of t. Do not rely on predictions of the equation of dy/dt yet: another equation may be right. "
         "Within the measured range, predictions of the equation of dx/dt can be trusted.",
     ]
 
