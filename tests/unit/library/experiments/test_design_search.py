@@ -203,7 +203,7 @@ def test_an_input_that_is_the_time_goes_on_and_is_not_chosen() -> None:
         ({"cost": "money"}, "the cost must be trajectory, duration or samples, but 'money'"),
         ({"duration": -1.0}, "duration of an experiment must be above 0"),
         ({"samples": 1}, "2 to 2000 samples, but 1"),
-        ({"count": 0}, "1 to 20 experiments"),
+        ({"count": 0}, "count of suggestions must be 1 to 20"),
         ({"bounds": {"z": (0.0, 1.0)}}, "the bounds have 'z', but an experiment has x"),
         ({"bounds": {"x": (2.0, 1.0)}}, "not an interval; give LOWER:UPPER"),
         ({"rivals": [{"z": "1"}]}, "an alternative model has an equation of 'z'"),
