@@ -14,6 +14,7 @@ Letters: A atoms, K terms, N rows.
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -31,8 +32,8 @@ from atoll_core.expression.program import Program, operators_in
 
 _SHARES_OF_STEPS = (1.0, 0.3, 0.1)
 """Shares of a step that are tried one after another until one makes the description shorter."""
-_BESIDE = 1e-7
-"""Share of a column beyond the terms that is rounding."""
+_BESIDE = 1e-13
+"""Share of a column's square beyond the terms that is rounding."""
 _NEARLY_ALIKE = 1e-8
 """Pairs of columns with a smaller squared sine are not tried: rounding would decide."""
 _RANKED_PAIRS: Final = 2000
@@ -96,7 +97,6 @@ class Beside:
     """
 
     def __init__(self, rows: Rows, atoms: Sequence[Atom]) -> None:
-        self._rows = rows
         columns, values, errors = rows.columns(atoms), rows.sides, rows.side_errors
         missing, weights = float(values.std()), np.ones(len(values))
         for _ in range(SETTINGS.effort.steps):
@@ -106,42 +106,37 @@ class Beside:
             before, missing = missing, math.sqrt(max(square, 0.0))
             if abs(missing - before) <= 1e-2 * before:
                 break
-        self._weights = weights
         sizes = np.sqrt(((columns * weights) ** 2).sum(axis=1))[:, None]
-        self._basis = np.linalg.qr((columns * weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0]
-        self._left = self._projected(values[None])[0]
-        self._square = max(float(self._left @ self._left), 1e-300)
-
-    def _projected(self, values: FloatArray) -> FloatArray:
-        """Return the residuals of weighted `values` (A, N) after projection on the terms."""
-        remainder = values * self._weights
+        basis = np.linalg.qr((columns * weights / np.where(sizes > 0.0, sizes, 1.0)).T)[0]
+        left = values * weights
         for _ in range(2):  # the second time for rounding errors of the first
-            remainder = remainder - (remainder @ self._basis) @ self._basis.T
-        return np.asarray(remainder)
+            left = left - basis @ (basis.T @ left)
+        self._squares, self._basis, self._left = weights**2, weights[:, None] * basis, weights * left
+        self._square = max(float(left @ left), 1e-300)
 
     def gains(self, columns: FloatArray) -> FloatArray:
-        """Return the share (A,) of the squared residuals that columns (A, N) explain; 0 where one is not finite."""
-        return np.asarray((self._unit(columns) @ self._left) ** 2 / self._square)
+        """Return the share (A,) of the squared residuals that columns (A, N) explain; 0 where that is rounding."""
+        gains = (columns @ self._left / self._norms(columns)) ** 2 / self._square
+        return np.asarray(np.where(np.isfinite(gains), gains, 0.0))
 
     def gains_of_pairs(self, columns: FloatArray) -> FloatArray:
         """Return the share (A, A) of the squared residuals that pairs of columns (A, N) explain; 0 if not i < j.
 
-        Unit columns u and v, with the products a and b with the residuals, together explain
-        (a^2 + b^2 - 2 a b c)/(1 - c^2), with c the product of the two.
+        Parts of columns beyond the terms, of unit length and with the products a and b with the residuals, together
+        explain (a^2 + b^2 - 2 a b c)/(1 - c^2), with c the product of the two.
         """
-        unit = self._unit(columns)
-        products, cosines = unit @ self._left, unit @ unit.T
+        norms, along = self._norms(columns), columns @ self._basis
+        products = columns @ self._left / norms
+        cosines = ((columns * self._squares) @ columns.T - along @ along.T) / np.outer(norms, norms)
         free = 1.0 - cosines * cosines
         gains = (products[:, None] ** 2 + products**2 - 2.0 * np.outer(products, products) * cosines) / free
         return np.asarray(np.triu(np.where(free > _NEARLY_ALIKE, gains, 0.0), 1) / self._square)
 
-    def _unit(self, columns: FloatArray) -> FloatArray:
-        """Return the parts of columns (A, N) beyond the terms as unit columns; 0 if rounding or not finite."""
-        sizes = np.sqrt(((columns * self._weights) ** 2).sum(axis=1))
-        usable = np.isfinite(sizes) & (sizes > 0.0)
-        beside = self._projected(np.where(usable[:, None], columns, 0.0))
-        norms = np.sqrt((beside**2).sum(axis=1))
-        return np.asarray(beside / np.where(usable & (norms > _BESIDE * sizes), norms, math.inf)[:, None])
+    def _norms(self, columns: FloatArray) -> FloatArray:
+        """Return the lengths (A,) of the parts of columns beyond the terms; infinite where that is rounding."""
+        squares = columns**2 @ self._squares
+        beside = squares - ((columns @ self._basis) ** 2).sum(axis=1)
+        return np.asarray(np.sqrt(np.where(beside > _BESIDE * squares, beside, math.inf)))
 
 
 Grid = tuple[Sequence[Atom], FloatArray]
@@ -149,10 +144,12 @@ Grid = tuple[Sequence[Atom], FloatArray]
 
 
 def grid_of(rows: Rows, tried: Iterable[Shape]) -> Grid:
-    """Return shapes with each of their first guesses for the inner constant."""
-    atoms = [Atom(shape, constant) for shape in tried for constant in shape.constants()]
+    """Return shapes with each of their first guesses for the inner constant, as far as their values are finite."""
     with np.errstate(all="ignore"):
-        return atoms, rows.sampled(np.array([atom.values for atom in atoms]).reshape(len(atoms), rows.inputs.shape[1]))
+        pairs = [(atom, atom.values) for shape in tried for atom in map(partial(Atom, shape), shape.constants())]
+    pairs = [(atom, values) for atom, values in pairs if np.isfinite(values).all()]
+    values = np.array([values for _, values in pairs]).reshape(len(pairs), rows.inputs.shape[1])
+    return [atom for atom, _ in pairs], rows.sampled(values)
 
 
 def further_terms(
