@@ -73,9 +73,9 @@ def polished(fit: Sum) -> Sum:
             regression = Regression(rows, moved, shared)
             if regression.is_solvable:
                 better = regression.refitted(range(len(moved)), fit.assessment.weights)
-            if better is not None and better.nats < fit.nats:
+            if better is not None and better.nats <= fit.nats:
                 break
-        if better is None or not better.nats < fit.nats:
+        if better is None or not better.nats <= fit.nats:
             break
         gain, fit = fit.nats - better.nats, better
         if gain < SETTINGS.selection.least_gain:
@@ -266,7 +266,7 @@ class _Pursuit:
 
     def _extended(self, beam: Sequence[Sum], *, has_pairs: bool = False) -> list[Sum]:
         """Return the best sums with one term more than in the beam, and if it `has_pairs`, of any two terms."""
-        width, grown = 2 * SETTINGS.effort.beam, list[tuple[float, tuple[Atom, ...]]]()
+        width, grown = SETTINGS.effort.kept, list[tuple[float, tuple[Atom, ...]]]()
         further = further_terms(self._rows, [fit.atoms for fit in beam], [self._grid], width)
         for fit, terms in zip(beam, further, strict=True):
             square = self._square(fit)
