@@ -26,12 +26,11 @@ from atoll_coordinator.model.sparse.atoms import Atom, Product, dictionary, prod
 from atoll_coordinator.model.sparse.pursuit import fitted, further_terms, grid_of, polished
 from atoll_coordinator.model.sparse.regression import Regression, Sum, shortest
 from atoll_coordinator.model.sparse.rows import (
-    CAUCHY,
-    NORMAL_DEVIATION,
     Assessment,
     Measured,
     Rows,
     WeakRows,
+    assessment_by_scale,
     measured_of,
     window_integrals,
     windows_of,
@@ -83,33 +82,13 @@ class ShortWindows(WeakRows):
         return np.sqrt(np.maximum(self._own + self.widened(self._target_quadrature) ** 2, 1e-300))
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment with errors of the integration; large residuals count less (Cauchy).
-
-        Where states follow one another, a large multiple of a sum that vanishes along their course explains everything,
-        and so does a sum that no quadrature resolves. Hence 1/2 ln(1 + v/s^2) for errors of columns with variance v,
-        where the sides have the typical square s^2, and the ratio of errors of quadrature of the residual and the side.
-        """
-        variances = np.maximum(self.variances(atoms, coefficients), 1e-300)
+        """Return the assessment by the scale of the residuals, in standard errors with errors of the integration."""
         values = sum(c * atom.values for c, atom in zip(coefficients, atoms, strict=True))
         difference = window_integrals(self.first, self.bump - self.coarse[0], np.asarray(values)[None])[0]
-        quadrature = self.widened(self._target_quadrature - difference) ** 2
-        deviations = np.sqrt(variances + quadrature)
-        scaled = residuals / deviations
-        far = scaled / CAUCHY
-        typical = max(
-            (NORMAL_DEVIATION * float(np.median(np.abs(self.sides)))) ** 2, float(np.median(self._own)), 1e-300
-        )
-        unresolved = (quadrature + variances) / (self.widened(self._target_quadrature) ** 2 + variances)
-        losses = (
-            CAUCHY * CAUCHY * np.log1p(far * far)
-            + np.log1p(np.maximum(variances - self._own, 0.0) / typical)
-            + np.log(np.maximum(unresolved, 1.0))
-        )
-        misfit = 0.5 * self.independent * math.fsum(losses.tolist()) / len(losses)
+        quadrature = self.widened(self._target_quadrature - difference)
+        deviations = np.sqrt(np.maximum(self.variances(atoms, coefficients), 1e-300) + quadrature**2)
         free = max(self.independent - len(atoms), 1.0)  # as for a variance: Rousseeuw & Leroy 1987, section 5.1
-        median = float(np.sort(np.abs(scaled))[len(scaled) // 2])
-        excess = math.sqrt(self.independent / free) * NORMAL_DEVIATION * median
-        return Assessment(1.0 / (deviations * np.sqrt(1.0 + far * far)), misfit, excess)
+        return assessment_by_scale(residuals, deviations, self.independent, math.sqrt(self.independent / free))
 
     def widened(self, errors: FloatArray) -> FloatArray:
         """Return for each window the largest of the `errors` (W,) of it and the windows that it overlaps."""

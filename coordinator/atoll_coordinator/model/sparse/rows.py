@@ -132,6 +132,20 @@ class Rows:
         return Assessment(np.ones(len(residuals)), 0.5 * self.numbers * log(max(square, self.least)), math.inf)
 
 
+def assessment_by_scale(
+    residuals: FloatArray, deviations: FloatArray, numbers: float, widening: float = 1.0
+) -> Assessment:
+    """Return the assessment by the scale of residuals (N,) in their `deviations`, fitted by the median.
+
+    The misfit is `numbers` ln(scale), as with normal errors of unknown variance; large residuals count less (Cauchy's
+    weights). The scale grows by the factor `widening`.
+    """
+    sizes = np.abs(residuals) / deviations
+    scale = max(widening * NORMAL_DEVIATION * float(np.sort(sizes)[len(sizes) // 2]), _LEAST_SCALE)
+    weights = 1.0 / (deviations * np.sqrt(1.0 + (sizes / (CAUCHY * scale)) ** 2))
+    return Assessment(weights, numbers * log(scale), scale)
+
+
 # -------------------------------------------------------------------------------------------------- derivatives
 
 
@@ -166,12 +180,9 @@ class RateRows(Rows):
         return RateRows(np.ascontiguousarray(self.inputs[:, rows]), self.sides[rows], self.side_errors[rows])
 
     def assess(self, atoms: Sequence[Atom], coefficients: Sequence[float], residuals: FloatArray) -> Assessment:
-        """Return the assessment by the scale of residuals in standard errors, by the median (Cauchy's weights)."""
+        """Return the assessment by the scale of the residuals; systematic errors count as few numbers."""
         del atoms, coefficients
-        sizes = np.abs(residuals) / self.side_errors
-        scale = max(NORMAL_DEVIATION * float(np.sort(sizes)[len(sizes) // 2]), _LEAST_SCALE)
-        weights = 1.0 / (self.side_errors * np.sqrt(1.0 + (sizes / (CAUCHY * scale)) ** 2))
-        return Assessment(weights, SETTINGS.selection.systematic_numbers * log(scale), scale)
+        return assessment_by_scale(residuals, self.side_errors, SETTINGS.selection.systematic_numbers)
 
 
 def rate_rows(recording: Recording, names: Sequence[str], variable: str) -> RateRows | None:
