@@ -3,7 +3,7 @@
 1. The programs of the search are decoded and joined with guesses and known equations (selection/candidates.py).
 2. A stochastic process goes its own way from there (stochastic/).
 3. Without trajectories, each variable's equation is fitted to its target, and that is all (regression/equation.py).
-4. With trajectories, equations of noise-free targets that converged are fitted first, and stand.
+4. With trajectories, equations of noise-free targets that converged are fitted to these first: they are candidates.
 5. Systems of candidates are fitted to the trajectories and compared; the shortest description is the model
    (selection/stages.py, which says in which order candidates are proposed and when no more are).
 6. Its constants get errors, it is compared with its alternatives, simulated and judged (inference/conclusion.py).

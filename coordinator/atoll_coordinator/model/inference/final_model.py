@@ -22,8 +22,8 @@ from atoll_coordinator.model.constants.standard_errors import (
     explicit_coefficients,
     with_refuted_factors,
 )
-from atoll_coordinator.model.inference.groups import GroupConstants, model_of_groups
-from atoll_coordinator.model.inference.residual_covariance import widening
+from atoll_coordinator.model.inference.groups import model_of_groups
+from atoll_coordinator.model.inference.residual_covariance import residual_covariances, widening
 from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
 from atoll_coordinator.model.pools import Origin
@@ -47,8 +47,8 @@ from atoll_core.expression.writing.shortest import shortest_over
 class ShownEquations:
     """Equations as they are shown: `rounded` and their `fit`; `free` is the fit of `explicit`, all constants free.
 
-    `fluxes` are terms that were fitted together, see `Refinement`. `groups` are the constants by group where groups
-    of trajectories have their own, and `by_group` the equations with the constants of each group.
+    `fluxes` are terms that were fitted together, see `Refinement`. `by_group` are the equations with the constants of
+    each group where groups of trajectories have their own; each number of `free` belongs to one group or to all.
     """
 
     rounded: RoundedEquations
@@ -56,7 +56,6 @@ class ShownEquations:
     explicit: tuple[ExplicitCoefficients, ...]
     free: FittedModel
     fluxes: tuple[tuple[Shape, Mapping[str, float | None]], ...] = ()
-    groups: GroupConstants | None = None
     by_group: Sequence[Sequence[Program]] = ()
 
     @property
@@ -110,6 +109,14 @@ class FinalModel(ShownEquations):
         ]
 
     @cached_property
+    def residual_covariances(self) -> list[FloatArray] | None:
+        """The covariance of the residuals of each state; None where constants were fitted to other rows than these."""
+        fitted = self.comparison.estimator.measurements
+        if fitted.rows != self.seen.estimator.measurements.rows or self.piece != self.task.piece:
+            return None
+        return residual_covariances(fitted, self.free.fit)
+
+    @cached_property
     def unknown_variances(self) -> list[tuple[str, str, float | None]]:
         """Name, symbol and `unknown_variance` of each input."""
         recording = self.task.recording
@@ -124,9 +131,7 @@ class FinalModel(ShownEquations):
 
     def simulated_by(self, comparison: ModelComparison) -> TrajectoryFit | None:
         """Return the shown equations along the trajectories of a comparison, only initial states being fitted."""
-        if self.by_group:
-            return comparison.estimator.fit(self.seen_fit.system, None, SETTINGS.effort.steps)
-        return fit_starts(comparison, self.programs)
+        return comparison.estimator.fit(self.seen_fit.system, None, SETTINGS.effort.steps)
 
     def origin(self, equation: int, program: Program) -> Origin:
         """Return where a program came from, before its constants were made simple."""
@@ -188,8 +193,7 @@ def _shown_on_all_rows(whole: SelectedModel) -> ShownEquations | None:
 
 def _shown_by_group(whole: SelectedModel) -> ShownEquations | None:
     comparison = whole.comparison
-    chosen = model_of_groups(whole, lambda equation, program: _shortest_writing(whole, equation, program))
-    model = chosen.model
+    model = model_of_groups(whole, lambda equation, program: _shortest_writing(whole, equation, program))
     errors = estimate_errors(comparison, model)
     values = Estimates(errors.values, errors.bounded).rounded()
     fixed = model.fit.system.with_values(values).with_fixed_constants()
@@ -205,7 +209,6 @@ def _shown_by_group(whole: SelectedModel) -> ShownEquations | None:
         replace(model, programs=programs, made=fit),
         tuple(map(as_written, programs)),
         model,
-        groups=GroupConstants(comparison, chosen, values),
         by_group=[fixed.of_group(group).programs[leading:] for group in range(len(whole.task.recording.groups))],
     )
 

@@ -22,8 +22,7 @@ from atoll_coordinator.model.shooting.system import System
 from atoll_coordinator.model.shooting.trajectory_fit import TrajectoryFit
 from atoll_coordinator.settings import SETTINGS
 from atoll_core.data.dataset import FloatArray
-from atoll_core.expression.compiled import function_of
-from atoll_core.expression.evaluation import NUMPY
+from atoll_core.expression.evaluation import NUMPY, function_of
 
 
 @dataclass(frozen=True)

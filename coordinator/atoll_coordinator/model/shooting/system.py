@@ -3,7 +3,7 @@
 Letters: D equations, N nodes of all of them, P fitted constants.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -196,16 +196,6 @@ class System:
         if self.sharing is None:
             return self
         return replace(self, constants=self.sharing.constants[group], lower=None, upper=None, sharing=None)
-
-    def arrays(self) -> Iterator[FloatArray | Ints | None]:
-        """Yield all arrays on which a fit of the system depends."""
-        yield from self.tape
-        yield self.lower
-        yield self.upper
-        if self.sharing is not None:
-            yield self.sharing.constants
-            yield self.sharing.columns
-            yield self.sharing.multiples
 
     @property
     def programs(self) -> tuple[Program, ...]:
