@@ -283,8 +283,9 @@ class _Pursuit:
         """Yield the best pairs of terms, after their squared residuals."""
         atoms, columns = self._grid
         gains = Beside(self._rows, ()).gains_of_pairs(columns)
-        best = np.argpartition(-gains, min(_RANKED_PAIRS, gains.size - 1), axis=None)[:_RANKED_PAIRS]
-        best, square = best[gains.flat[best] > 0.0], float(self._rows.sides @ self._rows.sides)
+        count, square = min(_RANKED_PAIRS, gains.size), float(self._rows.sides @ self._rows.sides)
+        least = -np.partition(-gains, count - 1, axis=None)[count - 1]
+        best = np.flatnonzero((gains >= least) & (gains > 0.0))
         for share, place in zip(gains.flat[best].tolist(), best.tolist(), strict=True):
             first, second = divmod(place, len(atoms))
             yield square * (1.0 - share), (atoms[first], atoms[second])
