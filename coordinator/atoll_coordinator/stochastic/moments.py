@@ -91,6 +91,17 @@ def step_moments(
         return StepMoments(mean, covariance, _propagator(powers, steps))
 
 
+def factors_of(covariance: FloatArray) -> FloatArray:
+    """Return the factors L of Cholesky (S, S, R) of covariances L L': zero for no noise, NaN for negative variances."""
+    factor = np.zeros_like(covariance)
+    with np.errstate(all="ignore"):
+        for i in range(len(covariance)):
+            for j in range(i + 1):
+                rest = covariance[i, j] - (factor[i, :j] * factor[j, :j]).sum(axis=0)
+                factor[i, j] = np.sqrt(rest) if i == j else np.where(rest == 0.0, 0.0, rest / factor[j, j])
+    return factor
+
+
 def _flow(drift: Sequence[Program], value: FloatArray, points: FloatArray, steps: FloatArray) -> FloatArray:
     """Return how far the drift, whose `value` at `points` is known, moves the states in a step: Runge and Kutta."""
     slopes = [value]

@@ -20,10 +20,9 @@ All fits round by this module: to a target, to trajectories, to the steps of a p
 
 import math
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -97,35 +96,6 @@ class Decision:
         )
 
 
-class Considered:
-    """Decisions that were compared, and the odds of a property that some of them share."""
-
-    def __init__(self, weighed: Sequence[Decision] = ()) -> None:
-        """Weigh these decisions."""
-        self.decisions: Final = weighed
-        self.numbers: Final = [frozenset(decision.numbers) for decision in weighed]
-        most = max((decision.nats for decision in weighed), default=0.0)
-        self._weights: Final = [math.exp(decision.nats - most) for decision in weighed]
-        self._whole: Final = math.fsum(self._weights)
-
-    def odds_of(self, chosen: Iterable[bool]) -> float:
-        """Return the odds of the chosen decisions (true here) against all others."""
-        share = math.fsum(compress(self._weights, chosen))
-        return share / max(self._whole - share, 1e-300)
-
-    @cached_property
-    def odds(self) -> dict[tuple[int, float], float]:
-        """The odds of each number of each constant against all decisions without it."""
-        found = dict.fromkeys(number for decision in self.decisions for number in decision.numbers)
-        return {number: self.odds_of([number in numbers for numbers in self.numbers]) for number in found}
-
-    @property
-    def singled_out(self) -> dict[int, float]:
-        """The simple numbers whose odds suffice, by constant."""
-        least = math.exp(SETTINGS.inference.distinct_nats)
-        return {index: value for (index, value), odds in self.odds.items() if odds >= least}
-
-
 class Estimates:
     """Fitted constants, and the decisions on them, which are weighed once for any number of digits."""
 
@@ -136,26 +106,39 @@ class Estimates:
         self._errors: Final = np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
     @cached_property
-    def considered(self) -> Considered:
-        """The most probable decisions on them, none where there are too many constants."""
-        return Considered(decisions(self._open) if self.count <= SETTINGS.effort.beam else ())
+    def _weighed(self) -> list[tuple[dict[int, float], float]]:
+        """The simple numbers of the most probable decisions, with their weights; none of too many constants."""
+        compared = decisions(self._open) if self.count <= SETTINGS.effort.beam else []
+        most = max((decision.nats for decision in compared), default=0.0)
+        return [(dict(decision.numbers), math.exp(decision.nats - most)) for decision in compared]
+
+    def _odds_of(self, numbers: Mapping[int, float]) -> float:
+        """Return the odds of the decisions that have these simple numbers against all others."""
+        weights = [weight for decided, weight in self._weighed if numbers.items() <= decided.items()]
+        share = math.fsum(weights)
+        return share / max(math.fsum(weight for _, weight in self._weighed) - share, 1e-300)
+
+    @cached_property
+    def odds(self) -> dict[tuple[int, float], float]:
+        """The odds of each number of each constant against all decisions without it."""
+        found = dict.fromkeys(number for decided, _ in self._weighed for number in decided.items())
+        return {number: self._odds_of(dict([number])) for number in found}
 
     @property
     def singled_out(self) -> dict[int, float]:
         """The simple numbers that the data single out, by the number of the constant."""
-        return self.considered.singled_out
+        least = math.exp(SETTINGS.inference.distinct_nats)
+        return {index: value for (index, value), odds in self.odds.items() if odds >= least}
 
     @cached_property
     def simple(self) -> tuple[SimpleNumber | None, ...]:
         """The most probable simple number near each constant; None where none was considered."""
-        odds = self.considered.odds
         found: list[SimpleNumber | None] = []
         for index, (mean, error) in enumerate(zip(self._open.means.tolist(), self._errors.tolist(), strict=True)):
-            near = [number for constant, number in odds if constant == index]
-            number = max(near, key=lambda number: odds[index, number], default=0.0)
+            near = {number: odds for (constant, number), odds in self.odds.items() if constant == index}
+            number = max(near, key=near.__getitem__, default=0.0)
             away = abs(number - mean) / error if error > 0.0 else 0.0
-            simple = SimpleNumber(value=number, odds=odds.get((index, number)), standard_errors=away)
-            found.append(simple if near else None)
+            found.append(SimpleNumber(value=number, odds=near[number], standard_errors=away) if near else None)
         return tuple(found)
 
     def together(self, constants: Sequence[int]) -> SimpleTogether | None:
@@ -164,24 +147,18 @@ class Estimates:
         The largest combination that the data single out, else the largest that is likelier than all others together.
         Its places are indices of `constants`.
         """
-        decided = self.considered.numbers
         combinations = dict.fromkeys(
-            tuple(number for number in decision.numbers if number[0] in constants)
-            for decision in self.considered.decisions
+            tuple(number for number in decided.items() if number[0] in constants) for decided, _ in self._weighed
         )
-        odds = {
-            key: self.considered.odds_of([numbers.issuperset(key) for numbers in decided])
-            for key in combinations
-            if len(key) > 1
-        }
+        odds = {numbers: self._odds_of(dict(numbers)) for numbers in combinations if len(numbers) > 1}
         for least in (math.exp(SETTINGS.inference.distinct_nats), 1.0):
-            likely = [key for key, key_odds in odds.items() if key_odds >= least]
+            likely = [numbers for numbers in odds if odds[numbers] >= least]
             if likely:
-                best = max(likely, key=lambda key: (len(key), odds[key]))
-                numbers = dict(best)
-                places = tuple(place for place, index in enumerate(constants) if index in numbers)
-                values = tuple(numbers[constants[place]] for place in places)
-                chi_square = 2.0 * self.growth(numbers)
+                best = max(likely, key=lambda numbers: (len(numbers), odds[numbers]))
+                chosen = dict(best)
+                places = tuple(place for place, index in enumerate(constants) if index in chosen)
+                values = tuple(chosen[constants[place]] for place in places)
+                chi_square = 2.0 * self.growth(chosen)
                 return SimpleTogether(constants=places, values=values, odds=odds[best], chi_square=chi_square)
         return None
 

@@ -98,13 +98,12 @@ class EquationChecks:
     @cached_property
     def error(self) -> float:
         """The normalized error on the rows of the search."""
-        return self.shown.error / self.target.standard_deviation if self.target.standard_deviation else math.inf
+        return self.target.normalized(self.shown.error)
 
     @cached_property
     def target_r2(self) -> float | None:
         """The explained share of the target's variance."""
-        variance = self.target.standard_deviation * self.target.standard_deviation
-        return 1.0 - self.shown.mse / variance if variance and math.isfinite(self.shown.mse) else None
+        return self.target.r2(self.shown.mse)
 
     @cached_property
     def prediction(self) -> Prediction | None:

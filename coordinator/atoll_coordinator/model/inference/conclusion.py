@@ -1,7 +1,7 @@
 """From the chosen system to the reported model: constants with errors, alternatives, verdicts, simulations.
 
 `final_model` decides how the equations are shown; here they are simulated, compared with their alternatives, and judged
-(`evidence`, `checks`). Constants of groups of trajectories are another set of numbers of the same model.
+(`trajectory_checks`, `verdict`). Constants of groups of trajectories are another set of numbers of the same model.
 """
 
 import math

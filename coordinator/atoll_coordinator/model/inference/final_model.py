@@ -23,7 +23,7 @@ from atoll_coordinator.model.constants.standard_errors import (
     with_refuted_factors,
 )
 from atoll_coordinator.model.inference.groups import model_of_groups
-from atoll_coordinator.model.inference.residual_covariance import widening
+from atoll_coordinator.model.inference.residual_covariance import residual_covariances, widening
 from atoll_coordinator.model.inference.shared_terms import fit_together
 from atoll_coordinator.model.inference.trajectory_simulation import fit_starts
 from atoll_coordinator.model.pools import Origin
@@ -107,6 +107,14 @@ class FinalModel(ShownEquations):
             for group, programs in enumerate(self.by_group)
             if np.any(groups == group)
         ]
+
+    @cached_property
+    def residual_covariances(self) -> list[FloatArray] | None:
+        """The covariance of the residuals of each state; None where constants were fitted to other rows than these."""
+        fitted = self.comparison.estimator.measurements
+        if fitted.rows != self.seen.estimator.measurements.rows or self.piece != self.task.piece:
+            return None
+        return residual_covariances(fitted, self.free.fit)
 
     @cached_property
     def unknown_variances(self) -> list[tuple[str, str, float | None]]:

@@ -148,25 +148,21 @@ class _Elsewhere:
 
     @cached_property
     def starts(self) -> FloatArray:
-        """Initial states (G, D): between two measured ones of one group, or near measured ones."""
-        if self._measurements.has_smoothed_inputs:
-            return self._starts_near_inputs()
-        if self._is_near:
-            rows = np.linspace(0, self._measurements.rows - 1, SETTINGS.effort.beam).astype(int)
-            return np.asarray(self._measurements.smoothed[:, rows].T + self._shift)
-        if self._measurements.groups is None:
-            return points_between(self._measurements.smoothed)
-        return self._starts_of_groups(self._measurements.groups)
+        """Initial states (G, D): between two measured ones of one group, or near measured ones.
 
-    def _starts_near_inputs(self) -> FloatArray:
-        """Return initial states (G, D) a tenth of the way from initial states of trajectories to others.
-
-        Farther away states without an equation, which are inputs as they were measured, would not be as they are.
+        Where states without an equation are inputs as they were measured, initial states are a tenth of the way from
+        initial states of trajectories to others: farther away, these inputs would not be as they are.
         """
-        groups = self._measurements.groups
-        points = points_between(self._measurements.smoothed) if groups is None else self._starts_of_groups(groups)
-        begun = [self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))]
-        return np.array(begun) + SETTINGS.inference.part * (points - np.array(begun))
+        measurements = self._measurements
+        if self._is_near and not measurements.has_smoothed_inputs:
+            rows = np.linspace(0, measurements.rows - 1, SETTINGS.effort.beam).astype(int)
+            return np.asarray(measurements.smoothed[:, rows].T + self._shift)
+        groups = measurements.groups
+        points = points_between(measurements.smoothed) if groups is None else self._starts_of_groups(groups)
+        if not measurements.has_smoothed_inputs:
+            return points
+        begun = np.array([self._estimator(place).measurements.smoothed[:, 0] for place in range(len(points))])
+        return np.asarray(begun + SETTINGS.inference.part * (points - begun))
 
     def _starts_of_groups(self, groups: Ints) -> FloatArray:
         """Return initial states (G, D), each between two measured states of the group whose constants it takes."""

@@ -12,7 +12,7 @@ import numpy as np
 from atoll_coordinator.data.differentiation.quantisation import find_quantisation
 from atoll_coordinator.model.inference.checks import EquationChecks, Finding, by_r2, percent, r2_text
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, structure_price
-from atoll_coordinator.model.inference.residual_covariance import projected_away
+from atoll_coordinator.model.inference.residual_covariance import orthonormal
 from atoll_coordinator.model.refinement import JobKind, Refined
 from atoll_coordinator.model.selection.comparison import differ
 from atoll_coordinator.model.shooting.points_between import points_between
@@ -66,11 +66,7 @@ class TargetChecks(EquationChecks):
         total = float((weights * (values - mean) ** 2).sum())
         if not np.isfinite(errors).all() or not total > 0.0:
             return
-        columns = (np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * roots).T
-        sizes = np.sqrt((columns**2).sum(axis=0))
-        columns = columns[:, sizes > 0.0] / sizes[sizes > 0.0]
-        basis, singular, _ = np.linalg.svd(columns, full_matrices=False)
-        basis = basis[:, singular > EXACT_ERROR * singular.max(initial=0.0)]
+        basis = orthonormal((np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * roots).T)
         # The errors of an equation vary with its columns, so that they are similar on neighbouring rows in one order.
         orders = [np.argsort(key, kind="stable") for key in (*inputs, values - errors / np.maximum(roots, 1e-300))]
         order = max(orders, key=lambda order: float(errors[order][:-1] @ errors[order][1:]))
@@ -79,7 +75,8 @@ class TargetChecks(EquationChecks):
         distinct = _distinct(inputs[sorted(variables_of(program))] if variables_of(program) else inputs)
         self.residuals = [errors[order]]
         self.orders = len(orders)
-        self.covariance = projected_away(basis[order], slice(None)) if len(values) <= _MOST_ROWS else None
+        if len(values) <= _MOST_ROWS:
+            self.covariance = np.eye(len(values)) - basis[order] @ basis[order].T
         self.parameters = float(len(places))
         if self.error > self.target.convergence_threshold():
             self.noise = math.sqrt(square / max(len(values) - len(places), 1))

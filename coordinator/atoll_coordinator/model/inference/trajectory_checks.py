@@ -24,8 +24,8 @@ from atoll_coordinator.model.inference.checks import (
 from atoll_coordinator.model.inference.final_model import FinalModel
 from atoll_coordinator.model.inference.long_run import LongRun
 from atoll_coordinator.model.inference.null_models import log_bayes_factor, squared_steps, structure_price
-from atoll_coordinator.model.inference.residual_covariance import residual_covariance
 from atoll_coordinator.model.inference.residuals import ReferenceSmoother
+from atoll_coordinator.model.inference.trajectory_simulation import squares_about_mean
 from atoll_coordinator.model.refinement import Alternative, JobKind, Refined
 from atoll_coordinator.model.shooting.error_model import ErrorModel
 from atoll_coordinator.model.shooting.measurements import Measurements
@@ -99,10 +99,7 @@ class TrajectoryChecks(EquationChecks):
         if sensor is None and smoothing.degree is not None and smoothing.narrower_span:
             narrower = smoothing.narrower_noise * (noise / smoothing.noise if smoothing.noise > 0.0 else 1.0)
             self.reference = ReferenceSmoother(smoothing.narrower_span, smoothing.degree, narrower)
-        # Where constants were fitted to other rows than are simulated, the covariance is not known.
-        fitted, covariance = final.comparison.estimator.measurements, None
-        if fitted.rows == measurements.rows and final.piece == final.task.piece:
-            covariance = residual_covariance(fitted, final.free.fit, index)
+        covariance = None if final.residual_covariances is None else final.residual_covariances[index]
         self.covariance = covariance if sensor is None else None
         # In few rows the share of the fitted numbers follows from the covariance of residuals, by the projection on all
         # of them: a state gets the share of a number that other states do not need. In many rows, and without noise,
@@ -532,15 +529,8 @@ def no_elaborations(most: int, alternatives: Sequence[Alternative]) -> list[Alte
 
 def standard_deviation(measurements: Measurements, index: int) -> float:
     """Return the standard deviation of the measured values of a state, where they count, as in a row of weight 1."""
-    counts = measurements.weights[index] > 0.0
-    values = measurements.measured[index][counts]
-    if not len(values):
-        return 1e-300
-    weights = np.ones(len(values))
-    if measurements.inverse_variances is not None:
-        weights = measurements.inverse_variances[index][counts]
-    mean = float((weights * values).sum() / weights.sum())
-    return max(math.sqrt(float(np.mean(weights * (values - mean) ** 2))), 1e-300)
+    squares, count = squares_about_mean(measurements, index, slice(None))
+    return max(math.sqrt(squares / max(count, 1)), 1e-300)
 
 
 def _pieces_of(residuals: FloatArray, measurements: Measurements, index: int) -> list[FloatArray]:

@@ -117,18 +117,21 @@ def r2_of(measurements: Measurements, fit: TrajectoryFit, rows: IntArray | slice
     """Return for each measured state the share of its variance along these rows that the simulation explains."""
     shares: list[float | None] = []
     for state in range(len(measurements.observed)):
-        weights = measurements.weights[state, rows]
-        squares = weights * fit.residuals[state, rows] ** 2
-        values = measurements.measured[state, rows][weights > 0.0]
-        inverse_variances = (
-            np.ones(len(values))
-            if measurements.inverse_variances is None
-            else measurements.inverse_variances[state, rows][weights > 0.0]
-        )
-        mean = float((inverse_variances * values).sum() / inverse_variances.sum()) if len(values) else 0.0
-        spread = float((inverse_variances * (values - mean) ** 2).sum())
+        squares = measurements.weights[state, rows] * fit.residuals[state, rows] ** 2
+        spread, _ = squares_about_mean(measurements, state, rows)
         shares.append(1.0 - float(squares.sum()) / spread if spread > 0.0 else None)
     return shares
+
+
+def squares_about_mean(measurements: Measurements, state: int, rows: IntArray | slice) -> tuple[float, int]:
+    """Return the sum of squares of a measured state about its mean, as in rows of weight 1, and how many rows count."""
+    counts = measurements.weights[state, rows] > 0.0
+    values = measurements.measured[state, rows][counts]
+    weights = np.ones(len(values))
+    if measurements.inverse_variances is not None:
+        weights = measurements.inverse_variances[state, rows][counts]
+    mean = float((weights * values).sum() / weights.sum()) if len(values) else 0.0
+    return float((weights * (values - mean) ** 2).sum()), len(values)
 
 
 def bands(measurements: Measurements, fit: TrajectoryFit, spread: FloatArray, scale: float) -> FloatArray:

@@ -62,7 +62,8 @@ class LeastSquares:
 
     def r2(self, program: Program) -> float | None:
         """Return the share of the target's variance that `program` explains; None if that is not finite."""
-        variance, mse = float(np.var(self._target)), self.mse(program)
+        mean = np.average(self._target, weights=None if self._roots is None else self._roots**2)
+        variance, mse = _mse(self._weighed(self._target - mean)), self.mse(program)
         return 1.0 - mse / variance if variance and math.isfinite(mse) else None
 
     def _weighed(self, rows: FloatArray) -> FloatArray:

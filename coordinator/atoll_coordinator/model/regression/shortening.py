@@ -55,7 +55,6 @@ class Shortening:
     least_misfit: float = -math.inf
     reach: float = math.inf
     _measured: dict[bytes, tuple[Measured, float]] = field(default_factory=dict)
-    _ends: dict[bytes, Measured] = field(default_factory=dict)
 
     @property
     def tried(self) -> list[Measured]:
@@ -119,20 +118,15 @@ class Shortening:
 
     def _reduced(self, measured: Measured) -> Measured:
         """Follow the reductions, each time the one of the shortest description, until none is shorter."""
-        path: list[bytes] = []
-        while structure(measured.program) not in self._ends:
-            path.append(structure(measured.program))
+        while True:
             best = measured
             for program in reductions(measured.program):
                 if self.is_over():
                     break
                 best = min(best, self._tried(program, best.length), key=lambda one: one.length)
             if best is measured:
-                self._ends[path[-1]] = measured
+                return measured
             measured = best
-        end = self._ends[structure(measured.program)]
-        self._ends.update(dict.fromkeys(path, end))
-        return end
 
     def _around(self, best: Measured) -> list[Measured]:
         """Return the most promising programs one step from `best`, each also reduced.

@@ -241,7 +241,7 @@ def _equation(
     if outcome.generation is None and shown.member is not None and outcome.why != KNOWN:
         entry = outcome.front[shown.member]
         equation = equation.replaced(generation=entry.epoch * config.migration.generations + entry.generation)
-    normalized, names, estimate = _normalized(shown.error, target), dataset.names, Estimate.model_fields
+    normalized, names, estimate = target.normalized(shown.error), dataset.names, Estimate.model_fields
     bounds = restrictions_of(config, target.variable, names).bounds
     return equation.replaced(
         expression=to_infix(shown.program, names),
@@ -250,7 +250,7 @@ def _equation(
         complexity=len(shown.program),
         error=shown.error,
         normalized_error=normalized,
-        r2=_r2(shown.mse, target),
+        r2=target.r2(shown.mse),
         converged=normalized <= threshold,
         constants=_constants(shown.program, shown.constants, shown),
         simple_together=shown.simple_together,
@@ -326,7 +326,7 @@ def equation_of(
     if refined is not None:
         return refined
     target = dataset.problem(outcome.variable).target
-    printable = [index for index, entry in enumerate(outcome.front) if _is_printable(entry, dataset)]
+    printable = [index for index, entry in enumerate(outcome.front) if is_printable(entry.program, len(dataset.names))]
     if not printable:
         return None
     front = [outcome.front[index] for index in printable]
@@ -390,7 +390,7 @@ def _front(
     dataset = preparation.dataset
     best: dict[bytes, tuple[FrontEntry, Program, bool]] = {}
     for index, entry in enumerate(outcome.front):
-        if _is_printable(entry, dataset):
+        if is_printable(entry.program, len(dataset.names)):
             program = _written(entry, outcome, dataset)
             member = best.get(structure(program), (entry, program, False))
             nearer = (entry, program) if entry.error < member[0].error else member[:2]
@@ -406,8 +406,8 @@ def _front(
             expression=to_infix(program, dataset.names),
             complexity=len(program),
             error=entry.error,
-            normalized_error=_normalized(entry.error, target),
-            r2=_r2(entry.mse, target),
+            normalized_error=target.normalized(entry.error),
+            r2=target.r2(entry.mse),
             constants=_constants(program),
             holdout_error=None if unseen is None else errors_on(unseen, program, config.evolution.loss)[0],
             selected=is_selected,
@@ -430,10 +430,6 @@ def _points(dataset: Dataset) -> FloatArray:
     return points
 
 
-def _is_printable(entry: FrontEntry, dataset: Dataset) -> bool:
-    return is_printable(entry.program, len(dataset.names))
-
-
 @lru_cache(maxsize=4096)
 def is_printable(program: bytes, inputs: int) -> bool:
     """Tell whether an equation, written out, has a length that can be read."""
@@ -449,16 +445,6 @@ def _convergence(outcome: VariableOutcome, target: Target) -> tuple[Convergence,
         generations = tuple(step for step, _ in chosen)
         courses.append(Convergence(island=island, generations=generations, errors=curve(errors)))
     return tuple(courses)
-
-
-def _normalized(error: float, target: Target) -> float:
-    return error / target.standard_deviation if target.standard_deviation else math.inf
-
-
-def _r2(mse: float, target: Target) -> float | None:
-    """Return the share of the target's variance that a mean squared error leaves explained; None if that is unknown."""
-    variance = target.standard_deviation * target.standard_deviation
-    return 1.0 - mse / variance if variance else None
 
 
 def _total(outcome: VariableOutcome) -> int:

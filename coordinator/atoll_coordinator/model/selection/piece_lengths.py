@@ -7,6 +7,7 @@ longest pieces that can be fitted are used.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -29,12 +30,18 @@ def search_in_pieces(task: ModellingTask, lists: Sequence[Sequence[Program]]) ->
         if selection is None or selection.comparison.score.is_exact(selection.model):
             return selection
         return _without_solver_errors(task, selection) or selection
-    selections: list[SelectedModel] = []
-    for selection in _ever_shorter(task, lists):
-        selections.append(selection)
+    longest, tasks = None, _tasks(task)
+    for index, here in enumerate(tasks):
+        fits_shorter = partial(_fits_in, tasks[index + 1 :])
+        selection = search_jointly(here, lists, is_hopeless=fits_shorter)
+        if selection is None:
+            continue
+        longest = longest or selection
         if selection.is_like_noise:
             return _lengthened(task, selection, lists)
-    return selections[0] if selections else None
+        if not fits_shorter(selection):
+            break
+    return longest
 
 
 def _without_solver_errors(task: ModellingTask, selection: SelectedModel) -> SelectedModel | None:
@@ -109,23 +116,7 @@ def remarks(task: ModellingTask, *, is_tested_in_whole: bool = False) -> Iterato
         )
 
 
-def _ever_shorter(task: ModellingTask, lists: Sequence[Sequence[Program]]) -> Iterator[SelectedModel]:
-    """Yield the best system for whole trajectories, then, as long as that helps, for shorter pieces."""
-    tasks = _tasks(task)
-    for index, here in enumerate(tasks):
-        shorter = tasks[index + 1 :]
-
-        def is_hopeless(selection: SelectedModel, shorter: Sequence[ModellingTask] = shorter) -> bool:
-            return _is_better_in(shorter, selection)
-
-        selection = search_jointly(here, lists, is_hopeless=is_hopeless)
-        if selection is not None:
-            yield selection
-            if not _is_better_in(shorter, selection):
-                return
-
-
-def _is_better_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
+def _fits_in(tasks: Sequence[ModellingTask], selection: SelectedModel) -> bool:
     """Tell whether a system that does not fit well fits well in shorter pieces."""
     if selection.is_like_noise:
         return False

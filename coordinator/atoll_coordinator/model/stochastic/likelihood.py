@@ -24,7 +24,7 @@ from atoll_coordinator.model.constants.standard_errors import ConstantErrors
 from atoll_coordinator.model.least_squares import Fitter, Solver, minimize, solver
 from atoll_coordinator.settings import SETTINGS
 from atoll_coordinator.stochastic import Discretisation
-from atoll_coordinator.stochastic.moments import Pair, StepMoments, step_moments
+from atoll_coordinator.stochastic.moments import Pair, StepMoments, factors_of, step_moments
 from atoll_core.data.dataset import FloatArray
 from atoll_core.expression.program import Program, constant_places, with_constants
 from atoll_core.expression.restrictions import NONE, Restrictions
@@ -280,16 +280,11 @@ class _LikelihoodFit(Fitter[_Point, FloatArray, FittedProcess]):
 
 def _independent(residuals: FloatArray, covariance: FloatArray) -> Whitened:
     """Return residuals (S, N) of independent steps whitened by Cholesky's factors of their covariances (S, S, N)."""
-    states = len(residuals)
-    factor, logarithms, whitened = np.zeros_like(covariance), np.zeros_like(residuals), np.zeros_like(residuals)
+    factor, whitened = factors_of(covariance), np.zeros_like(residuals)
     with np.errstate(all="ignore"):
-        for i in range(states):
-            for j in range(i + 1):
-                rest = covariance[i, j] - (factor[i, :j] * factor[j, :j]).sum(axis=0)
-                factor[i, j] = np.sqrt(rest) if i == j else rest / factor[j, j]
-            logarithms[i] = np.log(factor[i, i])
+        for i in range(len(residuals)):
             whitened[i] = (residuals[i] - (factor[i, :i] * whitened[:i]).sum(axis=0)) / factor[i, i]
-    return Whitened(whitened, logarithms)
+        return Whitened(whitened, np.log(np.einsum("iin->in", factor)))
 
 
 def _banded(residuals: FloatArray, band: FloatArray) -> Whitened:

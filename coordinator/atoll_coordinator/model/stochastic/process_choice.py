@@ -81,7 +81,7 @@ class ProcessChoice:
 
     def choose(self) -> ChosenProcess:
         """Return the law of the process."""
-        fitted = self._settled(self._with_first_diffusion(self._first_model()), looks_around=True)
+        fitted = self._settled(self._first_model(), looks_around=True)
         fitted, apart = (fitted, 0.0) if any(fitted.model.noise) else self._discretised(fitted)
         rivals = tuple(map(_of_each_form, self._rivals))
         free = self._free(fitted.model)
@@ -161,25 +161,6 @@ class ProcessChoice:
         return ProcessModel(
             tuple(programs[:states]), tuple(programs[states:]), self._process.pairs, tuple(noise.tolist())
         )
-
-    def _with_first_diffusion(self, model: ProcessModel) -> ProcessModel:
-        """Return the model with the diffusion from high differences of paths, which do not depend on the drift.
-
-        Without it all steps would have the same weight, and the largest steps would decide the drift.
-        """
-        if any(model.noise):
-            return model
-        misfit = self._likelihood.whitened(model).misfit
-        for number in self._sought:
-            if number < len(model.drift):
-                continue
-            name = self._variables[number]
-            begun = self._candidates[name].nearest if name in self._candidates else []
-            for program in self._finder.find(number, model, begun, looks_around=False, by_differences=True)[:1]:
-                tried = model.with_program(number, program)
-                if (tried_misfit := self._likelihood.whitened(tried).misfit) < misfit:
-                    model, misfit = tried, tried_misfit
-        return model
 
     def _refitted(self, model: ProcessModel) -> FittedProcess:
         """Return the model with all its constants fitted; where there is noise, about states smoothed by itself."""

@@ -67,7 +67,6 @@ class CandidateFinder:
         begun: Sequence[Program],
         *,
         looks_around: bool,
-        by_differences: bool = False,
     ) -> list[Program]:
         """Return the most promising programs for one equation, factors of one as constants, the best first.
 
@@ -76,13 +75,8 @@ class CandidateFinder:
             model: the other equations, by which the higher terms of moments are computed.
             begun: programs of the search.
             looks_around: whether neighbours of the best programs are tried as well.
-            by_differences: whether products of high differences estimate a component of the diffusion, independently of
-                the drift.
         """
-        sides = (
-            _sides_by_differences(number, model, self.steps) if by_differences else _sides(number, model, self.steps)
-        )
-        problem, weights = _problem(number, sides, model, self.steps, self._rates, self.names)
+        problem, weights = _problem(number, model, self.steps, self._rates, self.names)
         space = self.config.space
         operators = frozenset(BY_NAME[name].code for name in space.operators_for(self.variables[number]))
         columns = space.columns_for(self.variables[number], self.names)
@@ -103,7 +97,7 @@ class CandidateFinder:
         distinct = {structure(program): program for program in programs}
         is_variance = number >= len(model.drift) and len({*model.pairs[number - len(model.drift)]}) == 1
         possible = (program for program in distinct.values() if self._is_possible(program, is_variance=is_variance))
-        return [*islice(possible, SETTINGS.effort.beam)]
+        return [*islice(possible, 2 * SETTINGS.effort.beam // 3)]
 
     def _is_possible(self, program: Program, *, is_variance: bool) -> bool:
         """Tell whether a program is finite wherever steps begin, and not negative there if it is a variance."""
@@ -111,44 +105,23 @@ class CandidateFinder:
         return bool(np.isfinite(values).all()) and not (is_variance and bool((values < 0.0).any()))
 
 
-def _sides_by_differences(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
-    """Return the targets (N,) for a component of the diffusion times the length of a step; NaN where a path ends."""
-    windows = all_windows(steps, _STEPS)
-    i, j = model.pairs[number - len(model.drift)]
-    sides = np.full(len(steps.lengths), np.nan)
-    sides[windows.first] = windows.differences(i) * windows.differences(j) * steps.lengths[windows.first]
-    return sides
-
-
-def _sides(number: int, model: ProcessModel, steps: Steps) -> FloatArray:
-    """Return the targets (N,) for one equation times the length of a step."""
-    states = len(model.drift)
-    moments = model.moments(steps.points, steps.lengths)
-    if number < states:
-        leading = steps.lengths * values_of(model.drift[number], steps.points)
-        added = moments.mean[number] - leading
-        sides = steps.increments[number]
-    else:
-        i, j = model.pairs[number - states]
-        leading = steps.lengths * values_of(model.diffusion[number - states], steps.points)
-        added = moments.covariance[i, j] - leading
-        sides = products(steps.increments - moments.mean, steps, (i, j), corrected=any(model.noise))
-    return np.asarray(sides - added)
-
-
 def _problem(
-    number: int, sides: FloatArray, model: ProcessModel, steps: Steps, rates: FloatArray, names: tuple[str, ...]
+    number: int, model: ProcessModel, steps: Steps, rates: FloatArray, names: tuple[str, ...]
 ) -> tuple[Problem, FloatArray]:
-    """Return the problem of one equation; steps begin where the one before them does if there is noise."""
-    is_noisy = any(model.noise)
-    states = len(model.drift)
+    """Return the problem of one equation over bins, and the weights of these; `rates` are of the noise (S, N).
+
+    Steps begin where the one before them does if there is noise.
+    """
+    states, lengths, points = len(model.drift), steps.lengths, steps.points
+    moments = model.moments(points, lengths)
+    leading = lengths * values_of(model.programs[number], points)
     if number < states:
-        variances = rates[number]
+        sides, variances = steps.increments[number] - (moments.mean[number] - leading), rates[number]
     else:
         i, j = model.pairs[number - states]
-        variances = steps.lengths * rates[i] * rates[j]
-    points, lengths = steps.points, steps.lengths
-    if is_noisy:
+        sides = products(steps.increments - moments.mean, steps, (i, j), corrected=any(model.noise))
+        sides, variances = sides - (moments.covariance[i, j] - leading), lengths * rates[i] * rates[j]
+    if any(model.noise):
         rows = np.flatnonzero(steps.follows)
         points, lengths, sides, variances = lagged(steps).points, lengths[rows], sides[rows], variances[rows]
     weights = lengths / variances

@@ -4,8 +4,8 @@ import pytest
 
 from atoll_core import PROTOCOL_VERSION, VERSION
 from atoll_core.errors import RemoteProtocolError, UnreachableError
-from atoll_core.wire.codec import decode, encode
-from atoll_core.wire.messages.handshake import Greeting, GreetingAnswer, Welcome
+from atoll_core.wire.codec import encode
+from atoll_core.wire.messages.handshake import GreetingAnswer, Welcome
 from atoll_island_worker.connection import RETURN_S, START_S, CoordinatorConnection, PendingRequest, Requests
 from atoll_island_worker.session.interface import Reset
 from tests.simulation.bus.network import SimulatedNetwork
@@ -31,10 +31,6 @@ class ConnectionBench:
         self.network = SimulatedNetwork()
         self.requests = SentRequests(self.network, name)
         self.connection = CoordinatorConnection(self.requests._bus, self.requests, name, wait_s, None, grace_s)
-
-    def greeting(self) -> object:
-        self.connection.greet()
-        return decode(self.requests.greetings[-1], Greeting).body
 
 
 def welcome(cluster: str = "r", incarnation: int = 1) -> bytes:

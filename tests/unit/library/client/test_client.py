@@ -19,7 +19,6 @@ from atoll_core.wire.messages.clients import (
     Failure,
     FailureKind,
     GetResult,
-    JobFound,
     JobList,
     JobStatus,
     ListJobs,
@@ -176,7 +175,7 @@ def test_an_answer_that_is_not_in_our_words_is_refused() -> None:
 
 
 def test_the_beginning_of_an_id_is_looked_up_by_the_coordinator() -> None:
-    client, _ = client_with(lambda body: JobFound(job="abc1"))
+    client, _ = client_with(lambda body: JobStatus(job=job_view(job="abc1")))
     assert client.resolve("abc") == "abc1"
     with pytest.raises(RefusedError, match="no job 'a/b': ids are 1 to 64 letters"):
         client.resolve("a/b")
