@@ -1,7 +1,7 @@
 """Programs as one Python function of numbers or arrays that computes their common parts once.
 
-The table of operators writes the text of the function; its names are numbers of nodes, so that no text of a user gets
-into it.
+The table of operators writes the source text of the function. Names in this text are made of node numbers, so that it
+never contains text of a user.
 """
 
 import math
@@ -13,13 +13,13 @@ from atoll_core.expression.operators import ARITY, CONSTANT, Functions, definiti
 from atoll_core.expression.program import Program, ProgramBuilder
 
 _LONGEST: Final = 200
-"""Longest text of a part without a name: Python reads at most 200 nested brackets."""
+"""Longest text, in characters, of a part that gets no variable of its own: Python accepts 200 nested brackets."""
 
 
 def function_of(programs: Sequence[Program], variables: int, functions: Functions) -> Callable[..., tuple[Any, ...]]:
     """Return a function of this many variables (numbers or arrays) that returns the values of `programs`.
 
-    It raises the errors of `functions` and of divisions where there is no value.
+    It raises the errors that `functions` and divisions raise for arguments without a value.
     """
     # Any, because the types depend on the arguments and on `functions`, and the text is compiled here.
     builder = ProgramBuilder()

@@ -1,4 +1,4 @@
-"""Values of a program and their derivatives by its constants, on all rows at once, by numpy.
+"""Values of a program and their derivatives with respect to its constants, on all rows at once, by numpy.
 
 For use after the search, where the last bit does not matter; the search uses `atoll_core.expression.kernels.tape`.
 Letters: N nodes, R rows, K constants.
@@ -42,7 +42,7 @@ DEFINITIONS: Final = {**definitions(NUMPY), **partial_definitions(NUMPY)}
 
 
 def value_of(code: int, left: float, right: float) -> float:
-    """Return the value of one operator; NaN or infinity where it has none."""
+    """Return the value of operator `code`; NaN or infinity if it has no finite value."""
     with np.errstate(all="ignore"):
         return float(DEFINITIONS[code].value(np.array([left]), np.array([right]))[0])
 

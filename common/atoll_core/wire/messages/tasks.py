@@ -141,6 +141,6 @@ class GivenBatch(Frozen):
 
 
 class NoTask(Frozen):
-    """The task does not, or no longer, run here."""
+    """The task does not run here, or no longer runs here."""
 
     kind: Literal["no-task"] = "no-task"

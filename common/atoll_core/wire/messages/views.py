@@ -227,11 +227,11 @@ class WorkerView(Frozen):
 
 
 MAX_DETAILS: Final = 8
-"""Most notes of workers that are getting ready."""
+"""Largest number of notes of compiling workers."""
 
 
 class Workforce(Frozen):
-    """Numbers of workers that are alive and that are getting ready, and the first notes of the latter in order."""
+    """Numbers of workers that are alive and that are compiling, and the first notes of the compiling ones, sorted."""
 
     alive: Annotated[int, Field(ge=0)] = 0
     compiling: Annotated[int, Field(ge=0)] = 0
