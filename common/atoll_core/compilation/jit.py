@@ -2,8 +2,8 @@
 
 Fast-math and contraction are off, so that one seed gives one answer on every processor (ADR 0002). Kernels use the
 subset of Python that also runs interpreted (``NUMBA_DISABLE_JIT=1``); the oracles and the coverage run use this mode.
-Machine code is found by the text of its sources, in whatever folder they are (ADR 0011). Numba's caches for other
-programs in the same process are not changed.
+Machine code is found by the text of its sources and not by their folder (ADR 0011). Numba's caches for other programs
+in the same process are not changed.
 """
 
 import functools

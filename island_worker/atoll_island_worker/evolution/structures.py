@@ -122,9 +122,13 @@ class Work(NamedTuple):
     residual: Floats
     """(1, padded rows) target minus output; 0 in the padding."""
     matrix: Floats
+    """(MOST_FITTED, MOST_FITTED) products of the Jacobian's columns, lower triangle."""
     damped: Floats
+    """(MOST_FITTED, MOST_FITTED) Cholesky factor of the damped matrix; the diagonal holds inverses."""
     gradient: Floats
+    """(MOST_FITTED,) half the gradient of the sum of squared residuals."""
     step: Floats
+    """(MOST_FITTED,) step of the fitted constants."""
     means: Floats
     """(MOST_TERMS,) means of the terms."""
     inverse: Floats
@@ -137,8 +141,11 @@ class Work(NamedTuple):
     fitted: Ints
     """(MOST_FITTED,) tape indices of the fitted constants."""
     kept: Floats
+    """(MOST_FITTED,) fitted constants before the step."""
     kept_scale: Floats
+    """(1 + MOST_TERMS,) scale of the best trial so far."""
     trial: Floats
+    """(2,) mean absolute and mean squared error of the last trial."""
     settled: Booleans
     """(1,) whether further steps of the last fit would not improve it."""
     functions: int
@@ -203,11 +210,15 @@ class Scratch(NamedTuple):
     """Arrays that a generation needs in addition to the island's own state."""
 
     order: Ints
+    """(P,) random order of the individuals; neighbours are parents together."""
     settled: Booleans
     """(P,) whether further steps would not improve the constants of an individual of this island."""
     children: Lists
+    """Lists of two children."""
     child_loss: Floats
+    """(2,) losses of the children."""
     child_settled: Booleans
+    """(2,) `settled` of the children."""
     signature: Ints
     """(P + 2, L) signatures of the population and of the two children; valid while generations advance."""
     live: Hashes
@@ -227,9 +238,13 @@ class Scratch(NamedTuple):
     spare: Rows
     """Rows of one predictor at a time."""
     predictor_children: Ints
+    """(2, sample) two predictors."""
     best_of_size: Ints
+    """(sizes,) an individual of each size, -1 without one."""
     taken: Ints
+    """(sizes,) number of individuals taken of each size."""
     hashes: Hashes
+    """(P,) hashes of the individuals' structures."""
     book: Book
 
 

@@ -4,8 +4,8 @@ An individual's output is b + a_1 t_1 + ... + a_m t_m, where the t_j are the ter
 the top. With one term this is linear scaling (Keijzer 2003). The a_j and b always minimise the squared error for the
 present terms, so that only the inner constants need steps. This is variable projection (Golub & Pereyra 1973) with
 Kaufman's (1975) Jacobian: its columns are the derivatives with fixed a_j, minus their projections on 1 and the terms.
-The damping is Marquardt's (1963): a multiple of the diagonal of the normal equations. Sums run over rows in order.
-Nothing is allocated.
+The damping is Marquardt's (1963): a multiple of the diagonal of the normal equations. Sums run over rows in order. No
+arrays are allocated.
 """
 
 from typing import Final
