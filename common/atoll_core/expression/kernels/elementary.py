@@ -121,7 +121,7 @@ def _from_bits(pattern: np.int64) -> float:
 def _quarter_turns(x: float) -> tuple[float, float, np.int64]:
     """Return r, its error and n with x = n pi/2 + r + error, |r| <= pi/4 (Cody and Waite 1980).
 
-    n is an int64 whose low bits are right.
+    Only the low bits of the returned n are meaningful.
     """
     shifted = x * TWO_OVER_PI + ROUNDER
     n = shifted - ROUNDER

@@ -138,11 +138,11 @@ def eliminate(
     library that is too large, only a part of these means is subtracted, so that the equations stay solvable.
 
     Args:
-        steps: number of steps, at most K; entries of later steps are not written.
+        steps: number of steps, at most K; results of later steps are not written, except the last number of `squares`.
         order: result, (K,): the columns in the order of their removal, then the remaining columns.
         squares: result, (K + 1,): the sums of squared residuals with the last K, K - 1, ... 0 columns of `order`.
-        found: result, (K, K): the coefficients of all columns at each step, 0 for removed columns.
-        errors: result, (K + 1,): the contribution of errors of the columns to the same sums.
+        found: result, (K, K), zero before: the coefficients of all columns at each step, 0 for removed columns.
+        errors: result, (K + 1,), zero before: the contribution of errors of the columns to the same sums.
     """
     count, rows = columns.shape
     unit, rest = columns.copy(), side.copy()
